@@ -1,4 +1,4 @@
-"""gt.csv: read, checked for what cannot be meant, and written."""
+"""Reads, checks and writes gt.csv."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ _LOOK_ALIKE = {
         *("azimuth", "azimuth_deg", "theta", "angle", "angle_deg", "x_m", "y_m", "z_m"),
     ),
 }
-"""Names in lower case that others give to positions, by what they should be here."""
+"""Names in lower case that other programs use for positions, by the names expected here."""
 _OTHER_ALIKE = {
     "visible": ("visible", "visibility", "vis"),
     "orientation_deg": ("orientation_deg", "orientation"),
     "log": ("log",),
 }
-"""The same of columns without which a truth is sound, but says something else."""
+"""The same for columns that are optional, but change what the truth means."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class TruthTable:
 
     path: Path
     key: str
-    """What tells the frame: the column "frame" or "timestamp_ns"."""
+    """The column that names the frame: "frame" or "timestamp_ns"."""
     at: IntArray
     """(R,) its values."""
     landmark: IntArray
@@ -72,12 +72,12 @@ class TruthTable:
     orientation: FloatArray | None
     """(R,) deg, NaN where blank; None without the column."""
     proposed: BoolArray
-    """(R,) whether `source` says that `truth propose` wrote the row."""
+    """(R,) whether `truth propose` wrote the row, by the column `source`."""
     not_read: tuple[str, ...]
-    """Columns that look like positions, `visible` and so on, beside those that are read."""
+    """Columns that look like positions, `visible` and so on, but are not read."""
 
     def rows_of(self, name: str) -> IntArray:
-        """The rows that speak of a log, rising."""
+        """(n,) the rows on a log, rising."""
         if self.log is None:
             return np.arange(len(self.at))
         return np.flatnonzero(self.log == name)
@@ -93,7 +93,7 @@ class TruthTable:
         return next((name for name in reversed(names) if name in named), names[0])
 
     def digest_of(self, rows: IntArray) -> str:
-        """A digest of all that some rows say, by which copies of a truth are recognised."""
+        """A digest of the content of some rows; copies of a truth have the same."""
         kind, *position = self.position or (None,)
         digest = hashlib.sha256(f"{self.key} {kind}".encode())
         for column in (self.at, self.landmark, self.visible, *position, self.orientation):
@@ -103,9 +103,9 @@ class TruthTable:
 
 
 def read_truth(path: Path) -> TruthTable:
-    """Read gt.csv (see HEADER). A header alone is read as well: whoever scores refuses it.
+    """Read gt.csv (see HEADER). It may have no row; scoring refuses that.
 
-    Raises SonarrecError on wrong columns, on a cell that cannot be meant and on a repeated row.
+    Raises SonarrecError on wrong columns, an invalid cell or a repeated row.
     """
     table = read_rows(path)
     wrong = (table.visible < 0) | (table.visible > 1)
@@ -126,10 +126,10 @@ def read_truth(path: Path) -> TruthTable:
 
 
 def read_rows(path: Path) -> TruthTable:
-    """Read gt.csv as it is written: `visible` of any value, and rows that repeat others.
+    """Read gt.csv without checks of its rows: `visible` of any value, repeated rows.
 
-    Raises SonarrecError on wrong columns, on a cell that is no number, and where columns look like
-    positions but none is read.
+    Raises SonarrecError on wrong columns, on a cell that is no number, or if columns look like
+    positions but none can be read.
     """
     kinds: dict[str, Kind] = {
         "frame": "whole",
@@ -147,44 +147,51 @@ def read_rows(path: Path) -> TruthTable:
             f"{path}: wrong columns, neither frame nor timestamp_ns; "
             f"expected a header such as {HEADER}"
         )
-    visible = table.get("visible", np.ones(len(table["landmark"])))
-    visible = np.where(np.isnan(visible), 1.0, visible)
+    rows = len(table["landmark"])
+    visible = table.get("visible", np.ones(rows))
     position = position_pair(path, table)
-    header = read_header(path, HEADER)
-    alike = _look_alike(header)
-    others = [
-        name
-        for right, names in _OTHER_ALIKE.items()
-        for name in header
-        if right not in header and name.lower() in names
-    ]
-    if alike and position is None:
-        told = "; ".join(f"{', '.join(names)}: expected {right}" for right, names in alike.items())
-        raise SonarrecError(
-            f"{path}: no position can be read from the columns {told}; both columns of one pair "
-            "are needed. Rename them, or drop them to score protocol paper alone"
-        )
+    pixels = None
+    if position is not None and position[0] == "polar" and {"x_px", "y_px"} <= table.keys():
+        pixels = table["x_px"], table["y_px"]
+    proposed = np.zeros(rows, dtype=bool)
+    if "source" in table:
+        proposed = np.asarray(table["source"].isin((TRACKED, FILLED_IN)))
     return TruthTable(
         path=path,
         key=key,
         at=table[key],
         landmark=table["landmark"],
-        visible=visible,
+        visible=np.where(np.isnan(visible), 1.0, visible),
         log=table.get("log"),
         position=position,
-        pixels=(
-            (table["x_px"], table["y_px"])
-            if position is not None and position[0] == "polar" and {"x_px", "y_px"} <= table.keys()
-            else None
-        ),
+        pixels=pixels,
         orientation=table.get("orientation_deg"),
-        proposed=(
-            np.asarray(table["source"].isin((TRACKED, FILLED_IN)))
-            if "source" in table
-            else np.zeros(len(table["landmark"]), dtype=bool)
-        ),
-        not_read=(*(name for names in alike.values() for name in names), *others),
+        proposed=proposed,
+        not_read=_not_read(path, position is not None),
     )
+
+
+def _not_read(path: Path, placed: bool) -> tuple[str, ...]:
+    """Columns with other names than those that are read, but similar ones.
+
+    placed: whether there are positions. Raises SonarrecError if there are none, but columns that
+    look like them.
+    """
+    header = read_header(path, HEADER)
+    positions = _look_alike(header)
+    if positions and not placed:
+        columns = "; ".join(f"{', '.join(n)}: expected {right}" for right, n in positions.items())
+        raise SonarrecError(
+            f"{path}: no position can be read from the columns {columns}; both columns of one pair "
+            "are needed. Rename them, or drop them to score protocol paper alone"
+        )
+    others = (
+        name
+        for right, names in _OTHER_ALIKE.items()
+        for name in header
+        if right not in header and name.lower() in names
+    )
+    return (*(name for names in positions.values() for name in names), *others)
 
 
 def _look_alike(header: Sequence[str]) -> dict[str, list[str]]:
@@ -200,7 +207,7 @@ def _look_alike(header: Sequence[str]) -> dict[str, list[str]]:
 
 
 def repeated_rows(table: TruthTable) -> IntArray:
-    """(n, 2) pairs of rows that are the same, rising; (0, 2) where positions are not told.
+    """(n, 2) pairs of equal rows, rising; (0, 2) if there are no positions.
 
     One ID may be in view twice, but not twice in one place.
     """
@@ -218,10 +225,9 @@ def repeated_rows(table: TruthTable) -> IntArray:
 
 
 def write_truth(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a new gt.csv. Raises SonarrecError where it exists or cannot be written.
+    """Write a new gt.csv, all of it or nothing. Raises SonarrecError if it exists or that fails.
 
-    All of it or nothing: rows may be made as they are written. A file that a person may have
-    corrected by hand is never written over.
+    An existing file is never replaced, since a person may have corrected it by hand.
     """
     try:
         if os.path.lexists(path):
