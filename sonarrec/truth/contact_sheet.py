@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -135,7 +136,6 @@ def _draw(
     """Lay the tiles out and write the PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.patches import Rectangle
 
     step = SIDE + _CAPTION + _GAP
     width = _LEFT + TILES * (SIDE + _GAP)
@@ -151,29 +151,44 @@ def _draw(
     axes.text(_GAP, 24, title, color=_INK, fontsize=12, va="center")
     legend = "outline: the disc as the truth puts it; below: frame, visible; found wrong in red"
     axes.text(_GAP, 46, legend, color=_INK, fontsize=8, va="center", alpha=0.8)
-    colours = landmark_colours(truth.landmarks.ids)
     for n, strip in enumerate(strips):
         y = _TOP + n * step
         axes.text(_GAP, y + SIDE / 2, strip.title, color=_INK, fontsize=9, va="center")
         for k, row in enumerate(int(row) for row in strip.rows):
-            if row not in tiles:
-                continue
-            kinds = faults.get(int(truth.line[row]), [])
-            caption = f"{truth.frame[row]}   {truth.visible[row]:.2f}"
-            if kinds:
-                caption = f"line {truth.line[row]}: {kinds[0]}"
-            ink = np.array(_FAULT) / 255 if kinds else _INK
-            x = _LEFT + k * (SIDE + _GAP)
-            extent = (x, x + SIDE, y + SIDE, y)
-            axes.imshow(tiles[row], "gray", vmin=0, vmax=255, extent=extent)
-            # Pixel centres are whole numbers, and the picture's first pixel begins at its corner.
-            outline = _outline(truth, row) + np.array([x + 0.5, y + 0.5])
-            colour = np.array(colours.get(int(truth.landmark[row]), _UNKNOWN)) / 255
-            (line,) = axes.plot(*outline.T, color=colour, lw=1)
-            frame = Rectangle((x, y), SIDE, SIDE, fill=False, ec=ink, lw=2 if kinds else 0)
-            axes.add_patch(frame)
-            line.set_clip_path(frame)
-            axes.text(x, y + SIDE + 10, caption, color=ink, fontsize=8, va="center")
+            if row in tiles:
+                kinds = faults.get(int(truth.line[row]), [])
+                _draw_tile(axes, (_LEFT + k * (SIDE + _GAP), y), tiles[row], truth, row, kinds)
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="auto")
     with writing(out):
         write_figure(out, figure, facecolor=_GROUND)
+
+
+def _draw_tile(
+    axes: Any,
+    corner: tuple[int, int],
+    tile: ByteImage,
+    truth: CheckedTruth,
+    row: int,
+    faults: Sequence[str],
+) -> None:
+    """Draw one tile with the disc's outline and its caption, in red if the row has faults.
+
+    corner: its top left one, in pixels of the sheet. faults: their kinds.
+    """
+    from matplotlib.patches import Rectangle
+
+    x, y = corner
+    ink = np.array(_FAULT) / 255 if faults else _INK
+    caption = f"{truth.frame[row]}   {truth.visible[row]:.2f}"
+    if faults:
+        caption = f"line {truth.line[row]}: {faults[0]}"
+    axes.imshow(tile, "gray", vmin=0, vmax=255, extent=(x, x + SIDE, y + SIDE, y))
+    # Pixel centres are whole numbers, and the picture's first pixel begins at its corner.
+    outline = _outline(truth, row) + np.array([x + 0.5, y + 0.5])
+    colours = landmark_colours(truth.landmarks.ids)
+    colour = np.array(colours.get(int(truth.landmark[row]), _UNKNOWN)) / 255
+    (line,) = axes.plot(*outline.T, color=colour, lw=1)
+    border = Rectangle((x, y), SIDE, SIDE, fill=False, ec=ink, lw=2 if faults else 0)
+    axes.add_patch(border)
+    line.set_clip_path(border)
+    axes.text(x, y + SIDE + 10, caption, color=ink, fontsize=8, va="center")
