@@ -163,8 +163,17 @@ CHANGES: dict[str, Change] = {
     "persistence .5": persistence(0.5),
     "persistence .8": persistence(0.8),
 }
-# What the changes cost where nothing is done against them.
-NOT_RESTORED = (*tuple(CHANGES)[1:5], *tuple(CHANGES)[7:11])
+# Those against which the recogniser does something; they are also run without it.
+NOT_RESTORED = (
+    "white grid",
+    "white text",
+    "five bright range bins",
+    f"{DEAD_BEAMS} of {OF_BEAMS} beams dead",
+    "a twentieth saturated",
+    "a tenth saturated",
+    "a fifth saturated",
+    "histogram equalised",
+)
 BY_LUMINANCE = {
     "jet": by_luminance(cv2.COLORMAP_JET),
     "viridis": by_luminance(cv2.COLORMAP_VIRIDIS),
