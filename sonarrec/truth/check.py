@@ -1,4 +1,4 @@
-"""What cannot be true in a gt.csv, found by the geometry and the log it describes."""
+"""Finds rows of a gt.csv that cannot be true, by the log and its geometry."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
-"""Allowed for a person's eye: a tenth of the radius in place, a tenth of the area in `visible`."""
+"""Tolerance for labels made by eye: a tenth of the radius in place, of the area in `visible`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that cannot be true: the line of gt.csv, the kind of fault, and what it is."""
+    """One thing that cannot be true: the line of gt.csv, the kind of fault, and a description."""
 
     line: int
     kind: str
@@ -34,7 +34,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class CheckedTruth:
-    """A gt.csv seen against its log, of which N rows speak."""
+    """A gt.csv checked against its log; N of its rows are on this log."""
 
     path: Path
     """Of gt.csv."""
@@ -46,35 +46,41 @@ class CheckedTruth:
     landmark: IntArray
     """(N,) IDs as written."""
     frame: IntArray
-    """(N,) number in the log, -1 where the log has none."""
+    """(N,) number in the log, -1 if the log has no such frame."""
     x_px: FloatArray | None
     y_px: FloatArray | None
-    """(N,) in the fan image, None where the file tells no positions."""
+    """(N,) in the fan image; None if the file has no positions."""
     visible: FloatArray
     """(N,) as written."""
     faults: list[Fault]
     """In order of the lines."""
     others: int
-    """Rows that speak of other logs."""
+    """Number of rows on other logs."""
     notes: list[str]
     """On the columns."""
     problems: list[str]
     """Of the log."""
 
     def summary(self) -> str:
-        """How much was looked at, and how much of it is wrong."""
+        """How many rows were checked, and how many faults there are."""
         faults = number_of(len(self.faults), "fault") if self.faults else "no fault"
         return f"{number_of(len(self.line), 'row')}, {faults}"
 
 
 @dataclass(frozen=True, slots=True)
 class _Places:
-    """Where the landmarks are; one element per row of this log. Ranges m, bearings deg, floor m."""
+    """Where the landmarks of the log's N rows are.
+
+    frame, landmark: (N,) as in CheckedTruth. range_m, bearing_deg: (N,). x_px, y_px: (N,) in the
+    fan image. floor: (N, 2) m on the floor, to the right and ahead of the sonar.
+    """
 
     frame: IntArray
     landmark: IntArray
     range_m: FloatArray
     bearing_deg: FloatArray
+    x_px: FloatArray
+    y_px: FloatArray
     floor: FloatArray
 
 
@@ -84,36 +90,18 @@ def check_truth(
     """Check a gt.csv against the log it describes: one pass over the log, for its frames.
 
     max_pan_deg: by how much the sonar may turn from one frame to the next.
-    Raises SonarrecError where either cannot be read at all.
+    Raises SonarrecError if either cannot be read at all.
     """
     table = read_rows(path)
-    # As its results are named, which is by more than its own name beside a namesake.
-    names = possible_names(log.name, find_log(log.path).place.resolve())
-    row = table.rows_of(table.name_of(names))
-    if len(table.at) and not len(row):
-        named = ", ".join(sorted({repr(str(name)) for name in table.log}))
-        raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
+    row = _rows_on(table, log)
     lines = np.fromiter(line_numbers(path), np.int64, len(table.at))
-    line = lines[row]
+    line, visible = lines[row], table.visible[row]
     frames, faults = _matched(table, row, line, log)
     assert log.fan is not None
     faults += _ids(line, table.landmark[row], landmarks)
-    visible = table.visible[row]
-    wrong = (visible < 0) | (visible > 1)
-    faults += [
-        Fault(int(n), "visible", f"visible is a share, 0 to 1, not {v:g}")
-        for n, v in zip(line[wrong], visible[wrong], strict=True)
-    ]
-    x = y = None
-    if table.position is not None:
-        kind, first, second = table.position[0], table.position[1][row], table.position[2][row]
-        polar = (first, second) if kind == "polar" else polar_from_pixel(log.fan, first, second)
-        x, y = pixel_from_polar(log.fan, *polar)
-        bearing = np.radians(polar[1])
-        # Nearer than the floor counts as straight below.
-        ground = np.nan_to_num(ground_range(log.fan, polar[0]))
-        floor = np.column_stack([ground * np.sin(bearing), ground * np.cos(bearing)])
-        places = _Places(frames, table.landmark[row], *polar, floor)
+    faults += _shares(line, visible)
+    places = _places(table, row, frames, log.fan)
+    if places is not None:
         faults += _repeats(table, row, lines)
         faults += _contradictions(line, pixels_apart(table, row, log.fan))
         faults += _outside(line, places, visible, log.fan, landmarks.radius_m)
@@ -127,8 +115,8 @@ def check_truth(
         line=line,
         landmark=table.landmark[row],
         frame=frames,
-        x_px=x,
-        y_px=y,
+        x_px=None if places is None else places.x_px,
+        y_px=None if places is None else places.y_px,
         visible=visible,
         faults=sorted(faults, key=lambda fault: fault.line),
         others=len(table.at) - len(row),
@@ -137,10 +125,39 @@ def check_truth(
     )
 
 
+def _rows_on(table: TruthTable, log: Log) -> IntArray:
+    """(N,) the rows on a log. Raises SonarrecError if the column `log` does not name it."""
+    # Results are named by the log's name, with folders in front if another log has the same name.
+    names = possible_names(log.name, find_log(log.path).place.resolve())
+    row = table.rows_of(table.name_of(names))
+    if len(table.at) and not len(row):
+        named = ", ".join(sorted({repr(str(name)) for name in table.log}))
+        raise SonarrecError(
+            f"{table.path}: its log column does not name {log.name}; it has {named}"
+        )
+    return row
+
+
+def _places(table: TruthTable, row: IntArray, frame: IntArray, fan: Fan) -> _Places | None:
+    """Where the landmarks of these rows are; None if the table has no positions."""
+    if table.position is None:
+        return None
+    kind, first, second = table.position[0], table.position[1][row], table.position[2][row]
+    range_m, bearing_deg = first, second
+    if kind != "polar":
+        range_m, bearing_deg = polar_from_pixel(fan, first, second)
+    bearing = np.radians(bearing_deg)
+    # Nearer than the floor counts as straight below.
+    ground = np.nan_to_num(ground_range(fan, range_m))
+    floor = np.column_stack([ground * np.sin(bearing), ground * np.cos(bearing)])
+    pixels = pixel_from_polar(fan, range_m, bearing_deg)
+    return _Places(frame, table.landmark[row], range_m, bearing_deg, *pixels, floor)
+
+
 def _matched(
     table: TruthTable, row: IntArray, line: IntArray, log: Log
 ) -> tuple[IntArray, list[Fault]]:
-    """(N,) the frame numbers of these rows, -1 where the log has none, which is a fault."""
+    """(N,) the frame numbers of these rows, -1 if the log has no such frame; the faults."""
     seen = [(frame.index, frame.timestamp_ns) for frame in log]
     numbers, stamps = np.array(seen, dtype=np.int64).T
     at = table.at[row]
@@ -153,7 +170,7 @@ def _matched(
             fault = Fault(int(line[0]), "frame", in_other_unit(unit, log.name))
             return np.full(len(at), -1), [fault]
         nearest, known, kept = match_times(stamps, at)
-        # Of truth denser than the frames, the nearest counts, as in scoring.
+        # If truth is denser than the frames, the nearest row counts, as in scoring.
         frames = np.where(kept, numbers[nearest], -1)
     return frames, _frames(line[~known], at[~known], table.key, numbers)
 
@@ -182,6 +199,14 @@ def _ids(line: IntArray, landmark: IntArray, landmarks: LandmarkSet) -> list[Fau
     ]
 
 
+def _shares(line: IntArray, visible: FloatArray) -> list[Fault]:
+    wrong = (visible < 0) | (visible > 1)
+    return [
+        Fault(int(number), "visible", f"visible is a share, 0 to 1, not {share:g}")
+        for number, share in zip(line[wrong], visible[wrong], strict=True)
+    ]
+
+
 def _repeats(table: TruthTable, row: IntArray, lines: IntArray) -> list[Fault]:
     pairs = repeated_rows(table)
     return [
@@ -207,7 +232,7 @@ def _outside(
 ) -> list[Fault]:
     """Discs that lie outside the fan, or show less than `visible` says.
 
-    A landmark may be hidden by something else as well, so less than the geometry allows is sound.
+    Something else may hide a landmark too, so `visible` may be less than the geometry allows.
     """
     share = share_in_image(fan, places.range_m, places.bearing_deg, radius_m)
     near = share_in_image(fan, places.range_m, places.bearing_deg, radius_m * (1 + SLACK))
@@ -224,7 +249,7 @@ def _outside(
 
 
 def _overlaps(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
-    """Two landmarks of one frame, of whatever ID, that would lie on each other."""
+    """Two landmarks of one frame, of equal or different ID, that would lie on each other."""
     order = np.argsort(places.frame, kind="stable")
     frame = places.frame[order]
     faults = []
@@ -235,7 +260,7 @@ def _overlaps(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
             break
         a, b = order[together], order[together + step]
         apart = np.hypot(*(places.floor[a] - places.floor[b]).T)
-        # The same ID in the same place is a repeated row, told already.
+        # The same ID in the same place is a repeated row, which `_repeats` reports.
         other = (apart > 0) | (places.landmark[a] != places.landmark[b])
         for n in np.flatnonzero((apart < radius_m) & other):
             first, second = sorted((int(line[a[n]]), int(line[b[n]])))
@@ -247,7 +272,7 @@ def _overlaps(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
 def _changes(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
     """Landmarks that change their ID from one frame to the next, in one place.
 
-    The way back from a row that is wrong is no fault of its own.
+    The step back after a wrong row is not a second fault.
     """
     order = np.argsort(places.frame, kind="stable")
     order = order[places.frame[order] >= 0]
@@ -272,7 +297,7 @@ def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float)
     """Rows too far from every row of the same ID in the last frame that has one.
 
     A pan turns everything about the sonar and leaves ranges as they are; a disc radius a frame is
-    allowed for heave and drift. The way back from a row that is wrong is no fault of its own.
+    allowed for heave and drift. The step back after a wrong row is not a second fault.
     """
     order = np.lexsort((places.frame, places.landmark))
     order = order[places.frame[order] >= 0]
@@ -285,10 +310,10 @@ def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float)
     sizes = np.diff(np.append(starts, len(order)))
     group = np.cumsum(new) - 1
 
-    def led_from(back: int) -> tuple[FloatArray, IntArray]:
-        """Per row: the shortest way from a row `back` groups earlier, 1 being the limit; that row.
+    def nearest_in(back: int) -> tuple[FloatArray, IntArray]:
+        """Per row, the least step from a row `back` groups earlier (1: the limit), and that row.
 
-        (inf, -1) where the ID has no such group.
+        (inf, -1) if the ID has no such group.
         """
         earlier = np.maximum(group - back, 0)
         count = np.where(group >= back, sizes[earlier], 0)
@@ -304,7 +329,7 @@ def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float)
             least, nearest = np.where(better, excess, least), np.where(better, there, nearest)
         return least, nearest
 
-    (once, before), (twice, _) = led_from(1), led_from(2)
+    (once, before), (twice, _) = nearest_in(1), nearest_in(2)
     wrong: dict[int, Fault] = {}
     for b in np.flatnonzero((before >= 0) & (once > 1)):
         a = int(before[b])
