@@ -125,37 +125,23 @@ def learn(
             "single frames by the published model and learns nothing"
         )
     table = _truth_with_places(ground_truth, len(paths))
-    names: list[str] = []
     lessons: list[_Lesson] = []
-    misfits: list[str] = []
-    problems: list[str] = []
-    notes = columns_not_read(table)
     for path in paths:
         with open_log(
             path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log"
         ) as log:
-            # As its results are named, which is by more than its own name beside a namesake.
+            # Results are named by the log's name, with folders in front if another has the same.
             name = table.name_of(possible_names(log.name, find_log(log.path).place.resolve()))
-            if name in names:
+            if name in (lesson.log for lesson in lessons):
                 raise UsageError(f"{path}: a second log {name!r}; the truth tells logs by name")
-            names.append(name)
-            tracks, beams = _tracks_of(log, name, config, landmarks, observe)
-            notes += beams
-            problems += log.problems
-        truth = match_truth(table, tracks)
-        fault = misfit(table, tracks, truth)
-        if fault is not None:
-            misfits.append(fault)
-            problems.append(f"{fault}; nothing is learned from {name}")
-            continue
-        lesson = _lesson(table, tracks, truth)
-        notes += lesson.notes
-        problems += lesson.problems
-        lessons.append(lesson)
-    if not any(lesson.rows for lesson in lessons):
+            lessons.append(_lesson(table, log, name, config, landmarks, observe))
+    used = [lesson for lesson in lessons if lesson.misfit is None]
+    if not any(lesson.rows for lesson in used):
+        misfits = [lesson.misfit for lesson in lessons if lesson.misfit is not None]
+        names = [lesson.log for lesson in lessons]
         why = without_rows(ground_truth, len(table.at), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
-    parts = [lesson.samples for lesson in lessons]
+    parts = [lesson.samples for lesson in used]
     prior = None if from_scratch else built_in_model()
     model = fit(parts, prior)
     seen = _seen(parts, landmarks)
@@ -163,43 +149,67 @@ def learn(
     return LearningReport(
         model=model,
         landmarks=landmarks,
-        logs=tuple(lesson.log for lesson in lessons),
-        frames=sum(lesson.frames for lesson in lessons),
+        logs=tuple(lesson.log for lesson in used),
+        frames=sum(lesson.frames for lesson in used),
         seen=seen,
         before=before,
         after=after,
-        problems=problems,
-        notes=[*notes, *_not_taught(landmarks, seen, before, after)],
+        problems=[line for lesson in lessons for line in lesson.problems],
+        notes=[
+            *columns_not_read(table),
+            *(line for lesson in lessons for line in lesson.notes),
+            *_not_taught(landmarks, seen, before, after),
+        ],
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Lesson:
-    """What one log teaches. log: its name. frames: how many were read. rows: of truth for it."""
+    """What one log teaches.
+
+    log: its name. samples: of its tracks. frames: how many were read. rows: of truth for it.
+    misfit: why its truth cannot be that of the log, so that nothing is learned; None if it can.
+    """
 
     log: str
     samples: Samples
     frames: int
     rows: int
+    misfit: str | None
     problems: list[str]
     notes: list[str]
 
 
-def _lesson(table: TruthTable, tracks: Tracks, truth: Truth) -> _Lesson:
-    """What a log teaches whose truth fits it. tracks: of the log. truth: its rows of the table."""
-    log = tracks.name
-    problems = []
-    notes = pixels_elsewhere(table, tracks, "teach")
-    notes += as_proposed(table, log, "they teach what the program takes for true already")
-    if not truth.rows:
-        notes.append(f"{log}: no row in the ground truth, so it is taken to hold no landmark")
-    if truth.unprocessed:
-        problems.append(
-            f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
-            f"was read of {log}; they teach nothing"
-        )
+def _lesson(
+    table: TruthTable,
+    log: Log,
+    name: str,
+    config: Config,
+    landmarks: LandmarkSet,
+    observe: Callable[[], object] | None,
+) -> _Lesson:
+    """Read one log, and label its tracks by the table's rows on it.
+
+    name: of the log in the truth.
+    """
+    tracks, notes = _tracks_of(log, name, config, landmarks, observe)
+    truth = match_truth(table, tracks)
+    unlike = misfit(table, tracks, truth)
+    problems = list(log.problems)
+    if unlike is not None:
+        problems.append(f"{unlike}; nothing is learned from {name}")
+    else:
+        notes += pixels_elsewhere(table, tracks, "teach")
+        notes += as_proposed(table, name, "they teach what the program takes for true already")
+        if not truth.rows:
+            notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
+        if truth.unprocessed:
+            problems.append(
+                f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
+                f"was read of {name}; they teach nothing"
+            )
     samples = _labelled(tracks, truth)
-    return _Lesson(log, samples, len(tracks.frame), truth.rows, problems, notes)
+    return _Lesson(name, samples, len(tracks.frame), truth.rows, unlike, problems, notes)
 
 
 def _tracks_of(
@@ -209,7 +219,7 @@ def _tracks_of(
     landmarks: LandmarkSet,
     observe: Callable[[], object] | None,
 ) -> tuple[Tracks, list[str]]:
-    """A log's tracks, described, and a note if its beams have not the usual width.
+    """A log's tracks, described, and a note if its beams do not have the usual width.
 
     name: of the log in the truth.
     """
@@ -250,7 +260,7 @@ def _not_taught(
             f"{', '.join(unseen)} never seen: all IDs share the curves, but whether they "
             "fit these IDs is not shown"
         )
-    # As they are printed: else two figures that read alike would be told apart.
+    # As they are printed, so that figures that look equal count as equal.
     if before is not None and after is not None and round(after, 3) < round(before, 3):
         yield (
             "the built-in model judges the tracks left out better than what is learned without "
