@@ -27,7 +27,7 @@ from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What the user wants a log to be run with."""
+    """The user's choices for a run, apart from how the log is read."""
 
     configs: Sequence[Config]  # several: side by side, each under its own method name
     landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
@@ -37,7 +37,7 @@ class RunOptions:
     parquet: bool = False  # whether the estimates go to estimates.parquet, in place of CSV
 
     def check(self) -> None:
-        """Raise UsageError where landmarks or model cannot be meant, before any log is opened."""
+        """Raise UsageError if landmarks or model are invalid, before any log is opened."""
         if self.landmarks is not None:
             load_landmarks(self.landmarks)
         if self.model is not None:
@@ -50,7 +50,7 @@ class PreparedRun:
 
     log: Log
     frames: Iterator[Frame]  # those asked for; the first ones were read already
-    frame_count: int | None  # how many, None where the log does not tell
+    frame_count: int | None  # how many; None if the log does not say
     fan: Fan
     landmarks: LandmarkSet
     poses: PoseTable | None
@@ -71,33 +71,25 @@ def prepare(
     earlier = read_run(run_options.earlier_run)
     source = find_log(path, log_options.up_to)
     digest = digest_asked(earlier, source)
-    same_log, note = is_same_log(earlier, source, digest)
+    same_log, notes = is_same_log(earlier, source, digest)
     log_options = earlier.complete(log_options, same_log=same_log)
-    log_options, notes = _with_companions(source, log_options, again=same_log)
-    notes = [*note, *notes]
+    log_options, about_companions = _with_companions(source, log_options, again=same_log)
     landmarks = earlier.landmark_set(run_options.landmarks)
     learned = _model(run_options, earlier)
-    poses, more = _poses(path, log_options, earlier if same_log else read_run(None))
+    poses, about_poses = _poses(path, log_options, earlier if same_log else read_run(None))
     with open_log(source, **log_options.arguments()) as log:
         span = log_options.frames or (0, None)
         frames = log.within(span)
-        first = next(frames, None)  # raises where there is no usable frame at all
-        if first is None:
+        begin = [*islice(frames, FRAMES_FOR_BEAMS)]  # raises if there is no usable frame at all
+        if not begin:
             raise UsageError(f"{name_as_text(path)}: no frame lies in --frames {span_text(span)}")
-        begin = [first, *islice(frames, FRAMES_FOR_BEAMS - 1)]
-        configs, beams = with_beams(run_options.configs, log.beam_width_deg, begin)
-        recogniser = SideBySide(
-            configs, first.fan, landmarks, learned.model if learned else None, poses
-        )
-        folder = _results_of(path, out / (name or log.name))
-        if folder.name in MADE:
-            notes.append(
-                f"{name_as_text(folder)}: `sonarrec {MADE_BY[folder.name]} {name_as_text(out)}` "
-                "writes into this folder, too; give it an --out, or rename the log"
-            )
+        fan = begin[0].fan
+        configs, about_beams = with_beams(run_options.configs, log.beam_width_deg, begin)
+        recogniser = SideBySide(configs, fan, landmarks, learned.model if learned else None, poses)
+        folder, about_folder = _results_of(path, out, name or log.name)
         identity = (name_as_text(log.name), *(digest or log.digest_source()))
         table = run_table(
-            configs, recogniser.methods, log.stated, first.fan, landmarks, identity, log.reading()
+            configs, recogniser.methods, log.stated, fan, landmarks, identity, log.reading()
         )
         table["input"] |= _where(path, folder, log_options)
         if run_options.parquet:
@@ -107,16 +99,22 @@ def prepare(
         if learned is not None:
             table["model"] = learned.as_table()
         yield PreparedRun(
-            log,
-            chain(begin, frames),
-            _count(log, span),
-            first.fan,
-            landmarks,
-            poses,
-            recogniser,
-            table,
-            folder,
-            [*notes, *more, *(f"{name_as_text(log.path)}: {line}" for line in beams)],
+            log=log,
+            frames=chain(begin, frames),
+            frame_count=_count(log, span),
+            fan=fan,
+            landmarks=landmarks,
+            poses=poses,
+            recogniser=recogniser,
+            table=table,
+            folder=folder,
+            notes=[
+                *notes,
+                *about_companions,
+                *about_folder,
+                *about_poses,
+                *(f"{name_as_text(log.path)}: {line}" for line in about_beams),
+            ],
         )
 
 
@@ -151,11 +149,12 @@ def _where(path: Path, folder: Path, log_options: LogOptions) -> dict[str, str]:
     return {"path": name_as_text(path), "place": name_as_text(place), **frames}
 
 
-def _results_of(log: Path, folder: Path) -> Path:
-    """The folder of a log's results.
+def _results_of(log: Path, out: Path, name: str) -> tuple[Path, list[str]]:
+    """The folder of a log's results in `out`, and a note if another command writes into it, too.
 
-    Raises UsageError where it would replace the log, SonarrecError where it has no place.
+    Raises UsageError if it would replace the log, SonarrecError if it cannot be made there.
     """
+    folder = out / name
     try:
         itself = folder.resolve() == log.resolve()
     except OSError as error:  # the current folder is gone
@@ -170,7 +169,13 @@ def _results_of(log: Path, folder: Path) -> Path:
             f"{name_as_text(folder)}: a file is where the folder of the results would be; move it "
             "away, or choose another --out"
         )
-    return folder
+    if folder.name not in MADE:
+        return folder, []
+    command = f"sonarrec {MADE_BY[folder.name]} {name_as_text(out)}"
+    return folder, [
+        f"{name_as_text(folder)}: `{command}` writes into this folder, too; give it an --out, or "
+        "rename the log"
+    ]
 
 
 def _count(log: Log, span: tuple[int, int | None]) -> int | None:
