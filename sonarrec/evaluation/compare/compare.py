@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from sonarrec.evaluation.compare.pairing import pair_logs
 from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
 from sonarrec.evaluation.counting.behaviour import PassOutcomes
 from sonarrec.evaluation.counting.passes import UnitKind
-from sonarrec.evaluation.counting.pooled import Parts, Pooled, pool
+from sonarrec.evaluation.counting.pooled import Parts, Pooled, PooledUnits, pool
 from sonarrec.evaluation.counting.store import Store
 from sonarrec.evaluation.counting.uncertainty import (
     Difference,
@@ -270,31 +270,45 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float)
     )
 
 
-def _comparison(counted: _CountedPairs, unit: UnitKind | None, **fields_known: Any) -> Comparison:
-    """fields_known: the fields of Comparison that are known already."""
-    before, after = counted.before, counted.after
-    units = after.units(unit)
+@dataclass(frozen=True, slots=True)
+class _MethodChanges:
+    """What changed for the methods that both sides have, under the protocols that both have."""
+
+    methods: list[tuple[str, str]] = field(default_factory=list)
+    """Protocol and method."""
+    outcomes: list[tuple[PassOutcomes, PassOutcomes]] = field(default_factory=list)
+    """Before and after, of each of these."""
+    rates: list[RateChange] = field(default_factory=list)
+    tests: list[Difference] = field(default_factory=list)
+
+
+def _method_changes(before: Pooled, after: Pooled, units: PooledUnits) -> _MethodChanges:
     rng = np.random.default_rng(0)
     weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
     index_before = {(s.protocol, s.method): n for n, s in enumerate(before.scored)}
-    methods = []
-    rates: list[RateChange] = []
-    outcomes = []
-    tests: list[Difference] = []
+    changes = _MethodChanges()
     for m, scored in enumerate(after.scored):
         n = index_before.get((scored.protocol, scored.method))
         if n is None:
             continue
-        methods.append((scored.protocol, scored.method))
-        outcomes.append((before.outcomes[n], after.outcomes[m]))
+        changes.methods.append((scored.protocol, scored.method))
+        changes.outcomes.append((before.outcomes[n], after.outcomes[m]))
         # One ID at a time, since the curves of many logs are long.
         olds = metrics.rates_of(metrics.Case(before, units), before.scored[n])
         news = metrics.rates_of(metrics.Case(after, units), scored)
         for old, new in zip(olds, news, strict=True):
-            rates += _rate_changes(old, new)
+            changes.rates.extend(_rate_changes(old, new))
             old_tally, new_tally = (metrics.tally(metrics.rates, rate) for rate in (old, new))
-            tests += differences(old_tally, new_tally, weights, tosses)
-    if not methods:
+            changes.tests.extend(differences(old_tally, new_tally, weights, tosses))
+    return changes
+
+
+def _comparison(counted: _CountedPairs, unit: UnitKind | None, **fields_known: Any) -> Comparison:
+    """fields_known: the fields of Comparison that are known already."""
+    before, after = counted.before, counted.after
+    units = after.units(unit)
+    changes = _method_changes(before, after, units)
+    if not changes.methods:
         has = (
             f"{fields_known[k]} has {', '.join(p.methods)}"
             for k, p in zip(("old", "new"), (before, after), strict=True)
@@ -311,10 +325,10 @@ def _comparison(counted: _CountedPairs, unit: UnitKind | None, **fields_known: A
         frames_compared=after.frames,
         units=units_text(units),
         landmarks=after.ids,
-        rates=tuple(rates),
-        frames=counted.frames(tuple(methods)),
-        passes=PassChanges(tuple(outcomes), after),
-        differences=tuple(tests),
+        rates=tuple(changes.rates),
+        frames=counted.frames(tuple(changes.methods)),
+        passes=PassChanges(tuple(changes.outcomes), after),
+        differences=tuple(changes.tests),
         lost=tuple(m for m in before.methods if m not in after.methods),
         gained=tuple(m for m in after.methods if m not in before.methods),
         unplaced=before.placed and not after.placed,
