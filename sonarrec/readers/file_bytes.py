@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 _BLOCK = 2**20
@@ -11,12 +13,12 @@ class FileBytes:
     """A file opened for reading at any place. size: in bytes, when it was opened."""
 
     def __init__(self, path: Path) -> None:
-        """Raises OSError where the file cannot be opened."""
+        """Raises OSError if the file cannot be opened."""
         self._file = path.open("rb")
         self.size = self._file.seek(0, 2)
 
     def at(self, offset: int, count: int) -> bytes:
-        """`count` bytes from `offset` on; fewer where the file ends before."""
+        """`count` bytes from `offset` on; fewer if the file ends before."""
         if offset >= self.size:
             return b""
         self._file.seek(offset)
@@ -31,6 +33,15 @@ class FileBytes:
                 return start + place
             start += _BLOCK
         return None
+
+    @contextmanager
+    def closed_on_error(self) -> Iterator[None]:
+        """Close the file if the block raises, for constructors whose object nobody will close."""
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the file."""

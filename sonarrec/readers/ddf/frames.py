@@ -1,7 +1,7 @@
 """Reads DDF files, frame by frame: DIDSON's (DDF_03, DDF_04) and those of ARIS (DDF_05).
 
-A header of the file, then frames of one length, a header and the samples each. What is in the
-headers is told by the format's own module.
+A file is a header and then frames of one length, each a header and the samples. `didson.py` and
+`aris.py` say what is in the headers.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Layout(Protocol):
 
 
 LAYOUTS: dict[int, Layout] = {3: Didson(3), 4: Didson(4), 5: Aris()}
-"""By the version that the file's first bytes tell."""
+"""By the version, the fourth of the file's bytes."""
 
 
 class DdfFrames(RawLog):
@@ -70,11 +70,8 @@ class DdfFrames(RawLog):
         self.polar = True
         self._name = name_as_text(path.name)
         self._file = FileBytes(path)
-        try:
+        with self._file.closed_on_error():
             self._open(name_as_text(path))
-        except BaseException:
-            self._file.close()
-            raise
 
     def _open(self, where: str) -> None:
         self._mark = self._file.at(0, 4)

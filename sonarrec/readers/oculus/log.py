@@ -23,12 +23,9 @@ class OculusPings(RawLog):
         self.polar = True
         self._name = name_as_text(path.name)
         self._file = FileBytes(path)
-        try:
+        with self._file.closed_on_error():
             self._framing, self._start = framing_of(self._file, name_as_text(path))
             self.header_info = HeaderInfo(values=self._first_header(name_as_text(path)))
-        except BaseException:
-            self._file.close()
-            raise
 
     def _first_header(self, where: str) -> Header:
         """The header of the first ping that can be read. where: names the file."""
