@@ -1,4 +1,4 @@
-"""Finds how wide the sonar's beams are, where neither messages nor settings state it.
+"""Measures how wide the sonar's beams are, if neither messages nor settings state it.
 
 One grain of speckle is as wide as a beam: on an even floor the picture's correlation along the
 bearing falls off as the beam pattern does. Along the range speckle changes from bin to bin, while
@@ -12,28 +12,29 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from sonarrec.config import Config
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import ByteImage, Fan, Frame
+from sonarrec.records import ByteImage, Fan, FloatArray, Frame
 
 FRAMES_FOR_BEAMS = 4
 """How many of a log's first frames are looked at."""
 # (field of view up to, beam width) in degrees: acoustic cameras (DIDSON, ARIS), multibeam sonars
 # of 60 deg, and those of 120 to 130.
 USUAL_DEG = ((40.0, 0.4), (80.0, 0.6), (360.0, 1.0))
-# A measured width counts where it differs from the usual one by more than this factor: relief on
+# A measured width is used only if it differs from the usual one by more than this factor: relief on
 # the floor is correlated over more than a beam, and looks like beams twice as wide (tuning seeds).
 CLEARLY = 2.2
 NARROWEST_DEG, WIDEST_DEG = 0.15, 3.0
 STEP_DEG = 0.05
 MOST_ROWS = 256
-# The correlation is measured at lags up to LAGS_DEG; its mean from BASE_FROM_DEG on counts as 0.
-LAGS_DEG, BASE_FROM_DEG = 6.0, 4.0
+# The correlation is measured at LAGS lags, up to 6 deg; its mean from BASE_FROM_DEG on counts as 0.
+LAGS, BASE_FROM_DEG = int(6.0 / STEP_DEG), 4.0
 RANGE_MEAN_PX = 7
 CLIP = 2.5  # deviations
-# The part of the fall-off that is fitted: noise of single beams distorts what lies above it, chance
-# what lies below.
+# The range of the correlation that is fitted: above it noise of single beams distorts the fall-off,
+# below it chance does.
 FIT_FROM, FIT_TO = 0.5, 0.06
 # Variance of a Gaussian through the fall-off, in beam widths squared. The beam itself makes a part
 # of it, interpolation between beams two thirds of a width apart the rest (simulated sonars).
@@ -43,10 +44,10 @@ VARIANCE = 0.45
 def with_beams(
     configs: Sequence[Config], stated_deg: float | None, begin: Sequence[Frame]
 ) -> tuple[list[Config], list[str]]:
-    """The settings, with the beams' width in those that leave it open, and a note on it.
+    """The settings, with the beam width filled in where they leave it open, and a note on it.
 
-    stated_deg: the width that the log states, None where it does not. begin: its first
-    FRAMES_FOR_BEAMS frames, at least one. No note where the width is the usual one.
+    stated_deg: the width that the log states, if any. begin: its first FRAMES_FOR_BEAMS frames, at
+    least one. There is no note if the width is the usual one.
     """
     needs = [not c.features.beam_width_deg and c.features.measurement != "single" for c in configs]
     if not any(needs):
@@ -85,35 +86,20 @@ def beam_width_deg(fan: Fan, images: Sequence[ByteImage]) -> tuple[float, bool]:
 
 
 def measured_width_deg(fan: Fan, images: Sequence[ByteImage]) -> float | None:
-    """The width that the images show; None where they do not tell."""
+    """The width that the images show; None if they do not show it."""
     pixel_deg = np.degrees(fan.metres_per_pixel / fan.range_max_m)
     last = fan.range_max_m - 0.03 * fan.window_m
     first = max(fan.range_min_m + 0.3 * fan.window_m, last - MOST_ROWS * fan.metres_per_pixel, 1e-3)
     range_m = np.arange(first, last, fan.metres_per_pixel)
     bearing = np.arange(fan.bearing_min_deg + 0.5, fan.bearing_max_deg - 0.5, STEP_DEG)
-    lags = int(LAGS_DEG / STEP_DEG)
-    if len(range_m) < 4 * RANGE_MEAN_PX or len(bearing) < 2 * lags:
+    if len(range_m) < 4 * RANGE_MEAN_PX or len(bearing) < 2 * LAGS:
         return None
     column, row = (
         a.astype(np.float32) for a in pixel_from_polar(fan, range_m[:, None], bearing[None])
     )
-    pairs = len(bearing) - np.arange(lags)
-    # So long that no lag meets a bearing from the other end, and quickly transformed.
-    size = cv2.getOptimalDFTSize(len(bearing) + lags)
-    found = []
-    for image in images:
-        polar = np.asarray(cv2.remap(image, column, row, cv2.INTER_LINEAR), np.float32)
-        polar -= cv2.blur(polar, (1, RANGE_MEAN_PX), borderType=cv2.BORDER_REFLECT)
-        polar -= polar.mean(axis=0)
-        sigma = float(polar.std())
-        polar = np.clip(polar, -CLIP * sigma, CLIP * sigma)
-        polar -= polar.mean(axis=1, keepdims=True)
-        spectrum = np.fft.rfft(polar, size, axis=1)
-        power = spectrum.real**2 + spectrum.imag**2
-        product = np.fft.irfft(power, size, axis=1)[:, :lags] / pairs
-        lit = product[:, 0] > 1e-3
-        found.append(product[lit] / product[lit, :1])
-    rows = np.concatenate(found)
+    rows = np.concatenate(
+        [_correlations(cv2.remap(i, column, row, cv2.INTER_LINEAR)) for i in images]
+    )
     if len(rows) < MOST_ROWS // 4:
         return None
     correlation = np.median(rows, axis=0)
@@ -122,10 +108,32 @@ def measured_width_deg(fan: Fan, images: Sequence[ByteImage]) -> float | None:
     begin, end = int(np.argmax(fall < FIT_FROM)), int(np.argmax(fall < FIT_TO))
     if not begin or end - begin < 3 or begin * STEP_DEG < pixel_deg:
         return None
+    # A Gaussian fitted to the fall-off: a straight line in the logarithm over the squared lag.
     fit = slice(begin, end)
-    lag = STEP_DEG * np.arange(lags)
+    lag = STEP_DEG * np.arange(LAGS)
     slope = -np.polyfit(lag[fit] ** 2, np.log(fall[fit]), 1, w=fall[fit])[0]
     if slope <= 0:
         return None
     width = float(np.sqrt(1 / (2 * slope * VARIANCE)))
     return width if NARROWEST_DEG <= width <= WIDEST_DEG else None
+
+
+def _correlations(image: npt.ArrayLike) -> FloatArray:
+    """(n, LAGS) autocorrelation of speckle along the bearing, of each row that shows any.
+
+    image: (rows, columns) grey levels by range and bearing.
+    """
+    polar = np.asarray(image, np.float32)
+    polar -= cv2.blur(polar, (1, RANGE_MEAN_PX), borderType=cv2.BORDER_REFLECT)
+    polar -= polar.mean(axis=0)
+    sigma = float(polar.std())
+    polar = np.clip(polar, -CLIP * sigma, CLIP * sigma)
+    polar -= polar.mean(axis=1, keepdims=True)
+    columns = polar.shape[1]
+    # So long that no lag meets a bearing from the other end, and quickly transformed.
+    size = cv2.getOptimalDFTSize(columns + LAGS)
+    spectrum = np.fft.rfft(polar, size, axis=1)
+    power = spectrum.real**2 + spectrum.imag**2
+    product = np.fft.irfft(power, size, axis=1)[:, :LAGS] / (columns - np.arange(LAGS))
+    lit = product[:, 0] > 1e-3
+    return np.asarray(product[lit] / product[lit, :1])
