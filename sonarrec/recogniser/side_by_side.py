@@ -36,25 +36,27 @@ class SideBySide:
         model: Classifier | None = None,
         poses: PoseTable | None = None,
     ) -> None:
-        behind = [f":{c.preset}" if len(configs) > 1 else "" for c in configs]
-        self.tracking = [FRAMEWORK + name for name in behind]
+        suffixes = [f":{c.preset}" if len(configs) > 1 else "" for c in configs]
+        self.tracking = [FRAMEWORK + suffix for suffix in suffixes]
         # The ring's candidates depend on the beams' width as well.
-        judged = [
+        candidates = [
             (c.candidates, c.smi, c.candidates.detector == "ring" and c.features.beam_width_deg)
             for c in configs
         ]
         single = [
-            SMI + name if same not in judged[:i] else None
-            for i, (same, name) in enumerate(zip(judged, behind, strict=True))
+            SMI + suffix if same not in candidates[:i] else None
+            for i, (same, suffix) in enumerate(zip(candidates, suffixes, strict=True))
         ]
         both = zip(single, self.tracking, strict=True)
         self.methods = [name for pair in both for name in pair if name is not None]
-        # Those that differ in hindsight alone share the three stages.
-        alike = [replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs]
-        self._whose = [alike.index(one) for one in alike]
+        # Configurations that differ only in hindsight share one recogniser.
+        stages = [
+            replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs
+        ]
+        self._recogniser_of = [stages.index(config) for config in stages]
         self._recognisers = {
             i: ThreeStages(configs[i], fan, landmarks, model, self.tracking[i], single[i], poses)
-            for i in dict.fromkeys(self._whose)
+            for i in dict.fromkeys(self._recogniser_of)
         }
         self._hindsight = [
             Hindsight(method, config, landmarks) if config.features.lag_frames else None
@@ -87,19 +89,19 @@ class SideBySide:
         yield from self.waiting()
 
     def _of_each(self, found: Mapping[int, FrameResult]) -> list[FrameResult]:
-        """One frame's results, one for each configuration. found: those of the recognisers."""
+        """One frame's results, one for each configuration. found: by the recogniser's number."""
         results = []
-        for i, whose in enumerate(self._whose):
-            result = found[whose]
-            if i != whose:
-                own = (e for e in result.estimates if e.method == self.tracking[whose])
+        for i, recogniser in enumerate(self._recogniser_of):
+            result = found[recogniser]
+            if i != recogniser:
+                own = (e for e in result.estimates if e.method == self.tracking[recogniser])
                 renamed = tuple(replace(e, method=self.tracking[i]) for e in own)
                 result = replace(result, estimates=renamed)
             results.append(result)
         return results
 
     def waiting(self) -> Iterator[FrameResult]:
-        """Yield the results that still wait, revised by what is known now, when the frames end."""
+        """Yield the results that still wait when the frames end, revised by what is known now."""
         for i, hindsight in enumerate(self._hindsight):
             if hindsight is not None:
                 for results in [*self._pending][-hindsight.lag :]:
@@ -113,7 +115,7 @@ class SideBySide:
         return list(dict.fromkeys(chain.from_iterable(each)))
 
     def notes(self) -> list[str]:
-        """A line where the frames so far contradict the poses."""
+        """A line if the frames so far contradict the poses."""
         each = (r.odometry.notes() for r in self._recognisers.values())
         return list(dict.fromkeys(chain.from_iterable(each)))
 
