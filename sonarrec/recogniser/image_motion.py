@@ -217,7 +217,7 @@ class ImageMotion:
 
 
 def unknown(seconds: float) -> Motion:
-    """The motion where nothing is measured: none, with errors as large as slow vehicles move."""
+    """The motion if none is measured: 0, with errors as large as slow vehicles move."""
     metres, degrees = UNKNOWN_M_S * seconds, UNKNOWN_DEG_S * seconds
     return Motion(0.0, 0.0, 0.0, degrees, metres, metres, known=False)
 

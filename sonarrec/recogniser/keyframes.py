@@ -42,7 +42,7 @@ class Keyframes:
         self._trail = deque[FloatArray](maxlen=STRETCH)  # the last poses
 
     def clear(self) -> None:
-        """Begin anew: for where a motion was not measured from a keyframe."""
+        """Forget all keyframes, after a motion that was not measured from one."""
         self._kept.clear()
         self._trail.clear()
 

@@ -1,11 +1,11 @@
-"""Pictures whose levels were cut off or evened out: given levels as a sonar would have.
+"""Restores the grey levels of saturated and of equalised pictures.
 
-Saturated ones: where the gain is too high, all strong echoes are drawn at the highest level, and a
-ring stands out little from the floor beside it: both reach it. But the ring reaches it more often,
-and how often tells how much brighter it is.
+Saturated: the gain was too high, so all strong echoes are drawn at the highest level. A ring then
+stands out little from the floor beside it, since both reach that level. But the ring reaches it
+more often, and from how often follows how much brighter it is.
 
-Equalised ones: a viewer drew as many pixels at each level as at any other, and so what is brighter
-or darker than most hardly differs from it.
+Equalised: a viewer drew as many pixels at each level as at any other, so echoes that are brighter
+or darker than most hardly differ from the rest.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from sonarrec.geometry import fan_mask
 from sonarrec.recogniser.unchanging import BLACK
 from sonarrec.records import ByteImage, Fan, FloatImage, Frame, IntArray
 
-# A picture is saturated if this share of its echoes is at the highest levels beyond what the next
-# ones lead to expect: else it is merely bright. JPEG spreads the highest level over a few.
+# A picture is saturated, not merely bright, if this share of its echoes is at the highest levels in
+# excess of what the levels below them suggest. JPEG spreads the highest level over a few.
 LEAST_SHARE = 0.02
 HIGHEST, NEXT = 4, 8  # grey levels
 SAMPLED = 4  # every so many rows and columns are counted
 # Standard deviation, in disc radii, of the surroundings in which saturated pixels are counted.
 SURROUNDINGS = 0.065
-FEWEST, MOST = 0.02, 0.99  # shares beyond these tell no more
+FEWEST, MOST = 0.02, 0.99  # shares are limited to these: beyond them the lift is not known
 # Speckle in decibels is skewed: it reaches above the mean less far than a Gaussian does.
 OF_GAUSSIAN = 0.6
 LEAST_SPREAD = 4.0  # grey levels
-# A picture is equalised if from the lowest level to the highest, but for the OUTERMOST pixels, as
-# many pixels, to this factor, have levels in each of so many spans. Others have few at either end.
+# A picture is equalised if equal spans of its levels, without the OUTERMOST pixels, hold equally
+# many pixels, up to the factor EVEN. Other pictures have few pixels in the first and last span.
 SPANS, EVEN = 8, 2.0  # other pictures: 6.5 at least
 OUTERMOST = 0.002
 MEAN, SPREAD = 128.0, 40.0  # of the levels that it is given

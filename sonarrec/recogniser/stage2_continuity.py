@@ -1,18 +1,19 @@
 """Stage 2: continuity evaluation with a particle filter (Section 3.3, Eq. 3 and 4).
 
 Each candidate gets a group of particles that walk at random and gather where the score map of
-stage 1 is high; the mean of a group is the object's position. A group goes in one of five ways:
+stage 1 is high; the mean of a group is the object's position. A group is deleted for one of five
+reasons:
 
-1. spread out: it was too wide for some frames in a row (the paper's rule, its only one);
+1. spread out: it was too wide for some frames in a row (the paper's only rule);
 2. unlikely: its object was a candidate too seldom to exist;
-3. astray: where the sonar's motion is known, it was pulled off the place that this gives it;
+3. astray: the sonar's motion is known, and the group was pulled off the place that follows from it;
 4. merged: it ran into an older group, which has that object;
-5. out of view: too little of its disc is inside the fan. Where the sonar's motion is known, a
-   group that is just coming in stays.
+5. out of view: too little of its disc is inside the fan. If the sonar's motion is known, a group
+   that is just coming in stays.
 
-Where the sonar's motion is known, a group that went only because it is out of view is remembered.
-A candidate near its place takes its number up again. It is forgotten when it was away too long,
-did not show where it should, or the motion is no longer known.
+If the sonar's motion is known, a group that was deleted only because it is out of view is
+remembered. A candidate near its place takes up its number again. It is forgotten if it was away too
+long, did not show where it should, or the motion is no longer known.
 """
 
 from __future__ import annotations
@@ -50,12 +51,12 @@ class ContinuityFilter:
         )
         self._next = 1
         self._groups = self._new(np.empty(0, np.int64), np.empty((0, 2)), *np.empty((2, 0)))
-        self._lost = _nobody()
+        self._lost = _no_lost_groups()
 
     def step(self, selection: Selection, motion: Motion | None = None) -> Groups:
         """The groups after one frame, by rising number.
 
-        motion: of the sonar since the last frame; None where unknown.
+        motion: of the sonar since the last frame; None if unknown.
         """
         # Predict.
         before = self._groups.places
@@ -113,12 +114,14 @@ class ContinuityFilter:
         config, groups = self._config, self._groups
         weight = groups.weigh(selection.score_map, config.z_hit, config.z_rand, config.hit_power)
         if motion is not None:
-            weight = self._own(weight, selection.positions, motion)
+            weight = self._without_neighbours(weight, selection.positions, motion)
         positions, spread = groups.weighted(weight)
         groups.resample(weight, self._rng)
         return positions, spread / self._diameter
 
-    def _own(self, weight: FloatArray, candidates: FloatArray, motion: Motion) -> FloatArray:
+    def _without_neighbours(
+        self, weight: FloatArray, candidates: FloatArray, motion: Motion
+    ) -> FloatArray:
         """(n, particles) weights, 0 for particles that are nearer to a neighbour's candidate.
 
         The candidate near where a group's object should be is its own. Where others lie so near
@@ -162,10 +165,9 @@ class ContinuityFilter:
     def _in_view(
         self, positions: FloatArray, before: FloatArray, hit: BoolArray, motion: Motion | None
     ) -> tuple[BoolArray, BoolArray]:
-        """(n,) which groups show enough of the disc, and which are in view: what is just coming in
-        as well.
+        """(n,) which groups show enough of the disc, and which are in view.
 
-        before: (n, 2) places in the last frame.
+        In view are also those that are just coming in. before: (n, 2) places in the last frame.
         """
         shares = self._shares(self._groups.places)
         if motion is not None:
@@ -196,7 +198,7 @@ class ContinuityFilter:
         groups, lost = self._groups, self._lost
         if motion is None:
             groups.places = positions
-            self._lost = _nobody()  # nobody knows where they are now
+            self._lost = _no_lost_groups()  # where they are now is not known
             return
         self._carry(groups, motion)
         groups.places[there] = positions[there]
@@ -219,20 +221,20 @@ class ContinuityFilter:
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
         """Count strikes of groups that are too wide, and update existence by hit or miss (Bayes).
 
-        Existence stays as it is where the object is out of view: a miss there tells nothing.
+        Existence does not change while the object is out of view: a miss there means nothing.
         """
         config, groups = self._config, self._groups
         wide = (spread > config.spread_limit).any(axis=1)
         groups.strikes = np.where(wide, groups.strikes + 1, 0)
-        there = groups.existence * np.where(hit, config.p_hit_object, 1 - config.p_hit_object)
-        clutter = (1 - groups.existence) * np.where(
-            hit, config.p_hit_clutter, 1 - config.p_hit_clutter
-        )
-        existence = np.clip(there / (there + clutter), 0.01, 0.99)
+        hit_or_miss = np.where(hit, config.p_hit_object, 1 - config.p_hit_object)
+        of_object = groups.existence * hit_or_miss
+        hit_or_miss = np.where(hit, config.p_hit_clutter, 1 - config.p_hit_clutter)
+        of_clutter = (1 - groups.existence) * hit_or_miss
+        existence = np.clip(of_object / (of_object + of_clutter), 0.01, 0.99)
         groups.existence = np.where(in_view, existence, groups.existence)
 
     def _delete(self, pulled: BoolArray, in_view: BoolArray, motion: Motion | None) -> BoolArray:
-        """Delete groups in the five ways of the header. Returns which are kept."""
+        """Delete groups for the five reasons at the top. Returns which are kept."""
         config, groups = self._config, self._groups
         spread_out = groups.strikes >= config.strikes
         unlikely = groups.existence < config.min_existence
@@ -266,13 +268,13 @@ class ContinuityFilter:
         groups = self._groups
         count = np.count_nonzero(left)
         gone = LostGroups(
-            groups.numbers[left],
-            groups.places[left],
-            groups.existence[left],
-            groups.sight_deg[left],
-            np.full(count, self._config.remember_frames),
-            np.zeros(count),
-            np.zeros(count, np.int64),
+            numbers=groups.numbers[left],
+            places=groups.places[left],
+            existence=groups.existence[left],
+            sight_deg=groups.sight_deg[left],
+            frames_left=np.full(count, self._config.remember_frames),
+            drift=np.zeros(count),
+            missed=np.zeros(count, np.int64),
         )
         self._lost = joined([self._lost, gone])
 
@@ -284,7 +286,7 @@ class ContinuityFilter:
         far = self._distances(selection.positions, positions) > self._config.new_group
         born = selection.positions[far.all(axis=1)]
         if len(self._lost) and len(born):
-            # A candidate that may be one of the lost waits until enough of it shows to tell.
+            # A candidate that may be a lost group waits until enough of it shows to decide.
             near = (self._distances(born, self._lost.places) <= self._gate()).any(axis=1)
             hidden = self._shares(born) < self._config.recall_in_view
             born = born[~(near & hidden)]
@@ -295,8 +297,8 @@ class ContinuityFilter:
     def _recall(self, born: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
         """Numbers, places, existence and sight_deg of groups that begin at (n, 2) places.
 
-        What begins near a lost group takes these from it, but for the place; nearest pairs first.
-        Others get a new number.
+        A group that begins near a lost one takes over all of these but the place; nearest pairs
+        first. Others get a new number.
         """
         lost = self._lost
         numbers = np.zeros(len(born), np.int64)
@@ -339,14 +341,13 @@ class ContinuityFilter:
         return np.asarray(np.hypot(offset[..., 0], offset[..., 1]))
 
 
-def _nobody() -> LostGroups:
-    """No lost groups."""
+def _no_lost_groups() -> LostGroups:
     return LostGroups(
-        np.empty(0, np.int64),
-        np.empty((0, 2)),
-        np.empty(0),
-        np.empty(0),
-        np.empty(0, np.int64),
-        np.empty(0),
-        np.empty(0, np.int64),
+        numbers=np.empty(0, np.int64),
+        places=np.empty((0, 2)),
+        existence=np.empty(0),
+        sight_deg=np.empty(0),
+        frames_left=np.empty(0, np.int64),
+        drift=np.empty(0),
+        missed=np.empty(0, np.int64),
     )

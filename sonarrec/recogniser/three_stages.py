@@ -30,10 +30,10 @@ from sonarrec.records import ByteImage, Fan, Frame, FrameResult
 
 SMI = "smi"
 FRAMEWORK = "framework"
-# Stage 3 takes so many frames at once: a third of the cost of one by one. More save little more.
+# Frames that stage 3 takes at once, which costs a third of one by one. More would save little.
 FRAMES_AT_ONCE = 16
-# Pixels of a fan from which on a second thread pays: the work on smaller ones is mostly Python's
-# own, of which threads do one at a time.
+# Fewest pixels of a fan for which a second thread pays: smaller ones are mostly work in Python,
+# which threads do one at a time.
 LARGE = 2**19
 
 
@@ -54,10 +54,10 @@ class ThreeStages:
         smi: str | None = SMI,
         poses: PoseTable | None = None,
     ) -> None:
-        """fan: the geometry that all frames of the log share. model: default, the built-in one.
+        """fan: the geometry that all frames of the log share. model: None: the built-in one.
 
-        method: the name of the framework in the estimates. smi: that of the single-frame method;
-        None: it is not run. poses: of the sonar; where they give its motion, it is not measured in
+        method: name of the framework in the estimates. smi: name of the single-frame method; None:
+        it is not run. poses: of the sonar; as far as they give its motion, it is not measured in
         the images.
         """
         self.fan = fan
@@ -122,21 +122,21 @@ class ThreeStages:
         n = len(selection.positions)
         places = np.concatenate([selection.positions, groups.positions])
         sight = self._plane.line_of_sight(places)
-        # A group's matrices are turned by whole steps alone: so their cells coincide.
+        # A group's matrices are turned by whole steps only, so that their cells coincide.
         sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sight_deg)[1])
         levels = self._select.levels(selection, places)
         grey, seen = self._sampler(image, self._plane.inside, places, sight, *levels)
         evidence = self._measurement.gather(groups, grey[n:], seen[n:])
         return AfterStage2(
-            frame.frame,
-            frame.timestamp_ns,
-            selection.positions,
-            selection.scores,
-            grey[:n],
-            seen[:n],
-            groups,
-            evidence,
-            motion,
+            frame=frame.frame,
+            timestamp_ns=frame.timestamp_ns,
+            candidates=selection.positions,
+            scores=selection.scores,
+            grey=grey[:n],
+            seen=seen[:n],
+            groups=groups,
+            evidence=evidence,
+            motion=motion,
         )
 
     def stage3(self, frames: Sequence[AfterStage2]) -> list[FrameResult]:
@@ -188,7 +188,8 @@ def recognise_together(
                 broken = error
             if not tracked:
                 break
-            its_own = zip(recognisers, zip(*tracked, strict=True), strict=True)
-            yield from zip(*(r.stage3(its) for r, its in its_own), strict=True)
+            per_recogniser = zip(*tracked, strict=True)
+            results = (r.stage3(x) for r, x in zip(recognisers, per_recogniser, strict=True))
+            yield from zip(*results, strict=True)
     if broken is not None:
         raise broken

@@ -1,7 +1,7 @@
-"""Pixels that never change while the picture does: lines or text drawn into it, dead beams.
+"""Fills pixels that never change while the picture does: drawn lines and text, dead beams.
 
-They show nothing of the floor, and stage 1 would take them for edges and rings. So they are filled
-from beside them before it.
+They show nothing of the floor, and stage 1 would take them for edges and rings. So before stage 1
+they get the level of the nearest pixel that does change.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ import numpy.typing as npt
 from sonarrec.geometry import fan_mask
 from sonarrec.records import BoolArray, ByteImage, FloatImage, Frame, IndexArray
 
-# A look is a frame that shows another picture than the last look: at the median its pixels changed
-# by more than this share of what they differ by from their neighbours. A standing sonar has one
-# look, for all of its picture may stay as it is.
+# Only frames that show a new picture count, called looks: the median change of their pixels since
+# the last look exceeds this share of the difference between neighbouring pixels. A sonar that
+# stands still has one look, since its whole picture may stay the same.
 CHANGED = 0.7
-SAMPLED = 40  # rows, and columns, by which a look is told
+SAMPLED = 40  # rows, and columns, that are compared to find a look
 JUDGED_AFTER = (8, 16, 32, 64)  # looks
-# Before the first frame is given so many are read, fewer where they are large.
+# Frames that are read before the first one is yielded; fewer if they are large.
 AHEAD, MOST_BYTES_AHEAD = 40, 2**24
-# A pixel is still whose levels lie within this share of what its surroundings change by, if these
-# change at all: compression lets a drawn line change a little. From the second judgement on, FAINT
-# is enough of one that is always brighter than the others, by MIXED: the floor shines through.
-# What touches a still pixel and is always brighter or darker is a line's smooth edge.
+# A pixel is still if its levels vary by less than this share of what its surroundings vary by:
+# compression lets a drawn line change a little. From the second judgement on, the share is FAINT
+# for pixels that are always brighter than the others by MIXED: there the floor shines through.
+# Pixels that touch a still one and are always brighter or darker are a line's smooth edge.
 STILL, FAINT, MIXED = 0.2, 0.4, 0.2
 LEAST_USUAL = 8.0  # grey levels
 COARSE, SURROUNDINGS = 8, (5, 5)  # pixels in a block, blocks
-LEAST_COUNTED = 0.02  # of the surroundings' pixels: fewer tell no mean
-LEAST_SPOT = 30  # pixels that touch: fewer are still by chance
-# What stays dark is a dead beam where it runs through this share of the rows, and is narrower than
-# so many pixels; else it is a shadow, or lies out of sight.
+LEAST_COUNTED = 0.02  # share of the surroundings' pixels that is needed for a mean
+LEAST_SPOT = 30  # connected pixels: fewer may be still by chance
+# Pixels that stay dark are a dead beam if they run through this share of the rows and are narrower
+# than so many pixels; else they are a shadow, or show nothing anyway.
 LEAST_BEAM, WIDEST = 0.35, 13
 BLACK = 8  # up to this level there is no echo
-# Where echoes are few a pixel stays dark by chance: with at most this one, as far as those about it
-# that do change tell.
+# Where echoes are few, a pixel may stay dark by chance. It counts as dark only if the probability
+# of that, estimated from the changing pixels around it, is at most this.
 CHANCE = 1e-3
 
 
 class Unchanging:
-    """Finds such pixels in the frames of one log, and fills them.
+    """Finds unchanging pixels in the frames of one log, and fills them.
 
     share: of the pixels that show the fan, how many are filled now, 0 to 1.
     """
@@ -57,12 +57,12 @@ class Unchanging:
         self._least: ByteImage = np.empty((0, 0), np.uint8)  # of each pixel, over all looks
         self._most: ByteImage = self._least
         self._lit: ByteImage = self._least  # in how many looks there was an echo
-        self._inside: BoolArray = np.empty((0, 0), bool)  # what shows the fan
+        self._inside: BoolArray = np.empty((0, 0), bool)  # pixels of the fan
         self._holes: IndexArray = np.empty(0, np.intp)
         self._beside: IndexArray = self._holes  # what each is filled from
 
     def filled(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames of a log, what never changes in their `pixels` filled.
+        """The frames of a log, with the unchanging ones of their `pixels` filled.
 
         An exception on the way is raised after all frames before it.
         """
@@ -94,7 +94,7 @@ class Unchanging:
         return replace(frame, pixels=pixels)
 
     def _look(self, frame: Frame) -> None:
-        """Take a frame in if it is a look; images of another size than the first are none."""
+        """Take a frame in if it is a look; images of another size than the first do not count."""
         pixels = frame.pixels
         if self._looks == JUDGED_AFTER[-1] or (self._looks and pixels.shape != self._least.shape):
             return
@@ -117,7 +117,7 @@ class Unchanging:
             self._judge()
 
     def _judge(self) -> None:
-        """Settle what is filled, and from where."""
+        """Decide which pixels are filled, and from which others."""
         drawn, away = self._unchanging_pixels()
         if not drawn.any():
             self.share = 0.0
@@ -136,7 +136,7 @@ class Unchanging:
         self.share = len(self._holes) / max(int(np.count_nonzero(~away)), 1)
 
     def _unchanging_pixels(self) -> tuple[BoolArray, BoolArray]:
-        """(rows, columns) what is drawn or dead; and what shows nothing anyway."""
+        """(rows, columns) which pixels are drawn or dead; which show nothing anyway."""
         inside, change = self._inside, cv2.subtract(self._most, self._least)
         usual = _local_mean(change, inside & (self._most > BLACK))
         others = inside & (change > usual / 2)
@@ -161,14 +161,14 @@ class Unchanging:
         size, dark = (np.bincount(spot[p], minlength=count) for p in (still, still & darker))
         whole_beam = stats[:, cv2.CC_STAT_HEIGHT] >= LEAST_BEAM * len(inside)
         found = (size >= LEAST_SPOT) & ((dark < size / 2) | whole_beam)
-        found[0] = False  # all that is in no spot
+        found[0] = False  # the pixels that are in no spot
         return found[spot], away
 
 
 def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
     """(rows, columns) mean over each pixel's surroundings of those values, uint8, that count.
 
-    0 where next to none count. Made on a coarse grid: it changes little from pixel to pixel.
+    0 if fewer than LEAST_COUNTED count. On a coarse grid, since it changes little between pixels.
     """
     rows, columns = values.shape
     mask = counts.view(np.uint8) * np.uint8(255)
@@ -183,7 +183,7 @@ def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
 
 
 def _changed(before: npt.NDArray[np.int16], now: npt.NDArray[np.int16]) -> bool:
-    """Whether two pictures, of every so many rows and columns, are of different floor."""
+    """Whether two pictures, sampled at every few rows and columns, show different floor."""
     seen = (before > 0) & (now > 0)
     beside = seen[:, 1:] & seen[:, :-1]
     if not beside.any():

@@ -32,7 +32,7 @@ class Beliefs:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What n objects are judged by, gathered along their tracks."""
+    """The evidence on n objects, gathered along their tracks."""
 
     brightness: FloatArray
     """(n, L, ANGLES) shape matrices."""
@@ -41,8 +41,8 @@ class Evidence:
     frames: IntArray
     """(n,) frames since the object began, or came back."""
     chapters: IntArray
-    """(n,) the number of the chapter of the track's life. A track that comes back into view with
-    another picture begins a new chapter. 0 in the published measurement, which keeps no pictures.
+    """(n,) the number of the chapter of the track. A track that comes back into view with another
+    picture begins a new chapter. 0 in the published measurement, which keeps no pictures.
     """
 
 

@@ -25,8 +25,8 @@ class Identification:
     def measurement(self, least_ring: float = 0.0) -> FloatArray:
         """(n, K) q of Eq. 8: the similarities divided by their sum.
 
-        least_ring: where a smaller share of the ring is bright there is no circle, so the symbol
-        tells nothing: q is uniform.
+        least_ring: if a smaller share of the ring is bright, there is no circle; q is then uniform,
+        since the symbol means nothing.
         """
         total = self.similarity.sum(axis=1, keepdims=True)
         uniform = np.full_like(self.similarity, 1 / self.similarity.shape[1])

@@ -16,9 +16,9 @@ from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, whole_steps
 from sonarrec.records import BoolArray, FloatArray, Groups, IntArray
 
 _T = TypeVar("_T", bound=np.generic)
-# A track that comes back is judged by what it shows now. The picture from before it left is added
-# again, with weight OLD_SHARE, where the two correlate by VERY_ALIKE, or from FRAMES_TO_EARN frames
-# on by LEAST_ALIKE: speckle is frozen to the floor, so two pictures of one landmark are alike.
+# A track that comes back is judged by its new picture. The picture from before it left is added
+# with weight OLD_SHARE if the two correlate by VERY_ALIKE, or after FRAMES_TO_EARN frames by
+# LEAST_ALIKE: speckle is frozen to the floor, so two pictures of one landmark are alike.
 VERY_ALIKE, FRAMES_TO_EARN, LEAST_ALIKE, OLD_SHARE = 0.75, 3, 0.5, 0.5
 
 
@@ -43,8 +43,8 @@ class TrackMatrix:
     """The running average of each track's shape matrix, with angles from the line of sight.
 
     Frames fade with a memory of `memory_frames`; a cell counts by how often it was seen. A track
-    that comes back into view begins a new picture and a new chapter. Where the picture proves to be
-    like the one before, the earlier chapter goes on (see FRAMES_TO_EARN).
+    that comes back into view begins a new picture and a new chapter. If the new picture turns out
+    to be like the one before, the earlier chapter goes on (see FRAMES_TO_EARN).
     """
 
     def __init__(self, memory_frames: float, lines: int) -> None:
@@ -55,7 +55,7 @@ class TrackMatrix:
         self._frames = np.empty(0, np.int64)
         self._chapters = np.empty(0, np.int64)
         self._last_chapter = 0
-        # Pictures of tracks that left, and of those that came back and have not earned theirs yet.
+        # Pictures of tracks that left, or came back but have not shown yet that they are the same.
         self._before: dict[int, _Picture] = {}
 
     def step(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
@@ -73,8 +73,8 @@ class TrackMatrix:
                 self._before[number] = _Picture(
                     self._sum[i].copy(), self._count[i].copy(), int(self._chapters[i])
                 )
-        there = {*numbers, *remembered}
-        self._before = {k: p for k, p in self._before.items() if k in there}
+        still_known = {*numbers, *remembered}
+        self._before = {k: p for k, p in self._before.items() if k in still_known}
         total = np.zeros((len(numbers), *self._sum.shape[1:]))
         count = np.zeros_like(total)
         frames = np.zeros(len(numbers), np.int64)
@@ -89,12 +89,12 @@ class TrackMatrix:
         frames += 1
         self._numbers, self._sum, self._count = numbers, total, count
         self._frames, self._chapters = frames, chapters
-        self._take_up()
+        self._resume_pictures()
         count = _turned(count, -steps)
         return Evidence(_turned(total, -steps) / np.maximum(count, 1e-9), count, frames, chapters)
 
-    def _take_up(self) -> None:
-        """Give the tracks that came back their pictures from before they left, or drop these.
+    def _resume_pictures(self) -> None:
+        """Add to tracks that came back their pictures from before, or drop these.
 
         See FRAMES_TO_EARN.
         """
