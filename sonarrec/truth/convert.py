@@ -1,4 +1,4 @@
-"""Annotations of any format to gt.csv: labels to IDs, images to frames, centres to fan pixels."""
+"""Converts annotations to gt.csv: labels to IDs, images to frames, centres to fan pixels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECA
 _LAST_NUMBER = re.compile(r"(?<![0-9])(?<![0-9]\.)[0-9]{1,18}$")
 """In an image's name; not the fraction of a time in seconds."""
 _BY_NUMBER = "frames by the number that ends every image name"
-_FEW = 5  # names told in one line
+_FEW = 5  # most names in a message
 MOST_LETTERS = 255
 """Of a file's name, on any disk."""
 
@@ -40,7 +40,7 @@ Sizes = Set[tuple[int, int]]
 
 @dataclass(frozen=True, slots=True)
 class LogImages:
-    """What a log tells of the images that were annotated.
+    """What a log says about the images that were annotated.
 
     sonar, fan: its geometry, and that of its fan images. names: its image files in frame order;
     empty for a log in one file, whose frames have no names.
@@ -90,8 +90,8 @@ def convert(
     labels: the ID for labels that do not show it themselves; None leaves a label out. first_frame:
     what the annotations call the first frame of the log (default 0; MOTChallenge 1). log: finds
     frames by image name, turns polar pixels into fan pixels, and limits `visible` to the share of
-    the disc inside the fan. Raises SonarrecError where nothing can be used or `out` exists,
-    UsageError where `labels` or `first_frame` cannot be meant.
+    the disc inside the fan. Raises SonarrecError if nothing can be used or `out` exists,
+    UsageError if `labels` or `first_frame` are invalid.
     """
     name, found = read_annotations(source, format_name)
     unused = [
@@ -144,17 +144,17 @@ def _landmark_ids(
         if label in given:
             continue
         plain = _PLAIN_LABEL.fullmatch(label.strip())
-        told = f"label {label!r} ({number_of(count, 'time')})"
+        named = f"label {label!r} ({number_of(count, 'time')})"
         if not label:
             unused.append(f"{number_of(count, 'shape')} without a label")
         elif plain is None:
             unused.append(
-                f"{told} has no ID: give one by --map '{label}=ID', or leave it out by "
+                f"{named} has no ID: give one by --map '{label}=ID', or leave it out by "
                 f"--map '{label}=none'"
             )
         elif int(plain[1]) not in landmarks.ids:
             unused.append(
-                f"{told} is not in the set {landmarks.name!r} ({known}): name the right set by "
+                f"{named} is not in the set {landmarks.name!r} ({known}): name the right set by "
                 "--landmarks"
             )
         else:
@@ -205,10 +205,10 @@ def _frames_of_images(
 ) -> tuple[str, FrameNumbers, str]:
     """As `_frame_numbers`, for images that are named.
 
-    An image is found by its name in the log, whatever its folder; by its name without suffix where
-    one image of the log has that. Where the log has no names, those of 19 digits are times, as in a
+    An image is found by its name in the log, in any folder, or by its name without suffix if only
+    one image of the log has that. If the log has no names, names of 19 digits are times, as in a
     log of images; else the number at the end of every name counts; else their natural order.
-    Raises SonarrecError where the log has names, and none of these.
+    Raises SonarrecError if the log has names, but none of these.
     """
     paths = {name: _path(name, log_names) for name in images}
     long = next((name for name, path in paths.items() if len(path.name) > MOST_LETTERS), None)
@@ -263,7 +263,7 @@ def _in_fan_pixels(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(column, row, visible), each (N,), of the shapes in the log's fan images.
 
-    sizes: of the images that are in the log, as far as they are told.
+    sizes: of the images that are in the log, as far as they are known.
     """
     x = np.array([s.x for s in shapes], dtype=float)
     y = np.array([s.y for s in shapes], dtype=float)

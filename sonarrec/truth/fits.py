@@ -1,4 +1,4 @@
-"""Whether a truth can be that of a log."""
+"""Finds out whether a truth can be that of a log."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sonarrec.truth.table import TruthTable
 
 
 def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
-    """Why a truth with rows on the log cannot be its own; None where it can.
+    """Why a truth with rows on the log cannot be that of the log; None if it can.
 
     truth: as matched to the log.
     """
@@ -26,21 +26,7 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
         if unit is not None:
             return f"{table.path}: {in_other_unit(unit, log.name)}"
     if truth.rows and not len(truth.frame_index):
-        rows = f"{truth.rows} rows ({table.key} {at.min()} to {at.max()})"
-        near, of_frames, hours = "on", log.frame, None
-        if truth.tolerance_ns is not None:
-            assert log.timestamp_ns is not None
-            near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", log.timestamp_ns
-            hours = _hours_away(log.timestamp_ns, at)
-        return (
-            f"{table.path}: none of its {rows} lies {near} a processed frame of {log.name} "
-            f"({number_of(len(log.frame), 'frame')}, {of_frames.min()} to {of_frames.max()}); "
-            + (
-                f"shifted by {hours * 3600} s all would: are they times of another time zone?"
-                if hours
-                else "is this the truth of another log?"
-            )
-        )
+        return _no_row_on_a_frame(table, log, truth, at)
     outside = outside_image(log, truth)
     if len(outside) and outside.all():
         assert log.fan is not None
@@ -55,11 +41,28 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
     return None
 
 
-def _hours_away(timestamp_ns: IntArray, at: IntArray) -> int | None:
-    """By how many whole hours times must be shifted to be those of frames; None where they are not.
+def _no_row_on_a_frame(table: TruthTable, log: ReadLog, truth: Truth, at: IntArray) -> str:
+    """The message for a truth without a row on a processed frame. at: of its rows on the log."""
+    near, of_frames, hours = "on", log.frame, None
+    if truth.tolerance_ns is not None:
+        assert log.timestamp_ns is not None
+        near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", log.timestamp_ns
+        hours = _hours_away(log.timestamp_ns, at)
+    question = "is this the truth of another log?"
+    if hours:
+        question = f"shifted by {hours * 3600} s all would: are they times of another time zone?"
+    return (
+        f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) lies "
+        f"{near} a processed frame of {log.name} ({number_of(len(log.frame), 'frame')}, "
+        f"{of_frames.min()} to {of_frames.max()}); {question}"
+    )
 
-    timestamp_ns: (F,) of frames. at: (R,) ns. Only times of a clock that meet frames to within
-    10 us count, three or more: those of another log do not, unless both are counted from 0.
+
+def _hours_away(timestamp_ns: IntArray, at: IntArray) -> int | None:
+    """By how many whole hours times must be shifted to be those of frames; None if none fits.
+
+    timestamp_ns: (F,) of frames. at: (R,) ns. All times must meet frames to within 10 us, at least
+    three of them, and be dates: times of another log do so only if both are counted from 0.
     """
     if not is_date(int(timestamp_ns.min())) or len(np.unique(at)) < 3:
         return None
@@ -74,15 +77,15 @@ _UNITS_NS = {"microseconds": 10**3, "milliseconds": 10**6, "seconds": 10**9}
 
 
 def unit_of_times(timestamp_ns: IntArray, at: IntArray) -> str | None:
-    """The unit of times that cannot be nanoseconds; None where they can.
+    """The unit of times that cannot be nanoseconds; None if they can be.
 
-    timestamp_ns: (F,) of frames. at: (R,). Read in another unit, at least nine of ten rows have a
-    frame, and they have three times as many frames as they have in ns, and three or more. In ns,
-    times of a clock that starts at 0 would nearly all fall on the first frame.
+    timestamp_ns: (F,) of frames. at: (R,). It is another unit if with it at least nine of ten rows
+    have a frame, and these are three or more frames and three times as many as with nanoseconds. In
+    ns, times of a clock that starts at 0 would nearly all fall on the first frame.
     """
 
     def frames_met(unit_ns: int) -> tuple[int, float]:
-        """How many frames have a row, and which share of the rows has a frame."""
+        """(number of frames with a row, share of the rows with a frame)."""
         if not len(at) or np.abs(at).max() >= 2**63 // unit_ns:
             return 0, 0.0
         nearest, matched, _ = match_times(timestamp_ns, at * unit_ns)
@@ -97,53 +100,63 @@ def unit_of_times(timestamp_ns: IntArray, at: IntArray) -> str | None:
 
 
 def in_other_unit(unit: str, log: str) -> str:
-    """What is wrong with times of another unit. log: its name."""
+    """The message on times of another unit. log: its name."""
     return (
         f"timestamp_ns must be nanoseconds; its times fit the frames of {log} only if they are "
         f"{unit}"
     )
 
 
-def without_rows(path: Path, rows: int, logs: Iterable[str], so: str) -> str:
-    """Why a truth has no row on any of some logs. rows: it has in all. so: what comes of none."""
+def without_rows(path: Path, rows: int, logs: Iterable[str], consequence: str) -> str:
+    """Why a truth has no row on any of some logs.
+
+    rows: how many it has. consequence: of having none, a clause.
+    """
     if rows:
         return f"{path}: its log column names none of {', '.join(logs)}"
     return (
-        f"{path}: it has no row, so {so}; a truth has a row per landmark in view "
+        f"{path}: it has no row, so {consequence}; a truth has a row per landmark in view "
         "(sonarrec help truth)"
     )
 
 
 def columns_not_read(table: TruthTable) -> list[str]:
-    """A line where columns look like those that are read, and are not."""
+    """A line if columns look like those that are read, but are not read."""
     return [f"{table.path}: columns {', '.join(table.not_read)} are not read"] * bool(
         table.not_read
     )
 
 
-def pixels_elsewhere(table: TruthTable, log: ReadLog, so: str) -> list[str]:
-    """A line where rows of the log tell two places. so: what is done with range and bearing."""
+def pixels_elsewhere(table: TruthTable, log: ReadLog, use: str) -> list[str]:
+    """A line if pixels and polar positions of rows on the log contradict each other.
+
+    use: what is done with range and bearing, a verb.
+    """
     if log.fan is None or table.pixels is None:
         return []
     apart = int(np.sum(pixels_apart(table, table.rows_of(log.name), log.fan) > SLACK_PX))
     return [
         f"{table.path}: {number_of(apart, 'row')} for {log.name} with x_px,y_px elsewhere than "
-        f"range_m,bearing_deg, which {so}; `sonarrec truth check` tells which"
+        f"range_m,bearing_deg, which {use}; `sonarrec truth check` tells which"
     ] * bool(apart)
 
 
-def as_proposed(table: TruthTable, name: str, so: str) -> list[str]:
-    """A line where rows of a log are as `truth propose` wrote them. so: what that means."""
+def as_proposed(table: TruthTable, name: str, consequence: str) -> list[str]:
+    """A line if rows on a log are as `truth propose` wrote them.
+
+    consequence: of that, a clause.
+    """
     rows = table.rows_of(name)
     proposed = np.count_nonzero(table.proposed[rows])
     return [
         f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {name} are unchecked "
-        f"proposals of `truth propose`; {so}. Clear `source` in the rows that a person has checked"
+        f"proposals of `truth propose`; {consequence}. Clear `source` in the rows that a person "
+        "has checked"
     ] * bool(proposed)
 
 
 def outside_image(log: ReadLog, truth: Truth) -> BoolArray:
-    """(T,) which discs lie wholly outside the fan; none where positions or the fan are unknown."""
+    """(T,) which discs lie wholly outside the fan; (0,) if positions or the fan are not known."""
     fan = log.fan
     if fan is None or truth.position is None:
         return np.zeros(0, dtype=bool)
@@ -155,7 +168,7 @@ def outside_image(log: ReadLog, truth: Truth) -> BoolArray:
         | (range_m > fan.range_max_m + radius)
         | (np.radians(np.abs(aside)) * range_m > radius)
     )
-    # Exactly, on the floor, of those alone: it takes long.
+    # Only these are computed exactly, on the floor, since that takes long.
     share = share_in_image(fan, range_m[outside], bearing_deg[outside], radius)
     outside[outside] = share == 0
     return outside

@@ -1,4 +1,4 @@
-"""How much of a landmark the sonar sees: the `visible` of ground truth, from the geometry alone."""
+"""The share of a landmark in view, by the geometry alone: the `visible` of ground truth."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ def share_in_image(
 ) -> FloatArray:
     """(N,) share, 0 to 1, of floor discs that the fan image shows.
 
-    range_m: (N,) slant range of the centres; nearer than the floor it counts as straight below,
-    but 0 or less, which is nowhere, as not shown.
-    bearing_deg: (N,) positive to the right. radius_m: of every disc.
+    range_m: (N,) slant range of the centres; nearer than the floor counts as straight below the
+    sonar, 0 or less as not shown. bearing_deg: (N,) positive to the right. radius_m: of every disc.
     """
     right, ahead = points_on_disc(radius_m, _POINTS)
     share = np.empty(len(range_m))
@@ -30,5 +29,5 @@ def share_in_image(
         along = ground * np.cos(bearing) + ahead
         slant = np.sqrt(across**2 + along**2 + floor_depth(fan) ** 2)
         share[batch] = in_image(fan, slant, np.degrees(np.arctan2(across, along))).mean(axis=1)
-    share[range_m <= 0] = 0  # squared, a negative one would be as good as its opposite
+    share[range_m <= 0] = 0  # ranges are squared above, so negative ones would count
     return share

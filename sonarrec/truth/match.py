@@ -25,31 +25,31 @@ class Truth:
     visible: FloatArray
     """(T,) share of the disc, 0 to 1."""
     position: FloatArray | None
-    """(T, 2) m in the fan plane: to the right, ahead; None where it is not known."""
+    """(T, 2) m in the fan plane: to the right, ahead; None if positions are not known."""
     orientation: FloatArray | None
     """(T,) deg, as in estimates.csv; None without the column."""
     rows: int
-    """Of gt.csv that speak of this log."""
+    """Number of rows of gt.csv on this log."""
     unprocessed: int
-    """Rows of them on frames that were not processed."""
+    """Number of these on frames that were not processed."""
     between: int
-    """Rows of them, matched by time, for which a nearer stamp has the frame."""
+    """Number of these left out because a row with a nearer time has the frame."""
     tolerance_ns: float | None
-    """Longest time from a row to its frame; None where rows name frames by number."""
+    """Longest time from a row to its frame; None if rows name frames by number."""
 
     def pixels(self, fan: Fan) -> FloatArray | None:
-        """(T, 2) column and row in the fan image; None where positions are not known."""
+        """(T, 2) column and row in the fan image; None if positions are not known."""
         return None if self.position is None else pixel_from_plane(fan, self.position)
 
 
 SLACK_PX = 2.0
-"""By so much may pixels be off range and bearing: they are rounded, as scale and apex are."""
+"""Tolerance between pixels and range and bearing: they are rounded, as scale and apex are."""
 
 
 def pixels_apart(table: TruthTable, row: IntArray, fan: Fan) -> FloatArray:
-    """Pixels from x_px,y_px of some rows to their range and bearing; NaN where one is not told.
+    """(n,) pixels from x_px,y_px to range and bearing; NaN for rows without both.
 
-    row: (n,) into the table. Returns (n,).
+    row: (n,) into the table.
     """
     if table.pixels is None or table.position is None:
         return np.full(len(row), np.nan)
@@ -80,9 +80,9 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
     """The truth of one log, cut to the frames in its frames.csv.
 
     By time, a row belongs to the frame nearest to it, if that is within the tolerance (default:
-    half the median time between frames), and a frame takes the rows of its nearest stamp only:
+    half the median time between frames). A frame takes only the rows of the time nearest to it:
     truth denser than the frames must not show one landmark many times.
-    Raises SonarrecError on an ID outside the landmark set, or where times cannot be compared.
+    Raises SonarrecError on an ID outside the landmark set, or if times cannot be compared.
     """
     mine = table.rows_of(log.name)
     ids = np.asarray(log.landmarks.ids)
@@ -140,7 +140,8 @@ def _tolerance_ns(timestamp_ns: IntArray, tolerance_s: float | None) -> float:
 def match_times(
     timestamp_ns: IntArray, at: IntArray, tolerance_s: float | None = None
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """Per time in `at`: (nearest frame, as index; within the tolerance; of its nearest stamp).
+    """Per time in `at`: (index of the nearest frame; whether it is within the tolerance; whether
+    it is also the time nearest to that frame).
 
     timestamp_ns: (F,) of the frames. at: (R,) ns. tolerance_s: default half the median time
     between frames.
@@ -154,7 +155,7 @@ def match_times(
         near = np.where(times[after] - at < at - times[after - 1], after, after - 1)
     away = np.abs(times[near] - at)
     matched = away <= _tolerance_ns(timestamp_ns, tolerance_s)
-    # Per frame the stamp that is nearest, the earlier of two equally near; all its rows stay.
+    # Per frame the nearest time, the earlier of two equally near; all rows of that time stay.
     best = np.lexsort((at, away, near))
     firsts = best[np.unique(near[best], return_index=True)[1]] if len(at) else best
     stamp = np.zeros(len(times), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""A gt.csv from the confident tracks of results, for a person to correct."""
+"""Makes a gt.csv from the confident tracks of results, for a person to correct."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
 from sonarrec.records import (
     Fan,
     FloatArray,
+    IntArray,
     SonarrecError,
     UsageError,
     follows,
@@ -34,11 +35,11 @@ LEAST_AGREEMENT = 0.9
 
 @dataclass(frozen=True, slots=True)
 class ProposedTrack:
-    """One track that declared an ID at all.
+    """A track that declared an ID.
 
-    landmark: the ID it declared most often. frames: first and last. rows: proposed for it;
-    interpolated: of these, in gaps. best_score: along the track. left_out: why it is not proposed,
-    "" where it is.
+    landmark: the ID it declared most often. frames: first and last. rows: number of rows proposed;
+    interpolated: how many of these are in gaps. best_score: along the track. left_out: why it is
+    not proposed; "" if it is.
     """
 
     log: str
@@ -53,7 +54,7 @@ class ProposedTrack:
 
 @dataclass(slots=True)
 class Proposal:
-    """The tracks that declared an ID, and a line for each part of the results not to be used."""
+    """The tracks that declared an ID, and a line for each part of the results that is not used."""
 
     tracks: list[ProposedTrack] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -62,28 +63,28 @@ class Proposal:
 def propose(results: Path, out: Path, *, method: str, min_score: float, max_gap: int) -> Proposal:
     """Write `out`, a new gt.csv, from the results of one log or of several.
 
-    A track is taken, over its whole life, where it declared one ID in LEAST_DECLARED frames or
-    more and its best score reaches `min_score`. Up to `max_gap` frames that it misses are filled
+    A track is proposed from its first to its last frame if it declared one ID in LEAST_DECLARED
+    frames or more and its best score reaches `min_score`. Gaps of up to `max_gap` frames are filled
     in, linear in range and bearing. `visible` is the share of the disc in the fan image.
-    Raises SonarrecError where no log can be read, the results cannot be used or `out` exists,
-    UsageError on numbers that cannot be meant.
+    Raises SonarrecError if no log can be read, the results cannot be used or `out` exists,
+    UsageError on invalid numbers.
     """
     check_follows(method)
     if not 0 <= min_score <= 1:
         raise UsageError(f"--min-score {min_score:g}: a score is within 0 to 1")
     folders = find_logs(results)
-    told = Proposal()
-    rows = _proposed(folders, method, min_score, max_gap, told)
+    proposal = Proposal()
+    rows = _proposed(folders, method, min_score, max_gap, proposal)
     write_truth(out, (("log", *HEADER) if len(folders) > 1 else HEADER), rows)
-    return told
+    return proposal
 
 
 def _proposed(
-    folders: Sequence[Path], method: str, min_score: float, max_gap: int, told: Proposal
+    folders: Sequence[Path], method: str, min_score: float, max_gap: int, proposal: Proposal
 ) -> Iterator[tuple[object, ...]]:
     """The rows of gt.csv, one log in memory at a time.
 
-    told: to which each track and each problem is added.
+    Tracks and problems are added to `proposal`.
     """
     unread: list[SonarrecError] = []
     for folder in folders:
@@ -93,29 +94,30 @@ def _proposed(
             unread.append(error)
             if len(unread) == len(folders):
                 raise unread[0] from None
-            told.problems.append(f"{error}; {name_as_text(folder.resolve().name)} is not used")
+            proposal.problems.append(f"{error}; {name_as_text(folder.resolve().name)} is not used")
             continue
         if log.fan is None:
             raise SonarrecError(
                 f"{folder / 'run.toml'}: does not tell the sonar's geometry, which gives pixels "
                 "and visible; run `sonarrec run` again"
             )
-        told.problems += not_whole(log, "used")
+        proposal.problems += not_whole(log, "used")
         taken: dict[tuple[int, int], list[FloatArray]] = {}
         mine = []
         for track in _tracks(folder, log, method, min_score):
             found = [] if track.left_out else _rows(track, log, log.fan, max_gap, taken)
             mine += found
-            told.tracks.append(
+            first, last = log.frame[track.frame_index[[0, -1]]].tolist()
+            proposal.tracks.append(
                 ProposedTrack(
-                    log.name,
-                    track.number,
-                    track.landmark,
-                    (int(log.frame[track.frame_index[0]]), int(log.frame[track.frame_index[-1]])),
-                    len(found),
-                    sum(row[-1] == FILLED_IN for row in found),
-                    track.best_score,
-                    track.left_out,
+                    log=log.name,
+                    track=track.number,
+                    landmark=track.landmark,
+                    frames=(first, last),
+                    rows=len(found),
+                    interpolated=sum(row[-1] == FILLED_IN for row in found),
+                    best_score=track.best_score,
+                    left_out=track.left_out,
                 )
             )
         name = (log.name,) if len(folders) > 1 else ()
@@ -127,8 +129,9 @@ class _Track:
     """A track that declared an ID; arrays have one element per frame that it has an estimate in."""
 
     number: int
-    landmark: int
-    frame_index: np.ndarray  # into LogResults.frame, rising
+    landmark: int  # the ID it declared most often
+    declared: int  # in how many frames it declared that
+    frame_index: IntArray  # into LogResults.frame, rising
     range_m: FloatArray
     bearing_deg: FloatArray
     best_score: float
@@ -150,27 +153,39 @@ def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> lis
         )
     mine = mine[np.lexsort((log.frame_index[mine], log.object[mine]))]
     _, starts = np.unique(log.object[mine], return_index=True)
-    tracks = []
-    for one in np.split(mine, starts[1:]):
-        declared = one[log.declared[one]]
-        if not len(declared):
-            continue
-        landmarks, counts = np.unique(log.landmark_index[declared], return_counts=True)
-        ids = [log.landmarks.ids[k] for k in landmarks]
-        best = float(log.score[one].max())
-        left_out = ""
-        if counts.max() < LEAST_AGREEMENT * counts.sum():
-            left_out = "it declared several IDs: " + ", ".join(f"ID.{i}" for i in sorted(ids))
-        elif counts.max() < LEAST_DECLARED:
-            left_out = f"declared in {number_of(int(counts.max()), 'frame')} only"
-        elif best < min_score:
-            left_out = f"best score below {min_score:g}"
-        row, first = np.unique(log.frame_index[one], return_index=True)
-        range_m, bearing_deg = polar_from_plane(log.position[one[first]])
-        number, landmark = int(log.object[one[0]]), ids[int(counts.argmax())]
-        track = _Track(number, landmark, row, range_m, bearing_deg, best, left_out)
-        tracks.append((-int(counts.max()), track))
-    return [track for _, track in sorted(tracks, key=lambda pair: pair[0])]
+    tracks = [
+        _track(log, log.position, one, min_score)
+        for one in np.split(mine, starts[1:])
+        if log.declared[one].any()
+    ]
+    return sorted(tracks, key=lambda track: -track.declared)
+
+
+def _track(log: LogResults, position: FloatArray, rows: IntArray, min_score: float) -> _Track:
+    """The track with these estimates, by frame. position: (N, 2) of all estimates."""
+    declared = rows[log.declared[rows]]
+    landmarks, counts = np.unique(log.landmark_index[declared], return_counts=True)
+    ids = [log.landmarks.ids[k] for k in landmarks]
+    most, best_score = int(counts.max()), float(log.score[rows].max())
+    left_out = ""
+    if most < LEAST_AGREEMENT * len(declared):
+        left_out = "it declared several IDs: " + ", ".join(f"ID.{i}" for i in sorted(ids))
+    elif most < LEAST_DECLARED:
+        left_out = f"declared in {number_of(most, 'frame')} only"
+    elif best_score < min_score:
+        left_out = f"best score below {min_score:g}"
+    frame_index, first = np.unique(log.frame_index[rows], return_index=True)
+    range_m, bearing_deg = polar_from_plane(position[rows[first]])
+    return _Track(
+        number=int(log.object[rows[0]]),
+        landmark=ids[int(counts.argmax())],
+        declared=most,
+        frame_index=frame_index,
+        range_m=range_m,
+        bearing_deg=bearing_deg,
+        best_score=best_score,
+        left_out=left_out,
+    )
 
 
 def _rows(
@@ -182,8 +197,8 @@ def _rows(
 ) -> list[tuple[object, ...]]:
     """The rows of gt.csv for a track.
 
-    taken: floor positions proposed so far per (frame, ID), to which these are added; where they
-    meet, a second track is on one disc and gives no row.
+    taken: floor positions proposed so far, by frame and ID; new ones are added. A position on the
+    disc of an earlier one gives no row: there two tracks are on one disc.
     """
     short = [np.arange(a, b) for a, b in pairwise(track.frame_index) if b - a <= max_gap + 1]
     at = np.unique(np.concatenate([track.frame_index, *short]))

@@ -72,7 +72,7 @@ def _place(where: str) -> Iterator[None]:
 
 
 def _names(document: Any, key: str, name: str) -> dict[float | str, str]:
-    """The names in a list of the document, by id. Raises ValueError where they are not told."""
+    """The names in a list of the document, by id. Raises ValueError if they are not stated."""
     names: dict[float | str, str] = {}
     for number, row in enumerate(listed(document, key)):
         with _place(f"{key}[{number}]"):

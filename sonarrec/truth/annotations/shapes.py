@@ -16,10 +16,10 @@ from sonarrec.files.tables import LARGEST
 from sonarrec.records import SonarrecError
 
 PARTLY_HIDDEN = 0.5
-"""`visible` of a shape flagged as occluded: by how much, the flag does not tell."""
+"""`visible` of a shape flagged as occluded; the flag does not say by how much."""
 
 HALF_A_PIXEL = 0.5
-"""Drawing tools put (0, 0) at the image's corner, we at the centre of its first pixel."""
+"""Drawing tools put (0, 0) at the image's corner, this program at the centre of its first pixel."""
 
 MOST_DIGITS = 400
 """Of a number; Python itself refuses to read or write thousands of them."""
@@ -36,7 +36,7 @@ class Shape:
     y: float
     """Of its centre, pixels, (0, 0) at the centre of the first pixel."""
     visible: float | None
-    """0 to 1, None where nothing is said."""
+    """0 to 1; None if the file does not state it."""
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class Annotations:
     images: list[str] = field(default_factory=list)
     """Every image listed, also those with no shape on them."""
     sizes: dict[str | None, tuple[int, int]] = field(default_factory=dict)
-    """(columns, rows) of images by name, as far as they are told; None: of all."""
+    """(columns, rows) of images by name, as far as they are stated; None: of all."""
     interpolated: int = 0
     """Shapes filled in between keyframes."""
     unused: Counter[str] = field(default_factory=Counter)
@@ -75,23 +75,23 @@ def centre_of_area(points: Sequence[tuple[float, float]]) -> tuple[float, float]
 
 
 def stated_visible(attributes: Mapping[str, Any]) -> float | None:
-    """`visible` as free attributes tell it: a share of this name or visibility, or true or false;
-    a flag occluded.
+    """`visible` by free attributes: `visible` or `visibility` as a share or true or false, else a
+    flag `occluded`; None without these.
 
     Raises ValueError on a share that is no number from 0 to 1.
     """
-    told = {str(name).strip().lower(): value for name, value in attributes.items()}
+    given = {str(name).strip().lower(): value for name, value in attributes.items()}
     for name in ("visible", "visibility"):
-        text = "" if told.get(name) is None else str(told[name]).strip().lower()
+        text = "" if given.get(name) is None else str(given[name]).strip().lower()
         if text:  # else left blank
             try:
                 share = float({"true": "1", "false": "0"}.get(text, text))
             except ValueError:
                 share = math.nan
             if not 0 <= share <= 1:
-                raise ValueError(f"{name} must be a share, 0 to 1, not {shortened(told[name])}")
+                raise ValueError(f"{name} must be a share, 0 to 1, not {shortened(given[name])}")
             return share
-    if str(told.get("occluded", "")).strip().lower() in ("1", "true"):
+    if str(given.get("occluded", "")).strip().lower() in ("1", "true"):
         return PARTLY_HIDDEN
     return None
 
