@@ -1,4 +1,4 @@
-"""Detections for ROS 2: what a method declared in a frame as a vision_msgs/Detection3DArray.
+"""Detections for ROS 2: the declared estimates of a frame as a vision_msgs/Detection3DArray.
 
 The frame `sonar` is level: x ahead, y to the left, z up, its origin in the sonar (REP 103).
 """
@@ -20,7 +20,7 @@ from sonarrec.records import Estimate, Fan, FloatArray
 
 FRAME_ID = "sonar"
 NAME = "vision_msgs/msg/Detection3DArray"
-# Of vision_msgs 4, as ROS 2 has it from Humble on.
+# vision_msgs 4, as in ROS 2 from Humble on.
 _DEFINITIONS = {
     "ObjectHypothesis": "string class_id\nfloat64 score\n",
     "ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\n"
@@ -53,13 +53,12 @@ def has_time(stamp_ns: int) -> bool:
 def detections_message(
     fan: Fan, stamp_ns: int, landmarks: LandmarkSet, estimates: Sequence[Estimate]
 ) -> bytes:
-    """The declared estimates of a frame in CDR, their IDs as class, their scores as score.
+    """The declared estimates of a frame in CDR, with ID and score as class and score.
 
+    Positions lie on the floor. The covariance of x, y (m) and of the turn about z (rad) follows
+    from the standard errors; it is 0, which means unknown in ROS, if the method states none. A
+    detection's id is its track's number. An unknown orientation is 0 with a variance of pi^2.
     stamp_ns: one that `has_time`.
-
-    Places lie on the floor, of x, y (m) and the turn about z (rad) with the covariance of the
-    standard errors; zeros, as ROS has it, where a method states none. A detection's id is its
-    track's number. An unknown orientation is told as 0 with a variance of pi^2.
     """
     store = _store()
     types: Any = store.types
@@ -88,7 +87,7 @@ def detections_message(
 
 def _pose(types: Any, fan: Fan, e: Estimate) -> Any:
     ground, bearing = _ground(fan, e), math.radians(e.bearing_deg)
-    # Of what lies nearer than the floor only the direction is known: it is put below the sonar.
+    # Nearer than the floor only the direction is known, so the place is straight below the sonar.
     down = math.sqrt(max(e.range_m**2 - ground**2, 0.0))
     half = 0.0 if math.isnan(e.orientation_deg) else math.radians(e.orientation_deg - 90) / 2
     return types["geometry_msgs/msg/Pose"](

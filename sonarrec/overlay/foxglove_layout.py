@@ -10,7 +10,7 @@ from sonarrec.overlay.foxglove_mcap import ANNOTATIONS_TOPIC, DETECTIONS_TOPIC
 
 _IMAGE = "Image!sonarrec"
 LAYOUT_BEGIN = f'{{\n  "configById": {{\n    "{_IMAGE}": '
-"""By which a layout of ours is told."""
+"""How a layout written by this program begins."""
 
 
 def write_layout(path: Path, image_topic: str) -> None:

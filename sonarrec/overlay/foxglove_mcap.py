@@ -1,5 +1,5 @@
-"""Writes what is drawn as an MCAP file that Foxglove shows on top of the recording, and what was
-declared as detections for ROS 2."""
+"""Writes an MCAP file with annotations that Foxglove shows on top of the recording, and with the
+declared estimates as detections for ROS 2."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ LINE_LOOP, LINE_STRIP, LINE_LIST = 2, 3, 4
 
 
 class FoxgloveFile:
-    """Annotations of every frame, and the fan where the recording holds no such image.
+    """Annotations and detections of every frame, and its fan image if `with_images`.
 
-    Use it as a context manager. Left by an exception, the file keeps what was written but gets
-    no footer.
+    Use it as a context manager. After an exception the file keeps what was written but gets no
+    footer.
     """
 
     def __init__(self, path: Path, landmarks: LandmarkSet, *, with_images: bool) -> None:
@@ -103,7 +103,7 @@ class FoxgloveFile:
                 else:
                     self._writer.flush()  # type: ignore[no-untyped-call]
         except OSError as fault:
-            if kind is None:  # else the fault that came first is the one to tell
+            if kind is None:  # else the first fault is reported
                 raise SonarrecError(f"{self._path}: cannot be written ({fault.strerror})") from None
 
 
@@ -117,8 +117,8 @@ def annotations_message(
 ) -> dict[str, Any]:
     """A foxglove.ImageAnnotations message, in pixels of the fan image.
 
-    It is never empty: older versions take the time from the elements and would hold the image
-    back at a frame without any.
+    It is never empty: older versions of Foxglove take the time from the elements and would hold
+    back the image of a frame without any.
     """
     fan, size = frame.fan, pixel_unit(max(frame.fan.rows, frame.fan.columns))
     colours = landmark_colours(landmarks.ids)
@@ -209,7 +209,7 @@ def _time(stamp_ns: int) -> dict[str, int]:
 
 
 def _point(x: float, y: float) -> dict[str, float]:
-    # Foxglove counts from the corner of the first pixel, we from its centre.
+    # Foxglove counts from the corner of the first pixel, this program from its centre.
     return {"x": round(x + 0.5, 2), "y": round(y + 0.5, 2)}
 
 

@@ -1,4 +1,4 @@
-"""One log and its results, drawn together: `sonarrec overlay`, for programs as well."""
+"""Draws the results of one log onto its frames: `sonarrec overlay`."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ from sonarrec.truth.table import read_truth
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """What to write: an MCAP file for Foxglove and ROS 2, an MP4, a folder of PNGs, Foxglove's
-    layout for the MCAP file; None: not that."""
+    """The files to write: an MCAP file for Foxglove and ROS 2, an MP4, a folder of PNGs, a Foxglove
+    layout for the MCAP file. Those that are None are not written."""
 
     mcap: Path | None = None
     video: Path | None = None
@@ -48,7 +48,7 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class OverlayReport:
-    """What became of it: the method shown, frames written, what could not be used and a note."""
+    """The method shown, frames written, a line for each thing that could not be used, and notes."""
 
     method: str
     frames: int
@@ -151,7 +151,7 @@ def _write_frames(
 
 
 def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> None:
-    """Raises UsageError where a target would replace what is not ours, or another target."""
+    """Raises UsageError if a target would replace a file of other origin, or another target."""
     outputs: dict[Kind, Path | None] = {
         "overlay": targets.mcap,
         "video": targets.video,
@@ -176,7 +176,7 @@ def _cut_short_line(folder: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Outputs:
-    """What frames are written to."""
+    """The open outputs."""
 
     annotations: FoxgloveFile | None
     pictures: list[VideoFile | ImageFolder]
@@ -204,7 +204,7 @@ class _Outputs:
             target.write(frame.index, picture)
 
     def problems(self) -> list[str]:
-        """What could not be written, a line each."""
+        """A line for each thing that could not be written."""
         return [] if self.annotations is None else self.annotations.problems()
 
 
@@ -216,7 +216,7 @@ def _open_outputs(
     landmarks: LandmarkSet,
     results: Path,
 ) -> _Outputs:
-    """Open what frames are written to; it is closed with the stack."""
+    """Open the outputs; they are closed with the stack."""
     annotations = None
     pictures: list[VideoFile | ImageFolder] = []
     for target in (targets.mcap, targets.video):
@@ -224,7 +224,7 @@ def _open_outputs(
             with writing(target):
                 target.parent.mkdir(parents=True, exist_ok=True)
     if targets.mcap is not None:
-        # Where the recording holds nothing that Foxglove shows as this fan, the overlay does.
+        # If Foxglove cannot show the recording as this fan, the overlay brings the fan images.
         unseen = first.stamps.log is None or log.sonar.layout == "polar" or bool(log.sonar.flip)
         annotations = FoxgloveFile(targets.mcap, landmarks, with_images=unseen)
         stack.enter_context(annotations)
@@ -240,9 +240,9 @@ def _open_outputs(
 
 
 def _results_folder(path: Path, source: Source, results: Path) -> Path:
-    """The log's own folder of results, else what a stopped run left.
+    """The folder of the log's results, else of what a stopped run left.
 
-    source: the log at `path`. Raises SonarrecError where there is none.
+    source: the log at `path`. Raises SonarrecError if there is none.
     """
     # A run of several logs of one name put the names of their folders in front.
     names = possible_names(source.name, source.place.resolve())
@@ -258,7 +258,7 @@ def _results_folder(path: Path, source: Source, results: Path) -> Path:
 
 
 def _frame_rate(folder: Path, sonar: Sonar) -> float:
-    """Frames per second: of the results' times, else of the sonar, else 10."""
+    """Frames per second: by the times of the results, else as stated for the sonar, else 10."""
     times = read_frames(folder).get("timestamp_ns", ())
     between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return 1e9 / between if between > 0 else sonar.frame_rate_hz or 10.0
@@ -280,9 +280,9 @@ def _with_estimates(
 def _truth_marks(
     path: Path | None, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan
 ) -> tuple[dict[int, list[Mark]], list[str]]:
-    """The landmarks in view by frame, and a line where the truth cannot be that of the log.
+    """The landmarks in view by frame, and a line if the truth cannot be that of the log.
 
-    Raises SonarrecError where gt.csv has no positions.
+    Raises SonarrecError if gt.csv has no positions.
     """
     if path is None:
         return {}, []

@@ -17,15 +17,15 @@ from sonarrec.records import ByteImage, SonarrecError, UsageError, number_of
 class VideoFile:
     """Writes pictures of one size as an MP4; use it as a context manager.
 
-    MPEG-4 Part 2 is the most widely played of what OpenCV writes everywhere: H.264 is not in it.
+    MPEG-4 Part 2 is the most widely played format that every OpenCV writes; not all have H.264.
     """
 
     def __init__(self, path: Path, frame_rate_hz: float) -> None:
-        """Raises UsageError where the name is no MP4's, SonarrecError where it is not UTF-8."""
+        """Raises UsageError if the name does not end in .mp4, SonarrecError if it is not UTF-8."""
         if path.suffix.lower() != ".mp4":
             raise UsageError(f"{path}: a video is written as NAME.mp4")
         self._name = opencv_name(path)
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are told by us
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are reported below
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self._path = path
         # MPEG-4 divides a second into 65,535 parts at the most; players want one frame a second.
@@ -56,7 +56,7 @@ class VideoFile:
         with suppress(OSError), self._path.open("ab") as file:
             file.write(VIDEO_MARK)
         if kind is None:
-            # OpenCV tells of no failed write.
+            # OpenCV does not report a failed write.
             frames_read = cv2.VideoCapture(self._name).get(cv2.CAP_PROP_FRAME_COUNT)
             if frames_read != self._frames:
                 raise SonarrecError(
