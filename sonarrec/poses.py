@@ -1,4 +1,4 @@
-"""Where the sonar was, told by a table or by a topic of the log.
+"""Where the sonar was, from a table or a topic of the log.
 
 Positions and headings are the sonar's own on the floor. Only differences between rows count, so
 the origin and the direction of zero are free.
@@ -39,23 +39,23 @@ class PoseTable:
     axes: Literal["right, ahead", "ahead, left"] = "right, ahead"
 
     def covers(self, time_ns: int) -> bool:
-        """Whether the pose at a time is told: from the first row to the last, and in no gap."""
+        """Whether the pose at a time is known: from the first row to the last, but not in a gap."""
         return self._at(time_ns) is not None
 
     def at_times(self, times_ns: IntArray) -> FloatArray:
-        """(N, 3) the poses at (N,) times, as `pose` has them; NaN where they are not told."""
+        """(N, 3) the poses at (N,) times, in the form of `pose`; NaN if not known."""
         after = np.clip(np.searchsorted(self.at, times_ns), 1, len(self.at) - 1)
         step = (self.at[after] - self.at[after - 1]).astype(float)
         share = ((times_ns - self.at[after - 1]) / step)[:, None]
         found = self.pose[after - 1] * (1 - share) + self.pose[after] * share
         exact = (share[:, 0] == 0) | (share[:, 0] == 1)
-        told = (
+        known = (
             (times_ns >= self.at[0]) & (times_ns <= self.at[-1]) & ((step <= self.gap_ns) | exact)
         )
-        return np.where(told[:, None], found, np.nan)
+        return np.where(known[:, None], found, np.nan)
 
     def motion(self, before_ns: int, now_ns: int) -> Motion | None:
-        """How the sonar moved between two times; None where either is not covered."""
+        """How the sonar moved between two times; None if either pose is not known."""
         before, now = self._at(before_ns), self._at(now_ns)
         if before is None or now is None:
             return None
@@ -65,9 +65,9 @@ class PoseTable:
         return Motion(pan_deg, right * cos - ahead * sin, right * sin + ahead * cos)
 
     def place(self, time_ns: int, right_m: float, ahead_m: float) -> tuple[float, float] | None:
-        """(x, y) in m, by the table's own axes, of what lies so far to the right and ahead.
+        """(x, y) in m, in the table's own axes, of a place right_m to the right and ahead_m ahead.
 
-        None where no pose is told.
+        None if the pose is not known.
         """
         pose = self._at(time_ns)
         if pose is None:
@@ -78,7 +78,7 @@ class PoseTable:
         return (ahead, -right) if self.axes == "ahead, left" else (right, ahead)
 
     def _at(self, time_ns: int) -> FloatArray | None:
-        """(3,) the pose at a time, None where it is not told."""
+        """(3,) the pose at a time; None if not known."""
         after = int(np.searchsorted(self.at, time_ns))
         if after == len(self.at) or time_ns < self.at[0]:
             return None

@@ -1,4 +1,4 @@
-"""The nouns that travel between rooms. Units and shapes are stated here, once."""
+"""The records that modules exchange. Units and shapes are stated here, once."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".
 
 
 def printable(text: str) -> str:
-    """The text with what a terminal would obey, or could not show, written as escapes."""
+    """The text with control characters, and others that a terminal cannot show, as escapes."""
     escaped = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if text.isprintable() else "".join(escaped)
 
 
 class SonarrecError(Exception):
-    """A fault in the input or the settings, told in one line: what, where, what to do."""
+    """A fault in the input or the settings, in one line: what, where, what to do."""
 
     def __str__(self) -> str:
         # It may quote what files hold.
@@ -47,7 +47,7 @@ class SonarrecError(Exception):
 
 
 class UsageError(SonarrecError):
-    """A setting or option that cannot be meant (exit code 2, as click's own usage errors)."""
+    """An invalid setting or option (exit code 2, as click's own usage errors)."""
 
 
 class MissingError(UsageError):
@@ -131,7 +131,7 @@ Clock = Literal["log", "publish", "header"]
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """The times that a log keeps of one frame, in ns; None where it keeps no such time.
+    """The times that a log states for one frame, in ns; None for those it does not state.
 
     log: when it was recorded, which is the frames' order. publish: when it was sent.
     header: the stamp inside the message.
@@ -187,10 +187,10 @@ class Frame:
     """One ping, with the fan in which it lies.
 
     index: 0-based position in the log (unusable frames keep their number).
-    timestamp_ns: time in ns; where the log carries none, as its index and the frame rate tell.
-    pixels: uint8, log-compressed intensity: the fan image, or where `polar` says how it lies in the
-    fan, a polar image (range bins, beams).
-    stamps: every time that the log keeps of the frame.
+    timestamp_ns: time in ns; if the log carries none, from the index and the frame rate.
+    pixels: uint8, log-compressed intensity: the fan image or, if there is `polar`, a polar image
+    (range bins, beams). polar: how that lies in the fan.
+    stamps: all times that the log states for the frame.
     """
 
     index: int
@@ -211,8 +211,8 @@ class Motion:
     """How the sonar moved from one frame to the next.
 
     pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it was carried, to
-    the right and ahead as it looked before. The sigmas: their standard errors, 0 of poses that
-    are told. known: False where nothing tells it, with wide sigmas.
+    the right and ahead as it looked before. The sigmas: their standard errors; 0 if poses are
+    given. known: False if the motion was not measured; then sigmas are wide.
     """
 
     pan_deg: float
@@ -283,7 +283,7 @@ def follows(method: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What one method says of one object in one frame: a row of estimates.csv.
+    """One method's estimate of one object in one frame: a row of estimates.csv.
 
     x_px, y_px: centre in fan pixels. range_m: slant range. bearing_deg: positive to the right.
     orientation_deg: where the first sector begins, counter-clockwise from the image's right,
@@ -322,9 +322,9 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """All that one frame gave: a row of frames.csv and its rows of estimates.csv.
+    """The results of one frame: a row of frames.csv and its rows of estimates.csv.
 
-    motion: of the sonar since the frame before; None for the first one, and where nobody looked.
+    motion: of the sonar since the frame before; None for the first one, and if not looked for.
     """
 
     index: int

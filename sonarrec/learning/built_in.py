@@ -1,6 +1,6 @@
 """The built-in appearance model, learned from simulated recordings.
 
-`make model` (`python -m sonarrec.learning.built_in`) makes it anew.
+`make model` (`python -m sonarrec.learning.built_in`) makes it again.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Fr
 
 
 def make_model() -> None:
-    """Write the built-in model anew: every kind of scene that may be learned from."""
+    """Learn and write the built-in model, from every kind of scene that may be learned from."""
     parts = [samples for _, samples in lessons()]
     count = sum(len(p.label) for p in parts)
     head = (

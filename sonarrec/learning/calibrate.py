@@ -1,4 +1,4 @@
-"""Learns the appearance model from a user's own labelled recordings: `sonarrec calibrate`."""
+"""Learns the appearance model from labelled recordings: `sonarrec calibrate`."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ landmarks, or of others, the model is not measured."""
 
 @dataclass(frozen=True, slots=True)
 class LearningReport:
-    """What a model was learned from, and how good it is.
+    """A learned model, with what it was learned from and how good it is.
 
     frames: of all logs. seen: per ID of the set, then for 'none of these', the frames in which a
     track showed it and the number of such tracks. before, after: mean log likelihood of the truth,
@@ -68,7 +68,7 @@ class LearningReport:
     notes: list[str]
 
     def summary(self) -> list[str]:
-        """What was learned from and how well: lines to print."""
+        """Lines to print on what the model was learned from, and how good it is."""
         names = [f"ID.{i}" for i in self.landmarks.ids] + ["none of these"]
         # They go into a comment too, where a line break in a name would end it.
         logs = ", ".join(map(printable, self.logs))
@@ -117,7 +117,7 @@ def learn(
 
     from_scratch: do not start from the built-in model. observe: called at every frame. The rest is
     as in `pipeline.run.run`.
-    Raises SonarrecError where logs or truth cannot be used or hold too little.
+    Raises SonarrecError if logs or truth cannot be used or hold too little.
     """
     if config.features.measurement != "track":
         raise UsageError(
@@ -232,8 +232,8 @@ def _tracks_of(
 
 
 def _truth_with_places(path: Path, logs: int) -> TruthTable:
-    """The truth for so many logs. Raises SonarrecError without positions, or without a log column
-    for several."""
+    """The truth for this many logs. Raises SonarrecError if it has no positions, or no log column
+    though there are several logs."""
     table = read_truth(path)
     if table.position is None:
         raise SonarrecError(
@@ -250,7 +250,7 @@ def _not_taught(
     before: float | None,
     after: float | None,
 ) -> Iterator[str]:
-    """A line on each thing that the recordings do not teach.
+    """A line for each thing that the recordings do not show.
 
     The arguments are the fields of LearningReport.
     """
@@ -277,10 +277,10 @@ def _observed(frames: Iterable[Frame], observe: Callable[[], object] | None) -> 
 
 
 def _labelled(tracks: Tracks, truth: Truth) -> Samples:
-    """What one log teaches.
+    """The samples of one log.
 
-    People label only the frames that they care for. So if a track shows a landmark in one frame,
-    its frames without a label are left out: they do not count as "none of these".
+    People do not label every frame. So if a track shows a landmark in one frame, its frames without
+    a label are left out: they do not count as "none of these".
     """
     assert truth.position is not None
     samples = label(tracks, truth.frame_index, truth.landmark_index, truth.position)
@@ -336,7 +336,7 @@ def _part(samples: Samples, mask: BoolArray) -> Samples:
 
 
 def _log_likelihood(model: AppearanceModel, samples: Samples) -> FloatArray:
-    """(n,) log probability of what each truly is."""
+    """(n,) log probability of each sample's label."""
     likely = model.probabilities(samples.features, samples.smear)
     of_truth = likely[np.arange(len(samples.label)), samples.label]
     return np.asarray(np.log(np.maximum(of_truth, 1e-12)))

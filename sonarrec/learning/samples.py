@@ -1,4 +1,4 @@
-"""Samples from recordings with truth: every track in every frame described and labelled."""
+"""Makes samples from recordings with truth: every track in every frame, described and labelled."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.records import Fan, FloatArray, Frame, IntArray
 
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
-# does not. Those between teach nothing.
+# does not. Those between are left out.
 ON, OFF = 0.25, 0.5
 
 
@@ -57,7 +57,7 @@ class Samples:
 
 
 class _Recorder:
-    """Stands in for the model while samples are gathered: keeps the features it was given last."""
+    """Takes the place of the model while samples are gathered; keeps the last features."""
 
     def __init__(self) -> None:
         self.features: FloatArray = np.empty((0, 0, len(FEATURES)))
@@ -110,10 +110,10 @@ def describe(
 
 
 def label(tracks: Tracks, row: IntArray, landmark: IntArray, place: FloatArray) -> Samples:
-    """What the tracks of a recording truly are.
+    """Label the tracks of a recording by its truth.
 
-    row: (T,) frame, as index into tracks.frame, of each landmark of which anything shows.
-    landmark: (T,) its place in the set. place: (T, 2) as Tracks.position.
+    row: (T,) index into tracks.frame of each landmark that is at least partly in view. landmark:
+    (T,) its index in the set. place: (T, 2) as Tracks.position.
     """
     ids = len(tracks.landmarks.ids)
     labels = np.full(len(tracks.row), ids)

@@ -49,8 +49,8 @@ class Recogniser:
 
         frames: of one fan, by rising index; `pixels` are the fan image, (rows, columns) uint8, or
         polar where a frame has `polar`. Default: the log's own. Nothing is remembered from one call
-        to the next. Raises UsageError at an image that is not as the fan
-        needs it, and at a frame that is not after the last.
+        to the next. Raises UsageError at an image whose shape or type does not fit the fan,
+        and at a frame that does not come after the last.
         """
         if frames is None:
             if isinstance(self._source, Fan):
@@ -93,7 +93,7 @@ def _of_one_fan(frames: Iterable[Frame], fan: Fan | None) -> Iterator[Frame]:
 def configs_of(presets: Presets) -> list[Config]:
     """The presets as Configs.
 
-    Raises UsageError where there is none, or two of one name, by which their results go.
+    Raises UsageError if there is none, or if two have one name: results are named by it.
     """
     several = [presets] if isinstance(presets, str | Config) else presets
     configs = [config_of(one) if isinstance(one, str) else one for one in several]

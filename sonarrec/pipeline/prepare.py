@@ -1,4 +1,4 @@
-"""Finds and checks all that the run of one log needs, before anything is written."""
+"""Finds and checks everything that the run of one log needs, before anything is written."""
 
 from __future__ import annotations
 
@@ -119,16 +119,16 @@ def prepare(
 
 
 def digest_asked(earlier: RunFile, source: Source) -> tuple[int, str] | None:
-    """As `digest_of`; None, since it takes long, where the earlier run states none to compare."""
+    """As `digest_of`, which takes long; None if the earlier run states none to compare with."""
     return digest_of(source.path, source.files) if earlier.input.sha256 else None
 
 
 def is_same_log(
     earlier: RunFile, source: Source, digest: tuple[int, str] | None
 ) -> tuple[bool, list[str]]:
-    """Whether the earlier run was of this log, and a note where it was of another of its name.
+    """Whether the earlier run was of this log, and a note if it was of another of the same name.
 
-    digest: of `digest_asked`; without one the name serves.
+    digest: from `digest_asked`; if None, names are compared.
     """
     name = name_as_text(source.name)
     alike = earlier.input.name == name
@@ -223,10 +223,10 @@ def _model(run_options: RunOptions, earlier: RunFile) -> ModelFile | None:
 def _poses(
     path: Path, log_options: LogOptions, earlier: RunFile
 ) -> tuple[PoseTable | None, list[str]]:
-    """The poses of a topic of the log, else of a table; None without either. With what to note.
+    """The poses from a topic of the log, else from a table, if either is asked for; notes on them.
 
-    earlier: the run of this log that is run again. Raises UsageError where it had a table of poses
-    that is not given again.
+    earlier: the run of this log that is repeated. Raises UsageError if it had a table of poses that
+    is not given again.
     """
     earlier.check_poses(log_options)
     topic = log_options.odometry_topic

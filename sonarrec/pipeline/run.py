@@ -47,11 +47,11 @@ MOST_SIGHTINGS = 20
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What became of one log.
+    """How the run of one log went.
 
     folder: where the results are. frames: how many were processed. unusable: how many could not
-    be. problems: what could not be used, a line each. notes: what else is worth knowing, a line
-    each. candidates: over all frames. passes: how many sightings.csv has of each method that
+    be. problems: a line for each thing that could not be used. notes: other lines for the user.
+    candidates: over all frames. passes: how many sightings.csv has of each method that
     follows objects. sightings: of each of these the MOST_SIGHTINGS declared in the most frames, in
     order of first sight. up_to_date: these very results were there, so nothing was done.
     """
@@ -112,9 +112,9 @@ def run(
 
 
 def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str]:
-    """The name of each log's results, no two alike, also of logs that are not there today.
+    """The name of each log's results, all different, also of logs that do not exist now.
 
-    Raises UsageError where nothing tells two logs apart.
+    Raises UsageError if two logs cannot be told apart.
     """
     return folder_names([_named_at(log) for log in logs])
 
@@ -125,7 +125,7 @@ def _named_at(log: str | Path | RemoteLog) -> tuple[str, Path]:
         return results_name(log.name), log.path
     try:
         source = find_log(log)
-    except SonarrecError:  # said when its turn comes
+    except SonarrecError:  # reported when the log is run
         name, place = results_name(log_name(Path(log))), Path(log)
         with suppress(OSError):  # the current folder is gone
             place = place.absolute()
@@ -148,8 +148,8 @@ def process(
 
     Results that would be the same are not made again, and those of another log are not replaced,
     except with overwrite.
-    ahead: as in `recognise_together`, where there is a core for it. What the process writes to
-    descriptor 2 meanwhile may be lost: see `decode_image`.
+    ahead: as in `recognise_together`; for machines with a core to spare. What the process writes to
+    descriptor 2 meanwhile may be lost, see `decode_image`.
     Raises SonarrecError for input or settings that cannot be used.
     """
     with prepare(Path(path), Path(out), log_options, run_options, name) as job:
@@ -189,7 +189,7 @@ def planned(
     name: str | None = None,
     overwrite: bool = False,
 ) -> ExistingResults:
-    """What `process` would find where it puts its results; nothing is written.
+    """The results that `process` would find in the folder it writes to; nothing is written.
 
     Raises SonarrecError as `process`.
     """
@@ -222,7 +222,7 @@ def _recognise(
     ahead: bool,
 ) -> None:
     """Recognise every frame and write the results, also those waiting when the run is stopped."""
-    stamps = deque[Stamps]()  # of the frames whose results are waited for
+    stamps = deque[Stamps]()  # of frames that have no result yet
     try:
         frames = _noted(job.frames, stamps, plausibility)
         for result in job.recogniser.recognise(frames, ahead=ahead):
@@ -247,7 +247,7 @@ def _noted(
 
 
 def _notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> Iterator[str]:
-    """What is worth knowing of a run at its end, a line each."""
+    """Notes for the user at the end of a run, a line each."""
     yield from job.log.notes
     yield from job.recogniser.notes()
     path = name_as_text(job.log.path)
@@ -261,7 +261,7 @@ def _notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) 
 
 
 def _doubts(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:
-    """Where the pictures contradict the geometry, and whether they hold no candidate at all."""
+    """Contradictions between pictures and geometry, and a line if there is no candidate at all."""
     sonar = job.log.sonar
     doubts = plausibility.contradictions(
         polar=sonar.layout == "polar", height_stated=sonar.height_m is not None
