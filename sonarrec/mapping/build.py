@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +58,10 @@ class SiteMap:
     notes: list[str]
     ros_axes: bool
 
+    def frames_of(self, passes: Iterable[tuple[int, int]]) -> int:
+        """The number of frames with a declaration in some passes. passes: as Landmark.members."""
+        return sum(int(self.logs[g].on_floor.passes.frames[k]) for g, k in passes)
+
 
 @dataclass(frozen=True, slots=True)
 class _ReadLog:
@@ -111,22 +115,21 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
             f"without poses each log has a frame of its own ({', '.join(alone)}): give poses with "
             "--odometry, or map the logs one by one"
         )
-    joined = join([log.on_floor for log in logs], landmark_set)
-    seen_enough = [
-        landmark
-        for landmark in joined
-        if sum(int(logs[g].on_floor.passes.frames[k]) for g, k in landmark.members)
-        >= options.least_frames
-    ]
-    return SiteMap(
+    site = SiteMap(
         landmark_set=landmark_set,
-        landmarks=seen_enough,
-        left_out=len(joined) - len(seen_enough),
+        landmarks=join([log.on_floor for log in logs], landmark_set),
+        left_out=0,
         logs=logs,
         problems=[*problems, *(line for read in counted for line in read.problems), *once.unused],
         notes=[*(line for read in counted for line in read.notes), *once.notes],
         ros_axes=all(log.ros_axes for log in logs),
     )
+    seen_enough = [
+        landmark
+        for landmark in site.landmarks
+        if site.frames_of(landmark.members) >= options.least_frames
+    ]
+    return replace(site, landmarks=seen_enough, left_out=len(site.landmarks) - len(seen_enough))
 
 
 def _read_logs(

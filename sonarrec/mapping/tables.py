@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.mapping.build import SiteMap
+from sonarrec.mapping.join import Landmark
 from sonarrec.records import FloatArray, number_of
 
 _PLACE = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2")  # of `_numbers`
@@ -28,7 +30,7 @@ ELLIPSE_CORNERS = 48
 CHI2_95 = 5.991
 """Squared Mahalanobis distance that 95 % of places in a plane do not exceed."""
 GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
-"""By which our files are recognised; readers of GeoJSON ignore unknown members."""
+"""How files of this program are recognised; readers of GeoJSON ignore unknown members."""
 MOST_POINTS = 2_000
 """Points of a path in GeoJSON, at most."""
 
@@ -129,10 +131,8 @@ def rings_at_180(ring: FloatArray) -> list[FloatArray]:
         return [ring]
     if len(others) == 1:
         return []
-    parts = [
-        np.concatenate([others.pop()[:-1], first]),
-        *others,
-    ]  # the first part and the last are one
+    joined = np.concatenate([others.pop()[:-1], first])  # the first part and the last are one
+    parts = [joined, *others]
     return [np.concatenate([part, part[:1]]) for part in parts]
 
 
@@ -167,7 +167,7 @@ def write_map(path: Path, site: SiteMap) -> None:
                 f"{max(p.far_m[k] for _, p, k in passes):.3f}",
                 min(int(log.path.timestamp_ns[p.first[k]]) for log, p, k in passes),
                 max(int(log.path.timestamp_ns[p.last[k]]) for log, p, k in passes),
-                sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in landmark.others),
+                site.frames_of(landmark.others),
             ]
         )
     write_csv(path, MAP_COLUMNS, rows)
@@ -234,49 +234,52 @@ def write_geojson(path: Path, site: SiteMap, origin: GeographicOrigin) -> None:
     Ellipses and paths are cut in two at the 180th meridian; an ellipse round a pole is left out.
     """
     features = []
-
-    def add(kind: str, coordinates: list[Any], properties: dict[str, object]) -> None:
-        is_point = len(coordinates) == 1
-        geometry = {
-            "type": kind if is_point else f"Multi{kind}",
-            "coordinates": coordinates[0] if is_point else coordinates,
-        }
-        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
-
-    def rounded(part: FloatArray) -> list[Any]:
-        coordinates: list[Any] = np.round(part, 9).tolist()
-        return coordinates
-
     for number, landmark in enumerate(site.landmarks, 1):
-        properties: dict[str, object] = {"number": number, "landmark": landmark.id}
-        sigma = float(np.sqrt(np.linalg.eigvalsh(landmark.covariance)[-1]))
-        # Where the first sector begins, as a compass has it.
-        turn = (90 + origin.heading_deg - landmark.turn_deg) % 360
-        heading = {} if math.isnan(turn) else {"heading_deg": round(turn, 2)}
-        frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in landmark.members)
-        add(
-            "Point",
-            rounded(origin.on_earth(landmark.place[None])),
-            {
-                "name": f"ID.{landmark.id}",
-                **properties,
-                **heading,
-                "sigma_m": round(sigma, 4),
-                "passes": len(landmark.members),
-                "frames": frames,
-            },
-        )
+        name: dict[str, object] = {"number": number, "landmark": landmark.id}
+        place = _rounded(origin.on_earth(landmark.place[None]))
+        facts = _point_facts(site, landmark, origin)
+        features.append(_feature("Point", place, {"name": f"ID.{landmark.id}", **name, **facts}))
         rings = rings_at_180(origin.on_earth(ellipse(landmark.place, landmark.covariance)))
         if rings:
-            add("Polygon", [[rounded(ring)] for ring in rings], {**properties, "within": 0.95})
+            polygon = [[_rounded(ring)] for ring in rings]
+            features.append(_feature("Polygon", polygon, {**name, "within": 0.95}))
     for log in site.logs:
         places = log.path.pose[np.isfinite(log.path.pose).all(axis=1), 1:]
         if len(places) > 1:
             chosen = np.linspace(0, len(places) - 1, min(len(places), MOST_POINTS)).round()
             path_deg = origin.on_earth(places[chosen.astype(int)])
-            add("LineString", list(map(rounded, cut_at_180(path_deg))), {"log": log.name})
+            parts = list(map(_rounded, cut_at_180(path_deg)))
+            features.append(_feature("LineString", parts, {"log": log.name}))
     document = {"type": "FeatureCollection", "program": "sonarrec", "features": features}
     write_text(path, json.dumps(document, allow_nan=False) + "\n")
+
+
+def _point_facts(site: SiteMap, landmark: Landmark, origin: GeographicOrigin) -> dict[str, object]:
+    """The properties of a landmark's point, apart from its names."""
+    # Where the first sector begins, as a compass shows it.
+    turn = (90 + origin.heading_deg - landmark.turn_deg) % 360
+    heading = {} if math.isnan(turn) else {"heading_deg": round(turn, 2)}
+    return {
+        **heading,
+        "sigma_m": round(float(np.sqrt(np.linalg.eigvalsh(landmark.covariance)[-1])), 4),
+        "passes": len(landmark.members),
+        "frames": site.frames_of(landmark.members),
+    }
+
+
+def _feature(
+    kind: str, parts: Sequence[Any], properties: Mapping[str, object]
+) -> dict[str, object]:
+    """A feature of GeoJSON; of several parts it is, for example, a MultiPolygon."""
+    geometry = {"type": f"Multi{kind}", "coordinates": parts}
+    if len(parts) == 1:
+        geometry = {"type": kind, "coordinates": parts[0]}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _rounded(line: FloatArray) -> list[Any]:
+    coordinates: list[Any] = np.round(line, 9).tolist()
+    return coordinates
 
 
 def lines(site: SiteMap) -> list[str]:
@@ -292,7 +295,7 @@ def lines(site: SiteMap) -> list[str]:
         sigma = math.sqrt(float(np.linalg.eigvalsh(landmark.covariance)[-1]))
         angles = axes.turn(landmark.turn_deg, periods[landmark.id]), landmark.turn_sigma_deg
         turn, turn_sigma = ("-" if math.isnan(angle) else f"{angle:.1f}" for angle in angles)
-        frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in landmark.members)
+        frames = site.frames_of(landmark.members)
         rows.append(
             f"{number:>6}  {landmark.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {turn:>11}  "
             f"{turn_sigma:>5}  {len(landmark.members):>6}  {frames:>6}"
