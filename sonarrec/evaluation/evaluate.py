@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -117,14 +117,19 @@ def evaluate_whole(
     positives = np.bincount(
         joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
     )
-    facts = joined.methods, joined.placed, estimates, joined.ids, positives
-    notes = [*selection.notes, *_notes(logs, selection.names, *facts)]
+    notes = _notes(
+        logs,
+        selection.names,
+        joined.placed,
+        dict(zip(joined.methods, estimates.tolist(), strict=True)),
+        dict(zip(joined.ids, positives.tolist(), strict=True)),
+    )
     return Evaluation(
         joined=joined,
         folders=tuple(log.folder for log in logs),
         scored=score_all(joined),
         min_visible=options.min_visible,
-        notes=tuple(map(printable, notes)),
+        notes=tuple(map(printable, [*selection.notes, *notes])),
         unused=tuple(map(printable, selection.unused)),
     )
 
@@ -169,12 +174,17 @@ def evaluate_many(
     )
     logs = [selection.logs[i] for i in selection.scored]
     _check_methods(logs, selection.names)
-    facts = result.methods, result.placed, result.estimates, result.ids, result.positives
-    notes = [*selection.notes, *_notes(logs, selection.names, *facts)]
+    notes = _notes(
+        logs,
+        selection.names,
+        result.placed,
+        dict(zip(result.methods, result.estimates.tolist(), strict=True)),
+        dict(zip(result.ids, result.positives.tolist(), strict=True)),
+    )
     return replace(
         result,
         folders=tuple(log.folder for log in logs),
-        notes=tuple(map(printable, notes)),
+        notes=tuple(map(printable, [*selection.notes, *notes])),
         unused=tuple(map(printable, selection.unused)),
     )
 
@@ -334,15 +344,13 @@ def _check_methods(logs: Sequence[SurveyedLog], names: Sequence[str]) -> None:
 def _notes(
     logs: Sequence[SurveyedLog],
     names: Sequence[str],
-    methods: Sequence[str],
     placed: bool,
-    estimates: IntArray,
-    ids: Sequence[int],
-    positives: IntArray,
+    estimates: Mapping[str, int],
+    positives: Mapping[int, int],
 ) -> list[str]:
     """Notes on what was scored, a line each.
 
-    estimates: (M,) how many each method has. positives: (K,) how many positives each ID has.
+    names: of the logs. estimates: how many each method has. positives: how many each ID has.
     """
     notes = []
     if not placed:
@@ -358,13 +366,15 @@ def _notes(
                 f"{name}: {log.between} ground-truth rows lie between frames and are ignored "
                 "because others are nearer in time"
             )
-        missing = [m for m in methods if m not in log.methods]
+        missing = [method for method in estimates if method not in log.methods]
         if missing:
             notes.append(
                 f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
             )
-    notes += [f"{m}: no estimate at all" for m, n in zip(methods, estimates, strict=True) if not n]
-    for i, n in zip(ids, positives, strict=True):
-        if not n:
-            notes.append(f"ID.{i} is never in view: its TPR is 0/0 and says nothing")
+    notes += [f"{method}: no estimate at all" for method, count in estimates.items() if not count]
+    notes += [
+        f"ID.{landmark} is never in view: its TPR is 0/0 and says nothing"
+        for landmark, count in positives.items()
+        if not count
+    ]
     return notes
