@@ -19,6 +19,7 @@ from sonarrec.report import frames
 from sonarrec.report.logs import (
     MOST_LOGS,
     JudgedSighting,
+    LogToShow,
     ReportedLog,
     false_claim_text,
     judged_sightings,
@@ -159,8 +160,7 @@ def _with_panels(
     rows: their truth, if it is known.
     """
     if evaluation is None:
-        unknown = [None] * len(folders)
-        return read_logs(folders, unknown, unknown, options, method)
+        return read_logs([LogToShow(folder) for folder in folders], options, method)
     # The evaluation has distinct names, each recording once, and no log that cannot be read.
     scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
     first: dict[Path, Pair] = {}
@@ -169,13 +169,8 @@ def _with_panels(
             first.setdefault(row.results, row)  # a log may be named twice
     truths = [*first.values()]
     tables = {file: read_truth(file) for file in {row.ground_truth for row in truths}}
-    logs, unread = read_logs(
-        [row.results for row in truths],
-        [tables[row.ground_truth] for row in truths],
-        [row.log for row in truths],
-        options,
-        method,
-    )
+    to_show = [LogToShow(row.results, tables[row.ground_truth], row.log) for row in truths]
+    logs, unread = read_logs(to_show, options, method)
     named_logs = [
         replace(log, results=replace(log.results, name=scored[log.folder])) for log in logs
     ]

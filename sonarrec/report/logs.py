@@ -86,39 +86,45 @@ class Track:
     """(n,) into the log's frames, rising."""
 
 
+@dataclass(frozen=True, slots=True)
+class LogToShow:
+    """One log to be read for the page.
+
+    name: also for the log column of its truth; None: the name of the folder.
+    """
+
+    folder: Path
+    truth: TruthTable | None = None
+    name: str | None = None
+
+
 def read_logs(
-    folders: Sequence[Path],
-    truths: Sequence[TruthTable | None],
-    names: Sequence[str | None],
-    options: ScoringOptions,
-    method: str | None,
+    logs_to_show: Sequence[LogToShow], options: ScoringOptions, method: str | None
 ) -> tuple[list[ReportedLog], list[str]]:
     """The first MOST_LOGS logs that can be read, and a line for each that cannot.
 
-    truths: of each log. names: of each log, also for the log column of its truth; None: the name of
-    the folder. method: whose tracks are shown; None: the framework, or the first method with
-    tracks.
+    method: whose tracks are shown; None: the framework, or the first method with tracks.
     Raises SonarrecError if no log can be read or a truth does not fit its log, UsageError if no log
     has the method.
     """
     logs: list[ReportedLog] = []
     unread: list[tuple[str, SonarrecError]] = []
-    for folder, truth, name in zip(folders, truths, names, strict=True):
+    for one in logs_to_show:
         if len(logs) == MOST_LOGS:
             break
         try:
-            results = read_log(folder, options.landmarks, options.sonar)
-            sightings = list(read_sightings(folder, options.landmarks, options.sonar))
+            results = read_log(one.folder, options.landmarks, options.sonar)
+            sightings = list(read_sightings(one.folder, options.landmarks, options.sonar))
         except SonarrecError as error:
-            unread.append((name or name_as_text(folder.resolve().name), error))
+            unread.append((one.name or name_as_text(one.folder.resolve().name), error))
             continue
-        results = results if name is None else replace(results, name=name)
-        matched_truth = None if truth is None else match_truth(truth, results, options.tolerance_s)
-        follow = method or follows_by_default(results.methods)
-        passes = [s for s in sightings if s.method == follow]
-        logs.append(
-            _reported_log(folder, results, matched_truth, options.min_visible, follow, passes)
-        )
+        results = results if one.name is None else replace(results, name=one.name)
+        truth = None
+        if one.truth is not None:
+            truth = match_truth(one.truth, results, options.tolerance_s)
+        tracker = method or follows_by_default(results.methods)
+        passes = [s for s in sightings if s.method == tracker]
+        logs.append(_reported_log(one.folder, results, truth, options.min_visible, tracker, passes))
     if not logs:
         raise unread[0][1]
     for log in logs:
@@ -129,7 +135,8 @@ def read_logs(
             )
     there = dict.fromkeys(name for log in logs for name in log.results.methods)
     if method is not None and method not in there:
-        raise UsageError(f"{folders[0]}: no method {method!r}; there is {', '.join(there)}")
+        folder = logs_to_show[0].folder
+        raise UsageError(f"{folder}: no method {method!r}; there is {', '.join(there)}")
     return logs, [f"{error}; {name} is not shown" for name, error in unread]
 
 

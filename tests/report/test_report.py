@@ -34,7 +34,15 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, frames, svg
-from sonarrec.report.logs import ReportedLog, Track, alongside, judged_sightings, read_logs, tracks
+from sonarrec.report.logs import (
+    LogToShow,
+    ReportedLog,
+    Track,
+    alongside,
+    judged_sightings,
+    read_logs,
+    tracks,
+)
 from sonarrec.report.mistakes import episodes, in_words
 from sonarrec.report.settings import settings_tables
 from sonarrec.sonar import Sonar
@@ -684,9 +692,7 @@ def random_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
     [log], _ = read_logs(
-        [folder],
-        [read_truth(truth or folder / "gt.csv")],
-        [None],
+        [LogToShow(folder, read_truth(truth or folder / "gt.csv"))],
         ScoringOptions(sonar=Sonar()),
         method=None,
     )
