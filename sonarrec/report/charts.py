@@ -10,7 +10,7 @@ import numpy as np
 from sonarrec.evaluation.counting.pooled import PooledScored
 from sonarrec.evaluation.counting.reliability import FEW, Reliability
 from sonarrec.evaluation.roc import roc as evaluation_roc
-from sonarrec.records import IntArray, number_of
+from sonarrec.records import BoolArray, FloatArray, IntArray, number_of
 from sonarrec.report.logs import ReportedLog, Track, alongside, true_landmark
 from sonarrec.report.svg import (
     MOST_POINTS,
@@ -52,34 +52,44 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
     bar represents several frames: the best score is drawn faintly, and the mean over it, since the
     best alone would look the same for one frame of hundreds as for all.
     """
-    axis, period = time_axis(log)
     results = log.results
     order = sorted(results.methods, key=lambda m: (m != log.tracker, results.methods.index(m)))
     rows = []
-    for k, landmark in enumerate(results.landmarks.ids):
-        lanes = []
-        anything = False
-        if log.in_view is not None:
-            in_view = log.in_view[:, k].astype(float)
-            anything |= bool(in_view.any())
-            text = f"ID.{landmark} is in view in {int(in_view.sum())} of {len(in_view)} frames"
-            path = bars(axis, log.time, period, in_view)
-            lanes.append(Lane("truth", Chart(text, [Shape(path, None, "bar")]), True))
-        for method in order:
-            declared = log.of_method(method) & results.declared & (results.landmark_index == k)
-            surest = np.zeros(len(results.frame))
-            np.maximum.at(surest, results.frame_index[declared], results.score[declared])
-            claims = int(np.count_nonzero(np.bincount(results.frame_index[declared])))
-            anything |= claims > 0
-            text = f"{method} declares ID.{landmark} in {claims} of {len(surest)} frames"
-            shapes = [Shape(bars(axis, log.time, period, surest), k, "bar")]
-            if frames_a_bar(len(log.time)) > 1:
-                mean = bars(axis, log.time, period, surest, mean=True)
-                shapes = [replace(shapes[0], kind="bar faint"), Shape(mean, k, "bar")]
-            lanes.append(Lane(method, Chart(text, shapes), False))
-        if anything:
+    for k in range(len(results.landmarks.ids)):
+        declared = [
+            log.of_method(method) & results.declared & (results.landmark_index == k)
+            for method in order
+        ]
+        in_view = None if log.in_view is None else log.in_view[:, k]
+        if (in_view is not None and in_view.any()) or any(map(np.any, declared)):
+            lanes = [] if in_view is None else [_truth_lane(log, k, in_view)]
+            lanes += [_method_lane(log, k, *pair) for pair in zip(order, declared, strict=True)]
             rows.append((k, lanes))
     return rows
+
+
+def _truth_lane(log: ReportedLog, k: int, in_view: BoolArray) -> Lane:
+    """The row of truth of the k-th ID. in_view: (F,)."""
+    frames = f"{int(in_view.sum())} of {len(in_view)} frames"
+    axis, period = time_axis(log)
+    path = bars(axis, log.time, period, in_view.astype(float))
+    chart = Chart(f"ID.{log.ids[k]} is in view in {frames}", [Shape(path, None, "bar")])
+    return Lane("truth", chart, True)
+
+
+def _method_lane(log: ReportedLog, k: int, method: str, declared: BoolArray) -> Lane:
+    """The row of a method for the k-th ID. declared: (N,) its declarations of that ID."""
+    results = log.results
+    surest = np.zeros(len(results.frame))
+    np.maximum.at(surest, results.frame_index[declared], results.score[declared])
+    claims = len(np.unique(results.frame_index[declared]))
+    axis, period = time_axis(log)
+    shapes = [Shape(bars(axis, log.time, period, surest), k, "bar")]
+    if frames_a_bar(len(log.time)) > 1:
+        mean = bars(axis, log.time, period, surest, mean=True)
+        shapes = [replace(shapes[0], kind="bar faint"), Shape(mean, k, "bar")]
+    text = f"{method} declares ID.{log.ids[k]} in {claims} of {len(surest)} frames"
+    return Lane(method, Chart(text, shapes), False)
 
 
 FOLLOWED = 0.15
@@ -138,41 +148,23 @@ def reliability(curve: Reliability, method: int) -> Chart:
     """
     step = 1 / len(curve.count)
     share = curve.count / max(1, int(curve.count.max()))
-    used = curve.count > 0
     enough = curve.count >= FEW
-    text = [
-        f"stated {stated:.2f}, right in {right:.2f} of {count}"
-        + ("" if many else ", too few to judge")
-        for stated, right, count, many in zip(
-            curve.mean[used],
-            curve.right[used],
-            curve.count[used],
-            enough[used],
-            strict=True,
-        )
-    ]
+    dots = []
+    points = zip(curve.mean, curve.right, curve.count, enough, strict=True)
+    for stated, right, count, many in (point for point in points if point[2]):
+        label = f"stated {stated:.2f}, right in {right:.2f} of {count}"
+        label += "" if many else ", too few to judge"
+        kind = "dot" if many else "few"
+        dots.append(Dot(100 * float(stated), 100 * float(right), label, method, kind))
     ends = np.array([0.0, 1.0])
+    believed = polyline(curve.mean, np.where(enough, curve.right, np.nan))
     shapes = [
         Shape(bars(UNIT, np.arange(len(share)) * step, step, share), None, "bar faint"),
         Shape(polyline(ends, ends), None, "line thin"),
-        Shape(
-            polyline(curve.mean, np.where(enough, curve.right, np.nan)),
-            method,
-            label=curve.method,
-        ),
-    ]
-    dots = [
-        Dot(100 * float(x), 100 * float(y), label, method, "dot" if many else "few")
-        for x, y, label, many in zip(
-            curve.mean[used],
-            curve.right[used],
-            text,
-            enough[used],
-            strict=True,
-        )
+        Shape(believed, method, label=curve.method),
     ]
     return Chart(
-        f"{curve.method}: {'; '.join(text)}",
+        f"{curve.method}: {'; '.join(dot.label for dot in dots)}",
         shapes,
         UNIT.ticks(5),
         UNIT.ticks(5),
@@ -219,35 +211,41 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
     seen = at >= 0
     belief = np.full((len(rows), results.probability.shape[1]), np.nan)
     belief[track.frame_index[seen] - rows[0]] = results.probability[at[seen]]
-    x = axis.share(log.time[rows])
-    shapes, text = [], []
-    for k in [belief.shape[1] - 1, *range(belief.shape[1] - 1)]:
-        name = "none" if k == len(results.landmarks.ids) else f"ID.{results.landmarks.ids[k]}"
-        if np.nanmax(belief[:, k]) < UNSEEN:
-            continue
-        keep = thinned(belief[:, k])
-        colour = None if name == "none" else k
-        kind = "line thin" if colour is None else "line"
-        shapes.append(Shape(polyline(x[keep], belief[keep, k]), colour, kind, name))
-        text.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
-    strip = []
-    for k in range(len(results.landmarks.ids)):
+    shapes, text = _probabilities(log, axis.share(log.time[rows]), belief)
+    declared = []
+    for k in range(len(log.ids)):
         claims = np.zeros(len(rows))
         mine = seen.copy()
         mine[seen] = results.declared[at[seen]] & (results.landmark_index[at[seen]] == k)
         claims[track.frame_index[mine] - rows[0]] = 1
         if mine.any():
-            strip.append(Shape(bars(axis, log.time[rows] - period / 2, period, claims), k, "bar"))
-    count = int(seen.sum())
+            path = bars(axis, log.time[rows] - period / 2, period, claims)
+            declared.append(Shape(path, k, "bar"))
+    frames = number_of(int(seen.sum()), "frame")
+    text = f"{method}, mean probability over {frames}: {text}"
     return TrackPanel(
         method=method,
-        chart=Chart(
-            f"{method}, mean probability over {number_of(count, 'frame')}: {', '.join(text)}",
-            shapes,
-            y_ticks=UNIT.ticks(2),
-        ),
-        declared=Chart(f"frames in which {method} declares an ID", strip),
+        chart=Chart(text, shapes, y_ticks=UNIT.ticks(2)),
+        declared=Chart(f"frames in which {method} declares an ID", declared),
     )
+
+
+def _probabilities(log: ReportedLog, x: FloatArray, belief: FloatArray) -> tuple[list[Shape], str]:
+    """A line per ID and for "none", and their means as text.
+
+    x: (n,) places on the time axis. belief: (n, K + 1), NaN where the object was not seen.
+    """
+    shapes, text = [], []
+    for k in [len(log.ids), *range(len(log.ids))]:  # "none" first, so that IDs lie over it
+        if np.nanmax(belief[:, k]) < UNSEEN:
+            continue
+        name, colour, kind = "none", None, "line thin"
+        if k < len(log.ids):
+            name, colour, kind = f"ID.{log.ids[k]}", k, "line"
+        keep = thinned(belief[:, k])
+        shapes.append(Shape(polyline(x[keep], belief[keep, k]), colour, kind, name))
+        text.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
+    return shapes, ", ".join(text)
 
 
 def truth_strip(log: ReportedLog, track: Track) -> Chart | None:
