@@ -1,4 +1,4 @@
-"""A coarse search for the sonar's motion, where nothing is known of it."""
+"""A coarse search for the sonar's motion, for when nothing is known about it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sonarrec.records import FloatArray, FloatImage
 
 
 class MotionGrid:
-    """Finds a motion where nothing is known of it: the best of a grid, at half the resolution.
+    """Finds the best motion of a grid, at half the resolution.
 
     The later picture is cut into blocks. Each is correlated with the earlier picture around its own
     place; the grid's motions say where each block should be found.
@@ -32,6 +32,7 @@ class MotionGrid:
         )
         motions = np.stack(np.meshgrid(right, ahead, turn, indexing="ij")).reshape(3, -1, 1)
         self._motions = motions[..., 0].T
+        # Rows and columns of the blocks' middles, in cells of the full resolution.
         middle = [
             (np.arange(count) + 0.5) * 2 * size - 0.5
             for count, size in zip(self.BLOCKS, self._block, strict=True)
@@ -40,17 +41,20 @@ class MotionGrid:
         ground = np.sqrt(np.maximum(slant**2 - cells.depth**2, 0.01 * slant**2))
         bearing = cells.bearing + middle[1] * cells.bearing_step
         ground, bearing = (a.ravel() for a in np.meshgrid(ground, bearing, indexing="ij"))
-        row, column = cells.before(ground, bearing, motions)
-        at = [
+        before = cells.before(ground, bearing, motions)
+        # (motions, blocks) by how many cells of half the resolution each motion moves each block.
+        down, across = (
             np.rint((v - m.ravel()) / 2).astype(int)
-            for v, m in zip((row, column), np.meshgrid(*middle, indexing="ij"), strict=True)
-        ]
-        self._reach = tuple(
-            int(min(np.abs(a).max(), side - 1)) for a, side in zip(at, (rows, columns), strict=True)
+            for v, m in zip(before, np.meshgrid(*middle, indexing="ij"), strict=True)
         )
-        high, wide = (2 * n + 1 for n in self._reach)
-        inside = (np.abs(at[0]) <= self._reach[0]) & (np.abs(at[1]) <= self._reach[1])
-        place = (at[0] + self._reach[0]) * wide + at[1] + self._reach[1]
+        most_down = int(min(np.abs(down).max(), rows - 1))
+        most_across = int(min(np.abs(across).max(), columns - 1))
+        self._reach = most_down, most_across
+        # Where `best` has the correlation of each block at that shift: flat indices into an array
+        # (blocks, high, wide), with one more element, 0, for shifts beyond the picture.
+        high, wide = 2 * most_down + 1, 2 * most_across + 1
+        inside = (np.abs(down) <= most_down) & (np.abs(across) <= most_across)
+        place = (down + most_down) * wide + across + most_across
         place += np.arange(place.shape[1]) * high * wide
         self._place = np.where(inside, place, place.shape[1] * high * wide).astype(np.int32)
 
