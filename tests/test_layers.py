@@ -50,7 +50,7 @@ MAY_IMPORT = {
     "sshfs": ("remote.store",),
     "platformdirs": ("remote.cache",),
     "jinja2": ("report.templates",),
-    "tomli_w": ("results.write", "simulation.simulate", "simulation.background"),
+    "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
         "geometry",
         "drawing",

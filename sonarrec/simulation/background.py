@@ -10,7 +10,7 @@ import csv
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,15 @@ from sonarrec.records import (
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.simulate import LandmarkTruth, truth_row, visible_share, write_image
+from sonarrec.simulation.simulate import (
+    TRUTH_COLUMNS,
+    LandmarkTruth,
+    truth_row,
+    truth_rows,
+    visible_share,
+    write_documents,
+    write_image,
+)
 from sonarrec.sonar import Sonar
 
 Span = tuple[int, int | None]
@@ -324,12 +332,12 @@ def _write_frames(
             file = (folder / "gt.csv").open("w", newline="", encoding="utf-8")
             tables.append(csv.writer(stack.enter_context(file), lineterminator="\n"))
         for table in tables:
-            table.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
+            table.writerow(TRUTH_COLUMNS)
         for frame in frames:
             for db, folder in folders.items():
                 write_image(folder / f"{frame.index:06d}.png", frame.images[db])
             for table in tables:
-                table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
+                table.writerows(truth_rows(frame.index, frame.truth))
             if step:
                 step()
 
@@ -338,17 +346,14 @@ def _write_companions(
     folder: Path, background: Background, landmarks: LandmarkSet, document: Mapping[str, Any]
 ) -> None:
     """Write what lies beside the images. document: background.toml. Raises OSError."""
-    import tomli_w  # only writers of TOML need it
-
-    documents = {"background": document, "sonar": {"sonar": _sonar(background).as_table()}}
+    documents = {"background": document}
     if landmarks != load_landmarks("basin"):
-        documents = {"landmarks": landmarks.as_table(), **documents}
+        documents["landmarks"] = landmarks.as_table()
     if background.has_poses:
         _write_poses(folder / "poses.csv", background)
     # sonar.toml comes last: a folder without geometry is not taken for a whole recording.
-    for name, table in documents.items():
-        text = tomli_w.dumps(table)
-        (folder / f"{name}.toml").write_text(text, encoding="utf-8", newline="")
+    documents["sonar"] = {"sonar": _sonar(background).as_table()}
+    write_documents(folder, documents)
 
 
 def _doubts(where: str, stated_db: float | None, unknown: int, frames: int) -> list[str]:

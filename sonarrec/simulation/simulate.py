@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,6 +67,15 @@ class LandmarkTruth:
     bearing_deg: float
     visible: float
     orientation_deg: float
+
+
+TRUTH_COLUMNS = ("frame", *(f.name for f in fields(LandmarkTruth)))
+"""Of gt.csv."""
+
+
+def truth_rows(frame: int, truth: Iterable[LandmarkTruth]) -> Iterator[list[object]]:
+    """The rows of gt.csv for one frame."""
+    return ([frame, *asdict(landmark).values()] for landmark in truth)
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,12 +439,11 @@ def write_recording(
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file, lineterminator="\n")
-            table.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
+            table.writerow(TRUTH_COLUMNS)
             for frame in frames:
-                table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
+                table.writerows(truth_rows(frame.index, frame.truth))
                 if progress:
                     progress(frame.index + 1)
-        # Last: a folder without geometry is not taken for a whole recording.
         _describe(scene, sonar, folder, prefix)
     except OSError as error:
         raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
@@ -464,11 +473,18 @@ def _stated_beside(sonar: Sonar, schema: str) -> Sonar:
 
 def _describe(scene: Scene, sonar: Sonar, folder: Path, prefix: str) -> None:
     """Write scene.toml, sonar.toml and, if the landmark set is not basin, landmarks.toml."""
-    import tomli_w  # only writers of TOML need it
-
-    documents = {"scene": scene_table(scene), "sonar": {"sonar": sonar.as_table()}}
+    documents = {"scene": scene_table(scene)}
     if scene.landmark_set != load_landmarks("basin"):
         documents["landmarks"] = scene.landmark_set.as_table()
+    # sonar.toml comes last: a folder without geometry is not taken for a whole recording.
+    documents["sonar"] = {"sonar": sonar.as_table()}
+    write_documents(folder, documents, prefix)
+
+
+def write_documents(folder: Path, documents: Mapping[str, Any], prefix: str = "") -> None:
+    """Write each document as <prefix><name>.toml, in order. Raises OSError."""
+    import tomli_w  # only writers of TOML need it
+
     for name, document in documents.items():
         text = tomli_w.dumps(document)
         (folder / f"{prefix}{name}.toml").write_text(text, encoding="utf-8", newline="")
