@@ -4,8 +4,8 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes pictures returns worlds ablation taught study speeds pans maps model regression kills scale \
-	scoring clean
+	paper-prediction scenes pictures stated returns worlds ablation taught study speeds pans maps model \
+	regression kills scale scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -64,6 +64,9 @@ scenes: .venv/installed  # every kind of random scene, all methods, beside the g
 
 pictures: .venv/installed  # what viewers, codecs and worn sonars do to pictures, and what is recognised
 	$(BIN)/python -m tests.studies.pictures
+
+stated: .venv/installed  # what it costs to state the geometry or the landmarks' size wrongly
+	$(BIN)/python -m tests.studies.stated
 
 returns: .venv/installed  # what is claimed of landmarks out of view, and when they come back
 	$(BIN)/python -m tests.studies.returns
