@@ -97,6 +97,13 @@ class Log:
         notes = list(self._raw.header_info.notes)
         if self._unset:
             notes.append("the header stamps of its first frames are 0; --time log is used instead")
+        stated_hz, playback_hz = self.stated.frame_rate_hz, self._raw.playback_hz
+        if stated_hz and playback_hz and abs(stated_hz / playback_hz - 1) > 0.05:
+            notes.append(
+                f"frame_rate_hz = {stated_hz:g} is not used, since the video has times, of "
+                f"{playback_hz:g} frames per second; if it was not recorded at that rate, export "
+                "it again, or as images"
+            )
         return [f"{name_as_text(self.path)}: {note}" for note in notes] + self._make.notes
 
     def __enter__(self) -> Log:

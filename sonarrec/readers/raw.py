@@ -72,9 +72,10 @@ class RawLog(ABC):
 
     frame_count: number of frames; None if unknown before the end. topic: the channel read; None if
     the log has no channels. polar: whether frames state their own geometry. header_info: for a
-    sonar's own file. faults: lines about what is wrong with the log as a whole, complete after the
-    pass. passed_over: numbers of frames that are not needed; they are yielded without pixels and
-    without a problem. It may be set during the pass.
+    sonar's own file. playback_hz: of a video, the rate that its times follow. faults: lines about
+    what is wrong with the log as a whole, complete after the pass. passed_over: numbers of frames
+    that are not needed; they are yielded without pixels and without a problem. It may be set during
+    the pass.
     """
 
     def __init__(self) -> None:
@@ -83,6 +84,7 @@ class RawLog(ABC):
         self.polar = False
         self.faults: list[str] = []
         self.header_info = HeaderInfo()
+        self.playback_hz: float | None = None
         self.passed_over = range(0)
 
     def geometry(self, stated: Sonar) -> Sonar:

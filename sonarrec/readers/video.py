@@ -45,7 +45,7 @@ class VideoFrames(RawLog):
         count = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
         self.frame_count = round(count) if 0 < count < 1e9 else None
         rate = self._video.get(cv2.CAP_PROP_FPS)
-        self._period_ns = 1e9 / rate if 0 < rate < 1e6 else None
+        self.playback_hz = rate if 0 < rate < 1e6 else None
         self._path, self._name = path, name
 
     def __iter__(self) -> Iterator[RawFrame]:
@@ -61,8 +61,8 @@ class VideoFrames(RawLog):
             if at_ns > last_ns:
                 last_ns = timestamp_ns = at_ns
             else:  # a container without times of its own
-                period = self._period_ns
-                timestamp_ns = None if period is None else round(index * period)
+                rate = self.playback_hz
+                timestamp_ns = None if rate is None else round(index * (1e9 / rate))
             yield RawFrame(f"frame {index}", timestamp_ns, pixels)
             index += 1
         count = max(self.frame_count or 0, self._packets())

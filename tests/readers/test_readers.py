@@ -261,6 +261,17 @@ def test_a_log_that_begins_with_faults_is_settled_before_a_span(tmp_path: Path) 
     assert told == ["frame0.png", "frame1.png", "frame2.png", "frame7.png"]
 
 
+@pytest.mark.parametrize(("stated_hz", "noted"), [(4.0, False), (25.0, True), (None, False)])
+def test_a_stated_rate_that_a_video_overrides_is_noted(
+    stated_hz: float | None, noted: bool, tmp_path: Path
+) -> None:
+    """Its times come from its container, here of 4 frames per second."""
+    path = lossless_video(".avi")(tmp_path, frames(3))
+    with open_log(path, sonar=Sonar(frame_rate_hz=stated_hz)) as log:
+        assert [frame.timestamp_ns for frame in log] == [0, 250_000_000, 500_000_000]
+        assert any("frame_rate_hz = 25 is not used" in note for note in log.notes) == noted
+
+
 @pytest.mark.parametrize(
     ("suffix", "codec"), [(".avi", "MJPG"), (".mp4", "mp4v"), (".mkv", "mp4v")]
 )
