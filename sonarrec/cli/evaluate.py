@@ -11,18 +11,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.endings import PARTLY, leave, say, tell
-from sonarrec.cli.groups import (
-    BATCH,
-    FILE,
-    INPUT,
-    OUTPUT,
-    SCORING,
-    FiniteRange,
-    command,
-    file_names,
-    option,
+from sonarrec.cli.groups import BATCH, OUTPUT, SCORING, FiniteRange, command, option
+from sonarrec.cli.options import (
+    compare_option,
+    ground_truth_option,
+    out_option,
+    pairs_option,
+    quiet_option,
+    scoring_options,
 )
-from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
 from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError
 
@@ -40,21 +37,8 @@ if TYPE_CHECKING:
 @ground_truth_option(
     "gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.", kind=FILE_OR_URL
 )
-@option(
-    INPUT,
-    "--pairs",
-    type=FILE,
-    help="In place of RESULTS and truth: a CSV with the columns results,ground_truth[,log], a row "
-    "per log. With --compare: the truth of each log.",
-)
-@option(
-    INPUT,
-    "--compare",
-    type=(ANY_OR_URL, ANY_OR_URL),
-    shell_complete=file_names,
-    metavar="OLD NEW",
-    help="In place of RESULTS: what got better or worse from OLD to NEW, frame by frame.",
-)
+@pairs_option
+@compare_option("what got better or worse from OLD to NEW, frame by frame.")
 @option(
     SCORING,
     "--fail-on-regression",
@@ -140,107 +124,107 @@ def evaluate(
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression needs --compare")
     from sonarrec.evaluation.matching.pairs import read_pairs
-    from sonarrec.remote.run import RemoteFiles
+    from sonarrec.remote.run import RemoteFiles, inside
 
+    results = results or Path("sonarrec_out")
+    beside = results if pairs is None else pairs.parent
     with ExitStack() as stack:  # outputs are uploaded as it closes, so leave() comes after it
         remote = RemoteFiles(stack, cache.cache)
-        truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
-        printing = _PrintOptions(details, as_json, quiet)
+        call = _Call(
+            truth=remote.file(ground_truth) if pairs is None else read_pairs(pairs),
+            scoring=scoring,
+            unit=unit,
+            jobs=jobs,
+            out=out or inside(beside if compare is None else compare[1], "evaluation"),
+            remote=remote,
+            as_json=as_json,
+            quiet=quiet,
+        )
         if compare is not None:
-            code = _compare(compare, truth, out, band, unit, jobs, printing, scoring, remote)
+            code = _compare(call, compare, band)
         else:
-            results = results or Path("sonarrec_out")
-            code = _score(results, truth, pairs, out, unit, jobs, det, printing, scoring, remote)
+            code = _score(call, results, details=details, det=det)
     if code:
         leave(code)
 
 
 @dataclass(frozen=True, slots=True)
-class _PrintOptions:
-    """What is printed on stdout."""
+class _Call:
+    """What scoring and comparing have in common. unit: None to choose it by the number of logs."""
 
-    details: bool
+    truth: Truth
+    scoring: ScoringOptions
+    unit: Any
+    jobs: int | None
+    out: Path | str
+    remote: RemoteFiles
     as_json: bool
     quiet: bool
 
-    def on_stderr(self, notes: Sequence[str]) -> Sequence[str]:
-        """The notes, if stdout does not show them."""
-        return notes if self.quiet and not self.as_json else ()
+    def tell(self, unused: Sequence[str], notes: Sequence[str]) -> None:
+        """Print on stderr what could not be used, and the notes if stdout does not show them."""
+        tell(unused, notes if self.quiet and not self.as_json else ())
+
+    def say_written(self, notes: Sequence[str], folder: Path, files: Sequence[str]) -> None:
+        """Print the notes and the files that were written."""
+        for note in notes:
+            say(f"note: {note}")
+        say(f"{self.remote.with_server_names(str(folder))}: {', '.join(files)}")
 
 
-def _score(
-    results: Path | str,
-    truth: Truth,
-    pairs: Path | None,
-    out: Path | str | None,
-    unit: Any,
-    jobs: int | None,
-    det: bool,
-    printing: _PrintOptions,
-    scoring: ScoringOptions,
-    remote: RemoteFiles,
-) -> int:
-    """Score and print; returns the exit code."""
+def _score(call: _Call, results: Path | str, *, details: bool, det: bool) -> int:
+    """Score and print; returns the exit code. results: not used if the truth is a list of pairs."""
     from sonarrec.evaluation import tabulate, write
     from sonarrec.evaluation.evaluate import evaluate_many
     from sonarrec.evaluation.summary import summarise
-    from sonarrec.remote.run import inside
 
+    truth, remote = call.truth, call.remote
     if isinstance(truth, list):  # pairs name the results too
-        result = evaluate_many(truth, None, scoring, jobs=jobs)
+        result = evaluate_many(truth, None, call.scoring, jobs=call.jobs)
     else:
-        folder_given = remote.results(results)
-        result = evaluate_many(folder_given, truth, scoring, jobs=jobs, find_beside=remote.beside)
-    folder = remote.output(out or inside(results if pairs is None else pairs.parent, "evaluation"))
+        result = evaluate_many(
+            remote.results(results),
+            truth,
+            call.scoring,
+            jobs=call.jobs,
+            find_beside=remote.beside,
+        )
+    folder = remote.output(call.out)
     result = replace(
         result,
         notes=tuple(map(remote.with_server_names, result.notes)),
         unused=tuple(map(remote.with_server_names, result.unused)),
     )
-    summary = summarise(result, unit)
+    summary = summarise(result, call.unit)
     files = write.write_evaluation(folder, result, summary, det)
     unused, notes = [*remote.unused, *result.unused], [*result.notes, *summary.notes]
-    tell(unused, printing.on_stderr(notes))
-    if printing.as_json:
+    call.tell(unused, notes)
+    if call.as_json:
         click.echo(write.json_text(write.as_json(result, summary)), nl=False)
-    elif not printing.quiet:
+    elif not call.quiet:
         click.echo(tabulate.screen(result))
-        click.echo(tabulate.summary_screen(result, summary, printing.details))
-        for note in notes:
-            say(f"note: {note}")
-        say(f"{remote.with_server_names(str(folder))}: {', '.join(files)}")
+        click.echo(tabulate.summary_screen(result, summary, details))
+        call.say_written(notes, folder, files)
     return PARTLY if unused else 0
 
 
-def _compare(
-    sides: tuple[Path | str, Path | str],
-    truth: Truth,
-    out: Path | str | None,
-    band: float | None,
-    unit: Any,
-    jobs: int | None,
-    printing: _PrintOptions,
-    scoring: ScoringOptions,
-    remote: RemoteFiles,
-) -> int:
-    """Compare and print; returns the exit code."""
+def _compare(call: _Call, sides: tuple[Path | str, Path | str], band: float | None) -> int:
+    """Compare and print; returns the exit code. band: of --fail-on-regression."""
     from sonarrec.evaluation.compare.screen import screen
     from sonarrec.evaluation.compare.write import comparison_json, write_comparison
-    from sonarrec.remote.run import inside
 
-    result = compare_sides(sides, truth, scoring, remote, unit, jobs)
-    folder = remote.output(out or inside(sides[1], "evaluation"))
+    remote = call.remote
+    result = compare_sides(sides, call.truth, call.scoring, remote, call.unit, call.jobs)
+    folder = remote.output(call.out)
     files = write_comparison(folder, result)
     unused = [*remote.unused, *result.unused]
-    tell(unused, printing.on_stderr(result.notes))
-    if printing.as_json:
+    call.tell(unused, result.notes)
+    if call.as_json:
         for piece in comparison_json(result):
             click.echo(piece, nl=False)
-    elif not printing.quiet:
+    elif not call.quiet:
         click.echo(screen(result))
-        for note in result.notes:
-            say(f"note: {note}")
-        say(f"{remote.with_server_names(str(folder))}: {', '.join(files)}")
+        call.say_written(result.notes, folder, files)
     regressions = [] if band is None else result.regressions(band)
     tell(f"worse: {line}" for line in regressions)
     return 1 if regressions else PARTLY if unused else 0

@@ -21,6 +21,7 @@ from sonarrec.cli.groups import (
     option,
 )
 from sonarrec.cli.options_log import GEOMETRY_OPTIONS, LogChoice
+from sonarrec.cli.options_remote import ANY_OR_URL
 from sonarrec.records import UsageError
 
 # Results and truth
@@ -44,6 +45,27 @@ def ground_truth_option(text: str, required: bool = False, kind: click.Path = FI
     """--ground-truth. text: what it is for. kind: FILE_OR_URL if it may be on a server."""
     text = f"{text} Columns: sonarrec help truth."
     return option(INPUT, "--ground-truth", type=kind, required=required, help=text)
+
+
+pairs_option = option(
+    INPUT,
+    "--pairs",
+    type=FILE,
+    help="In place of RESULTS and truth: a CSV with the columns results,ground_truth[,log], a row "
+    "per log. With --compare: the truth of each log.",
+)
+
+
+def compare_option(text: str) -> Decorator:
+    """--compare OLD NEW. text: what is made of the two."""
+    return option(
+        INPUT,
+        "--compare",
+        type=(ANY_OR_URL, ANY_OR_URL),
+        shell_complete=file_names,
+        metavar="OLD NEW",
+        help=f"In place of RESULTS: {text}",
+    )
 
 
 _SCORING = {

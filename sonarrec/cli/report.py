@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from sonarrec.cli.endings import end, say, tell
-from sonarrec.cli.groups import FILE, INPUT, OUTPUT, command, file_names, option
-from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
+from sonarrec.cli.groups import INPUT, OUTPUT, command, option
+from sonarrec.cli.options import (
+    compare_option,
+    ground_truth_option,
+    out_option,
+    pairs_option,
+    quiet_option,
+    scoring_options,
+)
 from sonarrec.cli.options_log import topic_option
 from sonarrec.cli.options_remote import (
     ANY_OR_URL,
@@ -25,27 +32,16 @@ from sonarrec.records import UsageError, number_of
 if TYPE_CHECKING:
     from sonarrec.evaluation.matching.options import ScoringOptions
     from sonarrec.remote.run import RemoteFiles
+    from sonarrec.report.build import Report
 
 
 @command(short_help="Write results as one HTML page.")
 @click.argument("results", type=ANY_OR_URL, required=False)
 @ground_truth_option("gt.csv; without it nothing is scored.", kind=FILE_OR_URL)
-@option(
-    INPUT,
-    "--compare",
-    type=(ANY_OR_URL, ANY_OR_URL),
-    shell_complete=file_names,
-    metavar="OLD NEW",
-    help="In place of RESULTS: a page on what got better or worse from OLD to NEW. Truth is given, "
-    "or found beside each log.",
+@compare_option(
+    "a page on what got better or worse from OLD to NEW. Truth is given, or found beside each log."
 )
-@option(
-    INPUT,
-    "--pairs",
-    type=FILE,
-    help="In place of RESULTS and truth: a CSV with the columns results,ground_truth[,log], a row "
-    "per log. With --compare: the truth of each log.",
-)
+@pairs_option
 @option(
     INPUT,
     "--log",
@@ -107,16 +103,33 @@ def report(
     if pairs is not None and ground_truth is not None:
         raise UsageError("--pairs names the truth of each log; leave out --ground-truth")
 
-    from sonarrec.remote.run import RemoteFiles
+    from sonarrec.remote.run import RemoteFiles, inside
+    from sonarrec.report.build import write_report
 
+    results = results or Path("sonarrec_out")
+    beside = results if pairs is None else pairs.parent
+    name = "report.html"
+    if compare is not None:
+        beside, name = compare[1], "compare.html"
     with ExitStack() as stack:  # the page is uploaded as this closes
         remote = RemoteFiles(stack, cache.cache)
         truth = remote.file(ground_truth)
+        path = remote.output(out or inside(beside, name), name)
+        unused: Sequence[str]
         if compare is not None:
-            unused, line = _compare(compare, truth, pairs, out, scoring, remote)
+            unused, line = _compare(path, compare, truth, pairs, scoring, remote)
         else:
-            page_options = {"topic": topic, "method": method, "options": scoring}
-            unused, line = _report(results, truth, pairs, recordings, out, page_options, remote)
+            page = write_report(
+                path,
+                remote.results(results) if pairs is None else None,
+                ground_truth=truth,
+                pairs=pairs,
+                recordings=[remote.log(recording) for recording in recordings],
+                topic=topic,
+                method=method,
+                options=scoring,
+            )
+            unused, line = page.unused, _line(page)
         unused = [*remote.unused, *map(remote.with_server_names, unused)]
         tell(unused)
         if not quiet:
@@ -124,52 +137,28 @@ def report(
     end(unused)
 
 
-def _report(
-    results: Path | str | None,
-    ground_truth: Path | None,
-    pairs: Path | None,
-    recordings: tuple[Path | str, ...],
-    out: Path | str | None,
-    page_options: dict[str, Any],
-    remote: RemoteFiles,
-) -> tuple[Sequence[str], str]:
-    """Write the page; returns what could not be used, and a line to print."""
-    from sonarrec.remote.run import inside
-    from sonarrec.report.build import write_report
-
-    results = None if pairs else results or Path("sonarrec_out")
-    beside = pairs.parent if pairs else results
-    assert beside is not None
-    page = write_report(
-        remote.output(out or inside(beside, "report.html"), "report.html"),
-        None if results is None else remote.results(results),
-        ground_truth=ground_truth,
-        pairs=pairs,
-        recordings=[remote.log(recording) for recording in recordings],
-        **page_options,
-    )
+def _line(page: Report) -> str:
+    """The line to print about a page of results."""
     size = page.path.stat().st_size / 1e6
     pictures = number_of(page.pictures, "picture")
     clickable = f", {number_of(page.held, 'frame')} to click" if page.held else ""
-    return page.unused, f"{page.path}: {size:.1f} MB, {pictures}{clickable}"
+    return f"{page.path}: {size:.1f} MB, {pictures}{clickable}"
 
 
 def _compare(
+    page: Path,
     sides: tuple[Path | str, Path | str],
     ground_truth: Path | None,
     pairs: Path | None,
-    out: Path | str | None,
     scoring: ScoringOptions,
     remote: RemoteFiles,
 ) -> tuple[Sequence[str], str]:
-    """Write the page; returns what could not be used, and a line to print."""
+    """Write the page of a comparison; returns what could not be used, and a line to print."""
     from sonarrec.cli.evaluate import compare_sides
     from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.files.outputs import check_output
-    from sonarrec.remote.run import inside
     from sonarrec.report.compare import write_comparison_page
 
-    page = remote.output(out or inside(sides[1], "compare.html"), "compare.html")
     check_output(page, "comparison", [ground_truth, pairs])
     truth = ground_truth if pairs is None else read_pairs(pairs)
     comparison = compare_sides(sides, truth, scoring, remote)
