@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -56,7 +57,6 @@ if TYPE_CHECKING:
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
 @cache_options
 @quiet_option
-# Long by its options and its help.
 def info(
     log: tuple[str, ...],
     recursive: bool,
@@ -92,53 +92,95 @@ def info(
     """
     from sonarrec.results.run_file import PROGRAM
 
-    tables: list[dict[str, Any]] = []
-    useless = missing = faulty = 0
-    undone: SonarrecError | None = None  # a preview or trial that failed
     logs = named_logs(log, from_file, recursive)
     names = [_name(item) for item in logs]
     if preview is not None:
         _check_preview(preview, names)
-    stated = log_choice.arguments()
-    for number, (name, item) in enumerate(zip(names, logs, strict=True)):
-        reading = {**stated}
-        with ExitStack() as stack:
-            try:
-                path, reading["up_to"], origin = _at_hand(item, cache, quiet, stack)
-                log_info = _describe(path, reading, origin, quick, quiet)
-            except SonarrecError as error:
-                if isinstance(error, UsageError) and not isinstance(error, MissingError):
-                    raise
-                useless += 1
-                missing += isinstance(error, MissingError)
-                tables.append({"path": name, "error": str(error)})
-                tell([str(error)])
-                continue
-            useless += log_info.has_no_frame
-            faulty += log_info.has_problems
-            table = log_info.as_table()
-            tables.append(table)
-            if not as_json:
-                say(*([""] if number else []), *lines(log_info))
-            try:
-                if preview is not None:
-                    _draw_preview(path, preview, landmarks, reading)
-                if try_radii:
-                    trials = _try_radii(path, log_info, landmarks, reading, quiet)
-                    table["radii"] = trials.as_table()
-                    if not as_json:
-                        say(*radii_lines(trials))
-            except SonarrecError as error:  # raised at the end
-                undone = error
+    wanted = _Wanted(
+        reading=log_choice.arguments(),
+        landmarks=landmarks,
+        quick=quick,
+        preview=preview,
+        try_radii=try_radii,
+        as_json=as_json,
+        cache=cache,
+        quiet=quiet,
+    )
+    shown = [
+        _show(item, name, wanted, number)
+        for number, (item, name) in enumerate(zip(logs, names, strict=True))
+    ]
     if as_json:
         head = {"program": PROGRAM, "version": PROGRAM["version"]}
-        click.echo(json.dumps({**head, "logs": tables}, indent=2))
-    if undone is not None:
-        raise undone
-    if useless == len(logs):
-        leave(2 if missing == useless else 1)
-    if useless or faulty:
+        click.echo(json.dumps({**head, "logs": [one.table for one in shown]}, indent=2))
+    for one in reversed(shown):
+        if one.undone is not None:
+            raise one.undone
+    if all(one.is_useless for one in shown):
+        leave(2 if all(one.is_missing for one in shown) else 1)
+    if any(one.is_useless or one.is_faulty for one in shown):
         leave(PARTLY)
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """How logs are read, and what is printed and drawn of each. reading: as for `open_log`."""
+
+    reading: dict[str, Any]
+    landmarks: str | None
+    quick: bool
+    preview: Path | None
+    try_radii: bool
+    as_json: bool
+    cache: CacheChoice
+    quiet: bool
+
+
+@dataclass(slots=True)
+class _Shown:
+    """What came of one log.
+
+    table: for JSON. is_useless: not one frame can be used. is_missing: there is no such log.
+    is_faulty: a part cannot be used. undone: why the preview or the trial of radii failed.
+    """
+
+    table: dict[str, Any]
+    is_useless: bool
+    is_missing: bool = False
+    is_faulty: bool = False
+    undone: SonarrecError | None = None
+
+
+def _show(log: NamedLog | RemoteLog, name: str, wanted: _Wanted, number: int) -> _Shown:
+    """Describe a log and print it. number: how many logs come before.
+
+    A fault of the log is printed; raises UsageError for options that cannot be used with it.
+    """
+    with ExitStack() as stack:
+        try:
+            path, up_to, origin = _at_hand(log, wanted.cache, wanted.quiet, stack)
+            reading = {**wanted.reading, "up_to": up_to}
+            log_info = _describe(path, reading, origin, wanted.quick, wanted.quiet)
+        except SonarrecError as error:
+            is_missing = isinstance(error, MissingError)
+            if isinstance(error, UsageError) and not is_missing:
+                raise
+            tell([str(error)])
+            return _Shown({"path": name, "error": str(error)}, True, is_missing)
+        shown = _Shown(log_info.as_table(), log_info.has_no_frame, is_faulty=log_info.has_problems)
+        if not wanted.as_json:
+            say(*([""] if number else []), *lines(log_info))
+        try:
+            if wanted.preview is not None:
+                _draw_preview(path, wanted.preview, wanted.landmarks, reading)
+            if wanted.try_radii:
+                trials = _try_radii(path, log_info, wanted.landmarks, reading, wanted.quiet)
+                shown.table["radii"] = trials.as_table()
+                if not wanted.as_json:
+                    say(*radii_lines(trials))
+        except SonarrecError as error:
+            shown.undone = error  # raised after all logs
+    return shown
 
 
 def _name(log: NamedLog | RemoteLog) -> str:
