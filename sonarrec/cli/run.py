@@ -7,7 +7,7 @@ import signal
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import TIMEOUT_MAX
 from typing import IO, TYPE_CHECKING
@@ -23,7 +23,7 @@ from sonarrec.cli.endings import (
     say,
     tell,
 )
-from sonarrec.cli.groups import BATCH, INPUT, NEW_FILE, OUTPUT, command, file_names, option
+from sonarrec.cli.groups import BATCH, INPUT, NEW_FILE, OUTPUT, as_one, command, file_names, option
 from sonarrec.cli.options import (
     SettingsChoice,
     frames_option,
@@ -55,6 +55,95 @@ if TYPE_CHECKING:
 
 
 _ODOMETRY = odometry_options(INPUT)
+_BATCH = {
+    "jobs": option(
+        BATCH,
+        "-j",
+        "--jobs",
+        type=click.IntRange(min=1),
+        help="How many logs run at once, each in its own process; 1: one after the other, in this "
+        "process.  [default: the number of cores]",
+    ),
+    "retry_failed": option(
+        BATCH,
+        "--retry-failed",
+        is_flag=True,
+        help="Run only the logs that are failed or partial in OUT/logs.csv, from the start.",
+    ),
+    "dry_run": option(
+        BATCH,
+        "--dry-run",
+        is_flag=True,
+        help="Print what would be done with each log and why; write nothing.",
+    ),
+    "timeout": option(
+        BATCH,
+        "--timeout",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="SECONDS",
+        help="Stop a log that takes longer.",
+    ),
+    "shard": option(
+        BATCH,
+        "--shard",
+        metavar="I/N",
+        help="Run only every N-th log, from the I-th: see help cluster.",
+    ),
+    "scheduler": option(
+        BATCH,
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help "
+        "cluster.",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """Which of the logs are run, and how: the options of many logs."""
+
+    jobs: int | None
+    retry_failed: bool
+    dry_run: bool
+    timeout: float | None
+    shard: str | None
+    scheduler: str | None
+
+    def check_timeout(self) -> None:
+        """Raise UsageError if a thread cannot wait so long."""
+        timeout = self.timeout
+        if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
+            raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
+
+    def of_shard(self, tasks: list[Task]) -> list[Task]:
+        """The tasks of the shard I/N, or all without --shard. Raises UsageError."""
+        if self.shard is None:
+            return tasks
+        i, _, n = self.shard.partition("/")
+        if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
+            raise UsageError(f"--shard {self.shard}: expected I/N with I from 1 to N, such as 2/8")
+        return tasks[int(i) - 1 :: int(n)]
+
+    def run(self, tasks: list[Task], watch: Watch, jobs: int) -> None:
+        """Run the tasks, `jobs` at once. It returns when all have ended."""
+        from sonarrec.batch.cores import cores
+        from sonarrec.batch.processes import run_apart, run_here
+
+        if self.scheduler is not None:
+            from sonarrec.batch.cluster import run_on_cluster
+
+            run_on_cluster(tasks, self.scheduler, watch, self.timeout)
+            return
+        # If cores are free, each log uses a second one, which reads and selects candidates ahead.
+        tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
+        if jobs > 1 or self.timeout is not None:
+            run_apart(tasks, jobs, watch, self.timeout)
+        else:
+            run_here(tasks, watch)
+
+
+_batch_options = as_one("batch", _BATCH, lambda values: _Batch(**values))
 
 
 @command(short_help="Recognise the landmarks in logs.")
@@ -92,46 +181,7 @@ _ODOMETRY = odometry_options(INPUT)
     is_flag=True,
     help="Run logs again that are up to date, and replace results of another log of the same name.",
 )
-@option(
-    BATCH,
-    "-j",
-    "--jobs",
-    type=click.IntRange(min=1),
-    help="How many logs run at once, each in its own process; 1: one after the other, in this "
-    "process.  [default: the number of cores]",
-)
-@option(
-    BATCH,
-    "--retry-failed",
-    is_flag=True,
-    help="Run only the logs that are failed or partial in OUT/logs.csv, from the start.",
-)
-@option(
-    BATCH,
-    "--dry-run",
-    is_flag=True,
-    help="Print what would be done with each log and why; write nothing.",
-)
-@option(
-    BATCH,
-    "--timeout",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="SECONDS",
-    help="Stop a log that takes longer.",
-)
-@option(
-    BATCH,
-    "--shard",
-    metavar="I/N",
-    help="Run only every N-th log, from the I-th: see help cluster.",
-)
-@option(
-    BATCH,
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help "
-    "cluster.",
-)
+@_batch_options
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 @cache_options
 @verbose_option
@@ -152,12 +202,7 @@ def run(
     tables: str,
     odometry_out: Path | None,
     overwrite: bool,
-    jobs: int | None,
-    retry_failed: bool,
-    dry_run: bool,
-    timeout: float | None,
-    shard: str | None,
-    scheduler: str | None,
+    batch: _Batch,
     as_json: bool,
     cache: CacheChoice,
     verbose: bool,
@@ -201,8 +246,7 @@ def run(
         settings.configs(), landmarks, model, settings.file, tables == "parquet"
     )
     run_options.check()
-    if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
-        raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
+    batch.check_timeout()
     logs = named_logs(log, from_file, recursive)
     tell([], _unquoted_glob_notes(logs))
     if odometry is not None and len(logs) > 1:
@@ -211,11 +255,11 @@ def run(
         read_poses(odometry)  # so that a fault is reported once, not for each log
     outbox = _outbox(out, cache)
     local_out = Path(out) if outbox is None else outbox.folder
-    tasks = _shard(
-        _tasks(logs, local_out, log_options, run_options, overwrite, outbox, cache), shard
+    tasks = batch.of_shard(
+        _tasks(logs, local_out, log_options, run_options, overwrite, outbox, cache)
     )
     unfinished = 0
-    if retry_failed:
+    if batch.retry_failed:
         tasks, unfinished = _again(tasks, local_out, outbox)
     if not tasks:
         hint = f"; {number_of(unfinished, 'log')} not finished: run without --retry-failed"
@@ -223,17 +267,17 @@ def run(
         return
     if odometry_out is not None:
         _check_odometry_out(odometry_out, tasks, odometry)
-    if dry_run:
+    if batch.dry_run:
         _plan(tasks)
         return
-    jobs = min(jobs or cores(), len(tasks))
+    jobs = min(batch.jobs or cores(), len(tasks))
     table = LogsTable(local_out, tasks, alone=len(logs) == 1)
     watch = RunWatch(
         tasks, table, local_out, outbox, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json
     )
     folders = [local_out / task.name for task in tasks]
     with _stoppable(folders), watch:
-        _run(tasks, watch, jobs, timeout, scheduler)
+        batch.run(tasks, watch, jobs)
     if len(tasks) == 1 and watch.error is not None:
         raise watch.error
     if odometry_out is not None:
@@ -276,25 +320,6 @@ def _write_odometry(path: Path, out: Path | str, name: str, cache: CacheChoice) 
         write_path(RemoteFiles(stack, cache.cache).results(inside(out, name)), path)
 
 
-def _run(
-    tasks: list[Task], watch: Watch, jobs: int, timeout: float | None, scheduler: str | None
-) -> None:
-    from sonarrec.batch.cores import cores
-    from sonarrec.batch.processes import run_apart, run_here
-
-    if scheduler is not None:
-        from sonarrec.batch.cluster import run_on_cluster
-
-        run_on_cluster(tasks, scheduler, watch, timeout)
-        return
-    # If cores are free, each log uses a second one, which reads and selects candidates ahead.
-    tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
-    if jobs > 1 or timeout is not None:
-        run_apart(tasks, jobs, watch, timeout)
-    else:
-        run_here(tasks, watch)
-
-
 def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:
     """The Outbox, if OUT is on a server."""
     from sonarrec.remote.urls import is_url, parse_url
@@ -315,6 +340,7 @@ def _tasks(
     outbox: Outbox | None,
     cache: CacheChoice,
 ) -> list[Task]:
+    """A task for each log. out: the local folder of the results."""
     from sonarrec.batch.task import Task
     from sonarrec.pipeline.run import result_names
     from sonarrec.remote.find import RemoteLog
@@ -323,13 +349,13 @@ def _tasks(
     tasks = []
     names = result_names([log if isinstance(log, RemoteLog) else log.path for log in logs])
     for log, name in zip(logs, names, strict=True):
-        remote = log if isinstance(log, RemoteLog) else None
+        if isinstance(log, RemoteLog):
+            remote, path, up_to = log, log.redacted_url, None
+        else:
+            remote, path, up_to = None, log.path, log.up_to
         places = None
         if remote or outbox:
             places = RemotePlaces(cache.cache(), remote, outbox.url if outbox else None)
-        path, up_to = (
-            (log.redacted_url, None) if isinstance(log, RemoteLog) else (log.path, log.up_to)
-        )
         options = replace(log_options, up_to=up_to)
         tasks.append(Task(path, name, str(out), options, run_options, overwrite, places))
     return tasks
@@ -345,6 +371,7 @@ def _again(tasks: list[Task], out: Path, box: Outbox | None) -> tuple[list[Task]
 
 
 def _plan(tasks: list[Task]) -> None:
+    """Print what would be done with each log: --dry-run."""
     from sonarrec.batch.task import plan_task
 
     faults = 0
@@ -357,16 +384,6 @@ def _plan(tasks: list[Task]) -> None:
         say(f"{task.path}: {plan}")
     if faults:
         leave(FAILED if faults == len(tasks) else PARTLY)
-
-
-def _shard(tasks: list[Task], shard: str | None) -> list[Task]:
-    """The tasks of the shard I/N, or all if it is None. Raises UsageError."""
-    if shard is None:
-        return tasks
-    i, _, n = shard.partition("/")
-    if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
-        raise UsageError(f"--shard {shard}: expected I/N with I from 1 to N, such as 2/8")
-    return tasks[int(i) - 1 :: int(n)]
 
 
 class _Terminated(KeyboardInterrupt):
