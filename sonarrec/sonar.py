@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sonarrec.files.toml import Finite, from_table, read_toml
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import ColourMap, SonarrecError, UsageError
 
 MIN_WINDOW_M = 0.01
 STEEPEST_TILT_DEG = 89.0  # that is assumed; at 90 every disc would be a line in the image (Eq. 1)
@@ -27,18 +27,6 @@ frame_rate_hz = 4.0         # where frames carry no time; optional
 """
 
 BeamOrder = Literal["range-major", "beam-major"]
-ColourMap = Literal[
-    "luminance",
-    "hot",
-    "inferno",
-    "jet",
-    "magma",
-    "ocean",
-    "parula",
-    "plasma",
-    "turbo",
-    "viridis",
-]
 
 
 @dataclass(frozen=True, slots=True)

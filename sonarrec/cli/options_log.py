@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, get_args
 
 import click
 
 from sonarrec.cli.groups import FILE, GEOMETRY, INPUT, PIXELS, Decorator, as_one, option
-from sonarrec.records import Clock, UsageError, name_as_text
+from sonarrec.records import Clock, ColourMap, UsageError, name_as_text
 
 if TYPE_CHECKING:
     from sonarrec.results.run_file import LogOptions
@@ -60,19 +60,6 @@ GEOMETRY_OPTIONS = {
         help="One slant range per row of a polar image, m.",
     ),
 }
-# As in sonarrec/sonar.py, which is not imported before a command is run.
-COLOUR_MAPS = (
-    "luminance",
-    "hot",
-    "inferno",
-    "jet",
-    "magma",
-    "ocean",
-    "parula",
-    "plasma",
-    "turbo",
-    "viridis",
-)
 _PIXELS = {
     "beam_order": option(
         PIXELS,
@@ -90,7 +77,7 @@ _PIXELS = {
     "colour_map": option(
         PIXELS,
         "--colour-map",
-        type=click.Choice(COLOUR_MAPS),
+        type=click.Choice(get_args(ColourMap)),
         metavar="NAME",
         help="Colour map of pictures in false colour, as jet or viridis; luminance where they are "
         "in none.  [default: found from the first frames; sonarrec help geometry]",
@@ -125,7 +112,7 @@ _TIME = {
     "time": option(
         INPUT,
         "--time",
-        type=click.Choice(["log", "publish", "header"]),
+        type=click.Choice(get_args(Clock)),
         help="Which time of a message of an MCAP or bag becomes the timestamp_ns of its frame. "
         "The order of frames is always that of log time.  [default: log]",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,9 @@ from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import name_as_text, number_of
 
 if TYPE_CHECKING:
+    from sonarrec.readers.find import Source
     from sonarrec.report.site_results import Site
+    from sonarrec.results.run_file import LogOptions, RunFile
 
 
 @command(short_help="Estimate at which contrast and range landmarks would be recognised.")
@@ -70,9 +73,7 @@ def site(
       sonarrec site dive.mcap --tilt-deg 20 --height-m 0.7
       sonarrec site river.avi --contrast 0,6,12 --layouts 8 -o river_site
     """
-    from dataclasses import replace
-
-    from sonarrec.pipeline.prepare import RunOptions, digest_asked, is_same_log
+    from sonarrec.pipeline.prepare import RunOptions
     from sonarrec.readers.find import find_log
     from sonarrec.report.site import SiteSetup, assess
     from sonarrec.report.site_page import render
@@ -82,16 +83,9 @@ def site(
 
     config = settings.config()
     contrasts, values = laying.contrasts(), laying.values
-    # As in `run`, a run.toml also gives everything except the frames.
     earlier, source = read_run(settings.file), find_log(log)
     landmarks = earlier.landmark_set(values["landmarks"])
-    given_options = laying.log_options(log_choice, frames)
-    same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
-    log_options = replace(
-        earlier.complete(given_options, same_log=same_log), frames=given_options.frames
-    )
-    if same_log:
-        earlier.check_poses(log_options)
+    log_options = _completed(laying.log_options(log_choice, frames), earlier, source)
     out = out or Path("sonarrec_site") / source.name
     check_free([out])
     with progress(quiet, title="motion") as step:
@@ -121,6 +115,20 @@ def site(
     if not quiet:
         say(*_lines(site_result, out / "site.html", layouts))
     end(background.problems)
+
+
+def _completed(given: LogOptions, earlier: RunFile, source: Source) -> LogOptions:
+    """The options, completed from a run.toml as in `run`, except that it does not give the frames.
+
+    Raises UsageError if that run used a table of poses that is not given again.
+    """
+    from sonarrec.pipeline.prepare import digest_asked, is_same_log
+
+    same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
+    log_options = replace(earlier.complete(given, same_log=same_log), frames=given.frames)
+    if same_log:
+        earlier.check_poses(log_options)
+    return log_options
 
 
 def _lines(site_result: Site, page: Path, layouts: int) -> Iterator[str]:
