@@ -310,7 +310,7 @@ def test_frames_of_a_didson(version: int, beams: int, tmp_path: Path) -> None:
     path = didson_file(tmp_path / "d.ddf", images, version)
     found, problems, notes = read(path)
     assert problems == []
-    assert "of DIDSON files no description is public" in notes[0]
+    assert "no description of DIDSON files is public" in notes[0]
     right_to_left = lens_bearings_deg(beams)[::-1]
     expected = as_fan(images, 3 * 0.375, 3 * 0.375 + 2.25, right_to_left, tmp_path / "polar")
     start = int(datetime(2013, 6, 14, 8, 21, tzinfo=UTC).timestamp()) * 10**9
@@ -402,7 +402,7 @@ def test_a_cut_file_is_read_as_far_as_it_goes(kind: str, tmp_path: Path) -> None
     path.write_bytes(path.read_bytes()[:-2000])
     found, problems, notes = read(path)
     assert notes[-1] == f"{path}: its header counts 5 frames, 4 are there"
-    assert problems == [f"log.{kind}: cut short: of the last frame 2096 of 4096 bytes are there"]
+    assert problems == [f"log.{kind}: cut short: the last frame has only 2096 of its 4096 bytes"]
     for frame, before in zip(found, whole[:4], strict=True):
         np.testing.assert_array_equal(frame.image, before.image)
     done = sonarrec("run", path, "-o", tmp_path / "out", code=3)
@@ -429,7 +429,7 @@ def test_a_damaged_header_costs_its_frame_alone(tmp_path: Path) -> None:
         (100, [0, 1, 3, 4, 5, 6, 7], "frame 2: only 3996 of its 4096 bytes are there"),
         (-700, [0, 1, 3, 4, 5, 6, 7], "frame 2: 4796 bytes up to the next frame, in place of 4096"),
         (4096 + 1000, [0, 1, 3, 4, 5, 6], "frame 2: only 3096 of its 4096 bytes are there"),
-        (-3 * 4096, [0, 1, 6, 7, 8, 9, 10], "4 frames or so are lost from frame 2 on"),
+        (-3 * 4096, [0, 1, 6, 7, 8, 9, 10], "about 4 frames are lost from frame 2 on"),
     ],
 )
 def test_bytes_lost_or_too_many_cost_the_frame_they_lie_in(
@@ -469,9 +469,9 @@ def test_a_first_header_that_lies_costs_its_frame_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "says"),
     [
-        (b"junk" * 999, "no DDF file, by its first bytes; this reads DDF_03"),
+        (b"junk" * 999, "not a DDF file, by its first bytes; this reads DDF_03"),
         (b"DDF\x01" + bytes(5000), "DDF_01, by its first bytes"),
-        (b"DDF", "no DDF file"),
+        (b"DDF", "not a DDF file"),
         (b"DDF\x05" + bytes(99), "cut short inside the header of the file"),
         (b"DDF\x05" + bytes(1500), "frames of 0 samples in 0 beams"),
         (b"DDF\x05" + b"\xff" * 1500, "frames of 4294967295 samples in 4294967295 beams"),

@@ -192,7 +192,7 @@ def test_lost_bytes_cost_one_image(tmp_path: Path, whole: list[np.ndarray]) -> N
     assert [frame.index for frame in found] == [0, 1, 3, 4, 5]
     np.testing.assert_array_equal([frame.image for frame in found], [*whole[:2], *whole[3:]])
     (line,) = problems
-    assert "its end is not where it must be" in line
+    assert "its end mark is missing" in line
 
 
 @pytest.mark.parametrize("at", [0, 14, 21, 23])
@@ -204,7 +204,7 @@ def test_an_image_without_its_beginning_is_told(
     found, problems = read(gemini_log(tmp_path / "a.glf", [*RECORDS[:2], bytes(bad), *RECORDS[3:]]))
     np.testing.assert_array_equal([frame.image for frame in found], [*whole[:2], *whole[3:]])
     (line,) = problems
-    assert line.endswith("what lies there is no record; damaged, skipped")
+    assert line.endswith("no record begins there; damaged, skipped")
 
 
 def test_wrong_bytes_of_the_file_are_told(tmp_path: Path) -> None:

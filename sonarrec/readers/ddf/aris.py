@@ -1,7 +1,7 @@
 """What the headers of ARIS files (DDF_05) mean, by the maker's description (aris-file-sdk, MIT).
 
-Samples are 0 to 80 dB over 0 to 255, taken as grey. Ranges follow from the times of the samples and
-the sound speed: the description's own window in metres assumes 1450 m/s.
+Samples are 0 to 80 dB over 0 to 255, taken as grey. Ranges are computed from the times of the
+samples and the sound speed, because the window in metres of the description assumes 1450 m/s.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ FRAME_HEADER = {
     "ReorderedSamples": (516, "<u4"),
     "Salinity": (520, "<u4"),
 }
-"""By their names in the description: where they lie, and their type."""
+"""Offset and type of each field, by its name in the description."""
 
 SYSTEMS = {0: "ARIS 1800", 1: "ARIS 3000", 2: "ARIS 1200"}
 BEAMS = {
@@ -56,10 +56,10 @@ BEAMS = {
     **dict.fromkeys((9, 10, 11, 12), 128),
 }
 """By ping mode."""
-# A ping of these modes records 16 beams, every third, sixth, ... one; this is the order of its
-# channels among them.
 PINGS_PER_FRAME = {1: 3, 3: 6, 6: 4, 9: 8}
+"""By ping mode. Each ping of a frame records 16 beams: every third, sixth, ... one."""
 CHANNELS = (10, 2, 14, 6, 8, 0, 12, 4, 11, 3, 15, 7, 9, 1, 13, 5)
+"""The place of each channel among the 16 beams of its ping."""
 
 
 class Aris:
@@ -70,20 +70,20 @@ class Aris:
     frame_header = header_dtype(FRAME_HEADER, _HEADER_BYTES)
 
     def shape(self, file: np.void, frame: np.void | None) -> tuple[int, int]:
-        """Samples of a beam, and the beams that the ping mode makes."""
+        """(samples of a beam, beams of this ping mode)."""
         if frame is None:
             return int(file["SamplesPerChannel"]), int(file["NumRawBeams"])
         return int(frame["SamplesPerBeam"]), BEAMS.get(int(frame["PingMode"]), 0)
 
     def geometry(self, file: np.void, frame: np.void, shape: tuple[int, int]) -> PingGeometry:  # noqa: ARG002
-        """Window by time and sound speed, bearings by the lens."""
+        """The window from times and sound speed, the bearings from the table of the lens."""
         samples, beams = shape
         speed = float(frame["SoundSpeed"])
         if not 1000 <= speed <= 2000:
             raise UnusableError(f"a sound speed of {speed:g} m/s")
-        metres = speed / 2 * 1e-6  # of a microsecond
-        start = int(frame["SampleStartDelay"]) * metres
-        length = int(frame["SamplePeriod"]) * samples * metres
+        m_per_us = speed / 2 * 1e-6
+        start = int(frame["SampleStartDelay"]) * m_per_us
+        length = int(frame["SamplePeriod"]) * samples * m_per_us
         if length < MIN_WINDOW_M or start + length > 1000:
             raise UnusableError(f"a window of {start:g} to {start + length:g} m")
         lens = bool(frame["LargeLens"])
@@ -93,7 +93,7 @@ class Aris:
         return PingGeometry(start, start + length, bearings, None, "range-major")
 
     def pixels(self, frame: np.void, samples: np.ndarray) -> np.ndarray:
-        """The samples as stored, or put in the order of the beams where the sonar has not."""
+        """The samples in the order of the beams; the sonar may have sorted them already."""
         if frame["ReorderedSamples"]:
             return samples
         mode = int(frame["PingMode"])
@@ -105,7 +105,7 @@ class Aris:
         return in_beam_order(samples, pings)
 
     def times(self, frame: np.void) -> tuple[int | None, int | None]:
-        """The computer's time, and the sonar's."""
+        """(the computer's time, the sonar's time)."""
         return _nanoseconds(frame["FrameTime"]), _nanoseconds(frame["sonarTimeStamp"])
 
     def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
@@ -114,8 +114,8 @@ class Aris:
         tilt, notes = attitude_of(frames, "SonarTilt")
         if file["Reverse"]:
             notes.append(
-                "its header says that the sonar lay upside down (lens up); where left and right "
-                "are exchanged, --flip puts them right"
+                "its header says that the sonar lay upside down (lens up); if left and right are "
+                "exchanged, use --flip"
             )
         rate = measured(frame["FrameRate"])
         lens = ", telephoto lens" if frame["LargeLens"] else ""
@@ -146,14 +146,14 @@ class Aris:
 
 
 def in_beam_order(samples: np.ndarray, pings: int) -> np.ndarray:
-    """(samples, beams) of a frame that lies ping by ping, of each sample its 16 channels."""
+    """(samples, beams) in beam order. samples: stored ping after ping, with 16 channels each."""
     rows = len(samples)
-    came = samples.reshape(pings, rows, len(CHANNELS))
+    stored = samples.reshape(pings, rows, len(CHANNELS))
     ordered = np.empty((rows, len(CHANNELS), pings), samples.dtype)
-    ordered[:, list(CHANNELS)] = came.transpose(1, 2, 0)
+    ordered[:, list(CHANNELS)] = stored.transpose(1, 2, 0)
     return ordered.reshape(rows, -1)
 
 
 def _nanoseconds(microseconds: int) -> int | None:
-    """Nanoseconds from microseconds; None for zero, which means no time."""
+    """Nanoseconds from microseconds; None for zero and for impossible times."""
     return int(microseconds) * 1000 if 0 < microseconds < 2**53 else None

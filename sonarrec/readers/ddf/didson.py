@@ -1,7 +1,7 @@
 """What the headers of DIDSON files (DDF_03, DDF_04) mean, as far as it is public.
 
-No description by the maker is at hand: offsets, codes and the lens are those on which free readers
-agree, which go back to the maker's own Matlab scripts. What they disagree on is told in the notes.
+The maker has published no description. Offsets, codes and the lens are those on which free readers
+agree; they go back to the maker's own Matlab scripts. A note tells the user where readers disagree.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ FRAME_HEADER = {
     },
     "Depth": (128, "<f4"),
     "Altitude": (132, "<f4"),
-    **COMPASS,  # or the rotator, where there is no compass
+    **COMPASS,  # of the rotator, if there is no compass
     "ConfigFlags": (192, "<u4"),
 }  # fmt: skip
 HEADER_BYTES = {3: (512, 256), 4: (1024, 1024)}
 """Of the file and of a frame, by version."""
 
-_SAMPLES = 512  # of a beam, where the header tells none
+_SAMPLES = 512  # of a beam, if the header states none
 _CLASSIC, _LONG_RANGE = 1, 2  # bits of ConfigFlags
 WINDOW_M = {
     0: (1.25, 2.5, 5, 10, 20, 40),
@@ -47,17 +47,18 @@ WINDOW_M = {
     _LONG_RANGE: (2.5, 5, 10, 20, 40, 70),
     _CLASSIC | _LONG_RANGE: (2.25, 4.5, 9, 18, 36, 72),
 }
-"""Lengths of the window by configuration, for codes 0 to 3 of high frequency, 2 to 5 of low."""
+"""Lengths of the window, by the bits of ConfigFlags. Codes 0 to 3 stand for the first four lengths
+at high frequency, for the last four at low."""
 START_M = {0: 0.419, _CLASSIC: 0.375}
-"""Step of the window's start, high frequency; twice that of low."""
-# As the maker has it for the standard sonar: soundmetrics.com/SONAR101/resolution.html.
+"""Step of the window's start at high frequency; at low frequency it is twice this."""
+# By the maker, for the standard sonar: soundmetrics.com/SONAR101/resolution.html.
 BEAM_WIDTH_DEG = {"high": 0.3, "low": 0.4}
-# The lens: beam = 1 + the polynomial of the bearing in deg, of 96 beams from left to right.
+# Of 96 beams from left to right: beam number = 1 + this polynomial of the bearing in deg.
 LENS = (0.0030, -0.0055, 2.6829, 48.04)
 
 
 def lens_bearings_deg(beams: int) -> np.ndarray:
-    """(beams,) bearings of the beams' middles from left to right, of 96 beams or pairs of them."""
+    """(beams,) bearings of the beams' middles, from left to right. beams: 96, or 48 pairs."""
     bearing = np.arange(-30, 30, 0.001)
     width = 96 / beams
     middles = (np.arange(beams) + 0.5) * width + 0.5
@@ -104,14 +105,14 @@ class Didson:
         return samples
 
     def times(self, frame: np.void) -> tuple[int | None, int | None]:
-        """The sonar's date and time, whose zone is not told, taken as UTC."""
+        """(the sonar's date and time, None). The file states no time zone; UTC is assumed."""
         parts = [int(frame[name]) for name in list(FRAME_HEADER)[:6]]
         try:
             whole = datetime(*parts, tzinfo=UTC)  # type: ignore[misc, arg-type]
         except (ValueError, OverflowError):
-            return None, None  # what the file calls the computer's time is of unsure form
+            return None, None  # the form of the computer's time is not known
         stamp = int(whole.timestamp()) * 10**9 + min(int(frame["Hundredth"]), 99) * 10**7
-        # A clock that was never set, or counts years from 2000, tells no time.
+        # A clock that was never set, or counts years from 2000, is not used.
         return (stamp if 0 <= stamp < 2**63 else None), None
 
     def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
@@ -120,8 +121,8 @@ class Didson:
         tilt, notes = attitude_of(frames, None)
         flags, rate = _configuration(file, frame), int(file["FrameRate"])
         notes.append(
-            "of DIDSON files no description is public: window, bearings and times are as free "
-            "readers have them (sonarrec help formats)"
+            "no description of DIDSON files is public: window, bearings and times are read as "
+            "other free programs read them (sonarrec help formats)"
         )
         if flags & _LONG_RANGE:
             notes.append("readers disagree on the windows of a long-range DIDSON: check the ranges")
@@ -141,7 +142,7 @@ class Didson:
 
 
 def _configuration(file: np.void, frame: np.void) -> int:
-    """The bits of ConfigFlags that choose the windows; early sonars did not write them."""
+    """The bits of ConfigFlags that choose the windows; for early sonars, by their serial number."""
     serial = int(file["SerialNumber"])
     if serial < 19:
         return _CLASSIC | _LONG_RANGE if serial == 15 else _CLASSIC

@@ -1,7 +1,7 @@
 """Reads DDF files, frame by frame: DIDSON's (DDF_03, DDF_04) and those of ARIS (DDF_05).
 
-A file is a header and then frames of one length, each a header and the samples. `didson.py` and
-`aris.py` say what is in the headers.
+A file is a header and then frames of equal length; a frame is a header and its samples. `didson.py`
+and `aris.py` say what the headers mean.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 from sonarrec.sonar import PingGeometry
 
 _VERSION_AT = 12  # in a frame's header
-_HEADERS_LOOKED_AT = 32  # over the whole file, for the tilt
+_HEADERS_LOOKED_AT = 32  # spread over the file, for the tilt
 
 
 class Layout(Protocol):
     """One version of the format: its headers, and what they mean.
 
-    file_header, frame_header: structured dtypes, little-endian, of the headers' whole length.
-    `np.void` is one header.
+    file_header, frame_header: structured dtypes, little-endian, as long as the headers. A header
+    is one `np.void` of such a dtype.
     """
 
     name: str
@@ -37,35 +37,35 @@ class Layout(Protocol):
     frame_header: np.dtype[Any]
 
     def shape(self, file: np.void, frame: np.void | None) -> tuple[int, int]:
-        """(samples, beams) of every frame, by the first frame's header where there is one."""
+        """(samples, beams) of every frame. frame: the first one's header, if there is one."""
         ...
 
     def geometry(self, file: np.void, frame: np.void, shape: tuple[int, int]) -> PingGeometry:
-        """The geometry of one frame. Raises UnusableError where it is none."""
+        """The geometry of one frame. Raises UnusableError if it is impossible."""
         ...
 
     def pixels(self, frame: np.void, samples: np.ndarray) -> np.ndarray:
-        """(samples, beams) uint8 in the order of the beams. Raises UnusableError likewise."""
+        """(samples, beams) uint8 in beam order. Raises UnusableError if that is unknown."""
         ...
 
     def times(self, frame: np.void) -> tuple[int | None, int | None]:
-        """When the frame was recorded, and the sonar's own time of it; ns since 1970."""
+        """(when the frame was recorded, the sonar's own time), ns since 1970; None if unknown."""
         ...
 
     def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
-        """What the headers say of the log; frames: of frames all over it, the first to begin."""
+        """What the headers say about the log. frames: some from all over it, with the first."""
         ...
 
 
 LAYOUTS: dict[int, Layout] = {3: Didson(3), 4: Didson(4), 5: Aris()}
-"""By the version, the fourth of the file's bytes."""
+"""By the version, which is the fourth byte of the file."""
 
 
 class DdfFrames(RawLog):
     """The frames of one DDF file, in the order of the file."""
 
     def __init__(self, path: Path) -> None:
-        """Raises SonarrecError where the file is no DDF, or holds not one whole frame."""
+        """Raises SonarrecError if the file is not a DDF file or has no whole frame."""
         super().__init__()
         self.polar = True
         self._name = name_as_text(path.name)
@@ -78,7 +78,7 @@ class DdfFrames(RawLog):
         version = self._mark[3] if len(self._mark) == 4 and self._mark[:3] == b"DDF" else None
         layout = None if version is None else LAYOUTS.get(version)
         if layout is None:
-            version_text = "no DDF file" if version is None else f"DDF_{version:02d}"
+            version_text = "not a DDF file" if version is None else f"DDF_{version:02d}"
             known = ", ".join(f"DDF_{n:02d} ({layout.name})" for n, layout in LAYOUTS.items())
             raise SonarrecError(f"{where}: {version_text}, by its first bytes; this reads {known}")
         self._layout = layout
@@ -110,8 +110,9 @@ class DdfFrames(RawLog):
     def _frame_shape(self) -> tuple[tuple[int, int], int]:
         """(samples, beams) of every frame, and its length in bytes.
 
-        By the first frame's header, or by that of the file where only so another frame, or the
-        end, follows the first.
+        The first frame's header states it, and so does the file's. The first of the two counts
+        after which another frame, or the end of the file, follows; else the first frame's, if it
+        has a header.
         """
         first = self._frame_header(self._start)
         shapes = [self._layout.shape(self._header, frame) for frame in (first, None)]
@@ -123,7 +124,7 @@ class DdfFrames(RawLog):
         return sized[first is None]
 
     def _frame_header(self, at: int) -> np.void | None:
-        """The header of the frame at `at`; None where there is none."""
+        """The header of the frame at `at`; None if no frame begins there."""
         contents = self._file.at(at, self._layout.frame_header.itemsize)
         if len(contents) < self._layout.frame_header.itemsize:
             return None
@@ -133,7 +134,7 @@ class DdfFrames(RawLog):
         return header
 
     def _headers_all_over(self) -> list[np.void]:
-        """Up to _HEADERS_LOOKED_AT headers of frames, the first and then evenly on."""
+        """At most _HEADERS_LOOKED_AT headers of frames, evenly spread from the first frame on."""
         assert self.frame_count is not None
         step = math.ceil(self.frame_count / _HEADERS_LOOKED_AT)
         places = (self._start + k * self._length for k in range(0, self.frame_count, step))
@@ -149,8 +150,8 @@ class DdfFrames(RawLog):
             bytes_left = self._file.size - at
             if bytes_left < self._length:
                 self.faults.append(
-                    f"{self._name}: cut short: of the last frame {bytes_left} of {self._length} "
-                    "bytes are there"
+                    f"{self._name}: cut short: the last frame has only {bytes_left} of its "
+                    f"{self._length} bytes"
                 )
                 return
             header, end = self._frame_header(at), at + self._length
@@ -173,13 +174,13 @@ class DdfFrames(RawLog):
                 yield RawFrame(name, None, None)
             if lost > 1:
                 self.faults.append(
-                    f"{self._name}: {lost} frames or so are lost from {name} on; the numbers of "
+                    f"{self._name}: about {lost} frames are lost from {name} on; the numbers of "
                     "later ones may be wrong"
                 )
             at, number = next_at, number + lost
 
     def _in_step(self, at: int) -> bool:
-        """Whether a frame begins where it should, or the one after it does, or the file ends."""
+        """Whether a frame begins at `at` as expected, or the next one does, or the file ends."""
         if at + self._layout.frame_header.itemsize > self._file.size:
             return True
         after = at + self._length
@@ -188,7 +189,7 @@ class DdfFrames(RawLog):
         )
 
     def _next_frame(self, start: int) -> int | None:
-        """Where the next frame begins that states this file's own size; None where none does."""
+        """Where the next frame of this file's size begins; None if there is none."""
         mark = self._file.find(self._mark, start + _VERSION_AT, self._file.size)
         while mark is not None:
             at = mark - _VERSION_AT
@@ -206,7 +207,7 @@ class DdfFrames(RawLog):
             if self._layout.shape(self._header, header) != self._shape:
                 raise UnusableError("its header states another number of samples or beams")
             contents = self._file.at(at, self._length)[self._layout.frame_header.itemsize :]
-            with np.errstate(all="ignore"):  # damaged numbers overflow; what comes is checked
+            with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
                 sonar = self._layout.geometry(self._header, header, self._shape)
             pixels = self._layout.pixels(
                 header, np.frombuffer(contents, np.uint8).reshape(self._shape)

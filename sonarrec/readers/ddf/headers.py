@@ -14,11 +14,11 @@ COMPASS = {
     "CompassPitch": (164, "<f4"),
     "CompassRoll": (168, "<f4"),
 }
-"""Where the compass lies in the header of a frame, of every version."""
+"""Where the compass is in the header of a frame, in every version."""
 
 
 def header_dtype(fields: dict[str, tuple[int, str]], size: int) -> np.dtype[Any]:
-    """A header of `size` bytes of which only these fields are read: name, offset and type."""
+    """The dtype of a header of `size` bytes. fields: (offset, type) of those that are read."""
     return np.dtype(
         {
             "names": list(fields),
@@ -30,12 +30,12 @@ def header_dtype(fields: dict[str, tuple[int, str]], size: int) -> np.dtype[Any]
 
 
 def measured(value: float) -> float | None:
-    """A float of a header as few digits tell it; None where it is none."""
+    """A float of a header, without digits beyond its precision; None if it is not finite."""
     return float(f"{float(value):.7g}") + 0.0 if math.isfinite(value) else None
 
 
 def compass(frame: np.void) -> dict[str, float | None]:
-    """Heading, pitch and roll for `info`; None, all three, where no compass has written."""
+    """Heading, pitch and roll for `info`; all None if no compass has written any of them."""
     angles = {name: measured(frame[name]) for name in COMPASS}
     is_set = any(angles.values())
     return {
@@ -45,14 +45,14 @@ def compass(frame: np.void) -> dict[str, float | None]:
 
 
 def attitude_of(frames: Sequence[np.void], rotator: str | None) -> tuple[float | None, list[str]]:
-    """The tilt (deg, downward) by a file's headers, None where they tell none, and notes on it.
+    """(tilt by a file's headers in deg, downward, None if not stated; notes on it).
 
-    frames: headers of frames all over the file. rotator: the field of the rotator's tilt. The
-    median of the compass's pitch is taken, without a compass that of the rotator's tilt; both are
-    taken to be positive upward.
+    frames: headers of frames from all over the file. rotator: name of the field with the rotator's
+    tilt. It is the median of the compass's pitch or, without a compass, of the rotator's tilt; both
+    are taken to be positive upward.
     """
     readings = {"compass pitch": [compass(frame)["compass_pitch_deg"] for frame in frames]}
-    if rotator is not None:  # zeros where there is none
+    if rotator is not None:  # zeros if there is no rotator
         readings["rotator tilt"] = [measured(frame[rotator]) or None for frame in frames]
     for name, angles in readings.items():
         tilts = [-angle for angle in angles if angle is not None and abs(angle) < 90]
@@ -63,6 +63,6 @@ def attitude_of(frames: Sequence[np.void], rotator: str | None) -> tuple[float |
             return None, [f"its headers say that the sonar looks {-tilt:g} deg upward ({name})"]
         if max(tilts) - min(tilts) > MAX_TILT_CHANGE_DEG:
             text = f"its tilt is between {min(tilts):.3g} and {max(tilts):.3g} deg ({name})"
-            return tilt, [f"{text}; the median, {tilt:g} deg, serves for all frames"]
+            return tilt, [f"{text}; the median, {tilt:g} deg, is used for all frames"]
         return tilt, []
     return None, []

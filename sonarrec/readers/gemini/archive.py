@@ -1,7 +1,7 @@
 """The image records of a `.glf`: a ZIP, in which a `.dat` holds record after record.
 
-The `.dat` has any length, and is read in pieces. Other records (the sonar's status, a compass) are
-passed over.
+The `.dat` may be of any length, so it is read in pieces. Other records (the sonar's status, a
+compass) are skipped.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _MARK_AT = 21  # bytes from the beginning of a record
 def pieces(path: Path) -> Iterator[bytes]:
     """The `.dat` of a file, in pieces.
 
-    Not by Python's zipfile, which opens no file whose end is missing and keeps what comes before a
-    wrong checksum to itself. Raises SonarrecError for a file that is no such log, and
-    UnusableError, after all that can be read, where it is cut or damaged.
+    Python's zipfile is not used, because it does not open a file whose end is missing, and returns
+    nothing of contents with a wrong checksum. Raises SonarrecError if the file is no such log; if
+    it is cut or damaged, raises UnusableError after all that can be read.
     """
     file = FileBytes(path)
     try:
@@ -56,7 +56,7 @@ def pieces(path: Path) -> Iterator[bytes]:
 
 
 def _find_dat(file: FileBytes, where: str) -> tuple[int, int]:
-    """How the `.dat` is compressed, and where it begins. where: names the file."""
+    """(ZIP method of the `.dat`, where its contents begin). where: names the file."""
     at = file.find(_ENTRY_MARK, 0, 1)
     if at is None:
         raise SonarrecError(f"{where}: not a .glf of a Gemini, which is a ZIP")
@@ -69,7 +69,7 @@ def _find_dat(file: FileBytes, where: str) -> tuple[int, int]:
             if flags & _ENCRYPTED or method not in (_STORED, _DEFLATED):
                 raise SonarrecError(
                     f"{where}: packed or encrypted in a way that is not read (ZIP method {method}, "
-                    f"flags {flags:#x}); unpack it, and pack it anew without"
+                    f"flags {flags:#x}); unpack it, and pack it again as a plain ZIP"
                 )
             return method, at + _ENTRY_BYTES + name + extra
         at = file.find(_ENTRY_MARK, at + 1, file.size)
@@ -83,10 +83,10 @@ def records(data: Iterator[bytes]) -> Iterator[tuple[int, bytes | None, str]]:
     records before it.
     """
     window = _Window(data)
-    follows = True  # what comes now begins where a record ended
+    follows = True  # whether the window begins where a record ended
     while window.fill(HEAD_3.itemsize):
         if follows and not begins(window.head):
-            yield window.place, None, "what lies there is no record; damaged"
+            yield window.place, None, "no record begins there; damaged"
         follows = False
         at = window.held.find(_MARK, _MARK_AT)
         window.drop(len(window.held) - HEAD_3.itemsize + 1 if at < 0 else at - _MARK_AT)
@@ -99,7 +99,7 @@ def records(data: Iterator[bytes]) -> Iterator[tuple[int, bytes | None, str]]:
             yield place, None, f"only {len(window.held)} of its {length} bytes are there"
             window.drop(_MARK_AT)
         elif not ended(record := bytes(window.held[:length])):
-            yield place, None, "its end is not where it must be; bytes are missing or wrong"
+            yield place, None, "its end mark is missing; bytes are lost or wrong"
             window.drop(_MARK_AT)
         else:
             yield place, record, ""
@@ -110,9 +110,10 @@ def records(data: Iterator[bytes]) -> Iterator[tuple[int, bytes | None, str]]:
 
 
 class _Window:
-    """Pieces of which a part is held.
+    """A part of the data, which moves on as records are found.
 
-    held: what is not judged yet. place: where it begins. broken: the error that ended the pieces.
+    held: the bytes that are not used yet. place: where they begin in the data. broken: the error
+    that ended the data; None if there was none.
     """
 
     def __init__(self, data: Iterator[bytes]) -> None:
@@ -126,7 +127,7 @@ class _Window:
         return bytes(self.held[: HEAD_3.itemsize])
 
     def fill(self, count: int) -> bool:
-        """Hold at least so many bytes; False where the end comes before."""
+        """Hold at least so many bytes; False if the data end before."""
         while len(self.held) < count:
             try:
                 piece = next(self._data, None)
@@ -138,6 +139,6 @@ class _Window:
         return True
 
     def drop(self, count: int) -> None:
-        """Hold the first `count` bytes no longer."""
+        """Release the first `count` bytes."""
         del self.held[:count]
         self.place += count

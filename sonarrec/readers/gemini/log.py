@@ -13,7 +13,7 @@ from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 _NOTES = (
     "left and right are as free readers show them; if a landmark lies on the wrong side, state "
     "bearings_deg in reverse order",
-    "times are those of the recording computer, whose time zone is not told; taken as UTC",
+    "times are those of the recording computer, whose time zone is not stated; UTC is assumed",
 )
 
 
@@ -21,7 +21,7 @@ class GeminiPings(RawLog):
     """The images of one sonar, the first in the file, in the order of the file."""
 
     def __init__(self, path: Path) -> None:
-        """Raises SonarrecError where the file holds no image that can be read."""
+        """Raises SonarrecError if the file holds no image that can be read."""
         super().__init__()
         self.polar = True
         self._path, self._name = path, name_as_text(path.name)
@@ -64,13 +64,13 @@ class GeminiPings(RawLog):
 
     def _frame(self, number: int, place: int, record: bytes | None, problem: str) -> RawFrame:
         name = f"image {number} at byte {place}"
-        logged = None if record is None else time_ns(record)
+        logged_ns = None if record is None else time_ns(record)
         if record is None or number in self.passed_over:
-            return RawFrame(name, logged, None, problem or None)
+            return RawFrame(name, logged_ns, None, problem or None)
         try:
             ping, _ = decoded(record)
         except UnusableError as error:
-            return RawFrame(name, logged, None, str(error))
-        stamps = Stamps(logged, None, ping.stamp_ns)
-        named = ping.stamp_ns if logged is None else logged
-        return RawFrame(name, named, ping.pixels, None, ping.sonar, stamps)
+            return RawFrame(name, logged_ns, None, str(error))
+        stamps = Stamps(logged_ns, None, ping.stamp_ns)
+        timestamp_ns = ping.stamp_ns if logged_ns is None else logged_ns
+        return RawFrame(name, timestamp_ns, ping.pixels, None, ping.sonar, stamps)

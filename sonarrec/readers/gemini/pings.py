@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.readers.raw import MAX_FRAME_BYTES, Ping, UnusableError, ping_geometry
 
 Header = dict[str, Any]
-"""What a record says of the sonar, by name and unit; None where it says nothing that can be."""
+"""What a record says about the sonar, by name and unit; None for impossible values."""
 Fields = list[tuple[str, str]]
 
 _MESSAGE: Fields = [
@@ -25,9 +25,9 @@ _IMAGE: Fields = [
 ]  # fmt: skip
 _SIZE: Fields = [("size", "<u4")]
 HEAD = np.dtype([*_MESSAGE, *_IMAGE, *_SIZE])
-"""How a record of an image begins, up to its samples."""
+"""How an image's record begins, up to its samples, in versions 1 and 2."""
 HEAD_3 = np.dtype([*_MESSAGE, *_IMAGE, ("compression", "<u2"), *_SIZE])
-"""The same from the third version on."""
+"""The same from version 3 on."""
 TAIL = np.dtype(
     [
         ("state", "<u4"), ("bins_hz", "<u4"), ("aperture", "<f4"), ("time", "<f8"),
@@ -35,13 +35,13 @@ TAIL = np.dtype(
         ("processing", "u1"), ("model", "u1"), ("zoomed", "u1"), ("end", "<u2"),
     ]
 )  # fmt: skip
-"""How it ends, behind the samples and the bearings."""
+"""How it ends, after the samples and the bearings."""
 _OTHERS = (1, 2, 3, 98, 99)  # types of records: V4, video, status, serial, generic
 _STAR, _IMAGE_TYPE, _END_MARK = ord("*"), 0, 0xDEDE
 RECORD, RECORD_MARK = 1, 0xEFEF
-"""What an image's record begins with, behind the message's own head."""
+"""What an image's record begins with, after the head of every message."""
 _ZLIB, _PLAIN = 0, 1  # compressions; 2 is H.264
-_UPSIDE_DOWN = 0xE000  # of `state`
+_UPSIDE_DOWN = 0xE000  # bits of `state`
 _MOST_BEAMS, _MOST_BINS = 4096, 2**16
 _MODELS = {
     1: "720is", 2: "720ik", 3: "720im", 4: "1200ik", 5: "720ik", 6: "720ik", 7: "720ik",
@@ -51,7 +51,7 @@ _EPOCH_S = 315_532_800  # 1980-01-01, in seconds since 1970
 
 
 def record_length(head: bytes) -> int | None:
-    """The length in bytes of an image's record; None for bytes that begin none.
+    """The length in bytes of an image's record; None if none begins with these bytes.
 
     head: its first HEAD_3.itemsize bytes.
     """
@@ -73,19 +73,19 @@ def device_of(record: bytes) -> int:
 
 
 def time_ns(record: bytes) -> int | None:
-    """When a record was logged, ns since 1970; None where its time cannot be meant."""
+    """When a record was logged, ns since 1970; None if its time is impossible."""
     return _since_1970(float(_head(record)[0]["time"]))
 
 
 def begins(head: bytes) -> bool:
-    """Whether any record begins here, or the end mark of all is.
+    """Whether a record of any kind begins here, or the mark at the end of all records.
 
     head: its first HEAD_3.itemsize bytes.
     """
     fields = np.frombuffer(head, HEAD, 1)[0]
-    another = fields["star"] == _STAR and fields["type"] in _OTHERS
-    ends = head.startswith(_END_MARK.to_bytes(2, "little"))
-    return bool(another or ends or record_length(head) is not None)
+    is_other = fields["star"] == _STAR and fields["type"] in _OTHERS
+    is_end = head.startswith(_END_MARK.to_bytes(2, "little"))
+    return bool(is_other or is_end or record_length(head) is not None)
 
 
 def ended(record: bytes) -> bool:
@@ -94,12 +94,12 @@ def ended(record: bytes) -> bool:
 
 
 def zoomed(record: bytes) -> bool:
-    """Whether another image, a part of it magnified, follows before the record's end."""
+    """Whether a second image, a magnified part of the first, follows before the end mark."""
     return bool(_tail(record)["zoomed"] == 1)
 
 
 def decoded(record: bytes) -> tuple[Ping, Header]:
-    """The ping of a record, and what it says. Raises UnusableError where it cannot be used."""
+    """The ping of a record, and its header. Raises UnusableError if it cannot be used."""
     fields, beams, bins = _head(record)
     at = fields.dtype.itemsize
     samples = _samples(record[at : at + int(fields["size"])], fields, beams * bins)
@@ -111,7 +111,7 @@ def decoded(record: bytes) -> tuple[Ping, Header]:
     if not bins_hz:
         raise UnusableError("no rate of its range bins")
     upside_down = bool(tail["state"] & _UPSIDE_DOWN)
-    # Radians, positive to the left, of a sonar that is not upside down.
+    # The table is in radians, positive to the left if the sonar is upright.
     bearings = np.degrees(table if upside_down else -table)
     bin_m = speed / 2 / bins_hz
     ranges = (int(fields["first_bin"]) + np.arange(bins) + 0.5) * bin_m
@@ -132,7 +132,7 @@ def decoded(record: bytes) -> tuple[Ping, Header]:
 
 
 def _head(record: bytes) -> tuple[Any, int, int]:
-    """The fields of a record's head, how many beams it has and how many bins."""
+    """(fields of a record's head, number of beams, number of bins)."""
     fields = np.frombuffer(record, HEAD, 1)[0]
     if fields["image_version"] >= 3:
         fields = np.frombuffer(record, HEAD_3, 1)[0]
@@ -145,7 +145,7 @@ def _tail(record: bytes) -> Any:
 
 
 def _samples(data: bytes, fields: Any, count: int) -> bytes:
-    """The samples of a record, range after range."""
+    """The `count` samples of a record, range after range. Raises UnusableError."""
     if "compression" in fields.dtype.names:
         compression = int(fields["compression"])
     else:
@@ -168,7 +168,7 @@ def _samples(data: bytes, fields: Any, count: int) -> bytes:
 
 
 def _since_1970(time_s: float) -> int | None:
-    """ns since 1970 of seconds since 1980; None of what cannot be meant."""
+    """ns since 1970, from seconds since 1980; None if impossible."""
     if not 0 < time_s < 2**32:
         return None
     fraction, whole = math.modf(time_s)

@@ -213,7 +213,7 @@ class Decoder:
         return self.kind.polar
 
     def __call__(self, message: memoryview) -> Ping:
-        with np.errstate(all="ignore"):  # damaged numbers overflow; what comes of them is checked
+        with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
             return self.kind.read(Fields(self.fields(message)))
 
 

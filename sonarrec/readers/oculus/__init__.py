@@ -2,6 +2,6 @@
 
 From the inside out: samples.py, what pings hold (the MCAP messages of the drivers hold the same);
 pings.py, what each message means; framing.py, where messages begin and end in a file; log.py, the
-file as a RawLog. All numbers are little-endian and packed. The layouts are public through free
-drivers and readers; no description by the maker is.
+file as a RawLog. All numbers are little-endian and packed. The layouts are known from free drivers
+and readers; the maker has published no description.
 """

@@ -1,4 +1,4 @@
-"""Where messages begin and end: in a raw stream, and in the items of an `.oculus` log."""
+"""Finds where messages begin and end: in a raw stream, and in the items of an `.oculus` log."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from sonarrec.records import SonarrecError
 
 @dataclass(frozen=True, slots=True)
 class Framing:
-    """How messages, or the items that hold them, lie in a file.
+    """How a file is divided into messages, or into items that hold them.
 
-    mark: how each begins. head: how many bytes tell its length. length: from these its length in
-    bytes, None where they begin none. contents: from all its bytes the message, b"" if it holds
-    none, and the time at which it came in ns, None where unknown; raises UnusableError.
+    mark: the first bytes of each. head: how many bytes `length` needs. length: takes these, returns
+    the length in bytes, or None if no message or item begins with them. contents: takes all bytes,
+    returns the message (b"" for an item without one) and when it came in ns (None if unknown);
+    raises UnusableError.
     """
 
     mark: bytes
@@ -29,7 +30,7 @@ class Framing:
     contents: Callable[[bytes], tuple[bytes, int | None]]
 
     def length_at(self, file: FileBytes, place: int) -> int | None:
-        """The length of what begins at a place of the file; None where nothing does."""
+        """The length of what begins at a place of the file; None if nothing does."""
         return self.length(file.at(place, self.head))
 
 
@@ -52,7 +53,7 @@ _ITEM = np.dtype(
     }
 )
 _SONAR_ITEM = 10
-_Q_COMPRESSED = 1  # of Qt: the length in four bytes, most significant first, then zlib
+_Q_COMPRESSED = 1  # by Qt: the length in four bytes, most significant first, then zlib
 
 
 def _item_length(head: bytes) -> int | None:
@@ -83,26 +84,28 @@ _LOG = Framing(_ITEM_MARK, _ITEM.itemsize, _item_length, _message_of_item)
 
 
 def framing_of(file: FileBytes, where: str) -> tuple[Framing, int]:
-    """The framing of a file, and where its first message may begin. where: names the file.
+    """(framing of a file, where its first message may begin). where: names the file.
 
-    Raises SonarrecError for logs of a kind that is not read.
+    Raises SonarrecError for kinds of logs that are not read.
     """
     head = file.at(0, _LOG_HEAD_BYTES)
     if head.startswith(b"SQLite format 3\0"):
         raise SonarrecError(
             f"{where}: a log of the second ViewPoint (a database), which is not read; "
-            "let ViewPoint export it as .oculus of the first"
+            "let ViewPoint export it as an .oculus log of the first"
         )
     if not head.startswith(_LOG_MARK):
         return _STREAM, 0
     size, encryption = (int.from_bytes(head[a:b], "little") for a, b in ((4, 8), (26, 28)))
     if encryption:
-        raise SonarrecError(f"{where}: an encrypted log, which is not read; record it openly")
+        raise SonarrecError(
+            f"{where}: an encrypted log, which is not read; record it without encryption"
+        )
     return _LOG, size if _LOG_HEAD_BYTES <= size <= 4096 else _LOG_HEAD_BYTES
 
 
 def _find_next(file: FileBytes, framing: Framing, start: int, end: int) -> int | None:
-    """Where the next message begins at `start` or later and before `end`."""
+    """Where the next message begins, at `start` or later and before `end`; None if none does."""
     place = file.find(framing.mark, start, end)
     while place is not None and framing.length_at(file, place) is None:
         place = file.find(framing.mark, place + 1, end)
@@ -114,8 +117,8 @@ def messages(
 ) -> Iterator[tuple[int, int, bool]]:
     """Yield (place, length in bytes, whether it is whole) of each message from `start` to `limit`.
 
-    What lies between messages is yielded too: `Framing.length_at` its place is None. A message that
-    is not followed by another, or by the end, has lost bytes if another begins inside of it.
+    Bytes that belong to no message are yielded too; there `Framing.length_at` is None. If a message
+    is not followed by another, or by the end, and another begins inside it, it has lost bytes.
     """
     at = start
     while at < limit:
@@ -132,7 +135,7 @@ def messages(
 
 
 def _inflated(payload: bytes, declared: int) -> bytes:
-    """What Qt compressed. Raises UnusableError where it is damaged or longer than it declares."""
+    """What Qt compressed. Raises UnusableError if it is damaged or not of the declared size."""
     if declared > MAX_FRAME_BYTES:
         raise UnusableError(f"it declares {declared} bytes, more than is read")
     inflater = zlib.decompressobj()

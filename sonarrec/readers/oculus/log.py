@@ -11,14 +11,14 @@ from sonarrec.readers.oculus.pings import FULL_PING, SIMPLE_PING, Header, decode
 from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
 from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 
-_LOOKED_THROUGH = 2 * MAX_FRAME_BYTES  # for the first ping, in a file that may be of another kind
+_LOOKED_THROUGH = 2 * MAX_FRAME_BYTES  # for a first ping, since the file may be of another kind
 
 
 class OculusPings(RawLog):
     """The pings of a raw stream or of an `.oculus` log, in the order of the file."""
 
     def __init__(self, path: Path) -> None:
-        """Raises SonarrecError where the file holds no ping that can be read."""
+        """Raises SonarrecError if the file holds no ping that can be read."""
         super().__init__()
         self.polar = True
         self._name = name_as_text(path.name)
@@ -65,14 +65,14 @@ class OculusPings(RawLog):
     ) -> Iterator[tuple[int, int | None, bytes | None, str]]:
         """Yield (place, time in ns, message, problem) of every ping; no message if it is damaged.
 
-        limit: where in the file to stop. faults: a line is added for what belongs to no ping, after
-        all is read.
+        limit: where in the file to stop. faults: after all is read, a line is added for bytes that
+        belong to no message, and one for pings in a format that is not read.
         """
-        passed_over = places = full = 0
+        stray_bytes = stray_places = full = 0
         for at, length, whole in messages(self._file, self._framing, self._start, limit):
             if self._framing.length_at(self._file, at) is None:
-                passed_over += length
-                places += 1
+                stray_bytes += length
+                stray_places += 1
                 continue
             if not whole:
                 yield at, None, None, f"only {length} bytes of it are there"
@@ -86,9 +86,9 @@ class OculusPings(RawLog):
             full += number == FULL_PING
             if number == SIMPLE_PING:
                 yield at, time_ns, message, ""
-        if places:
+        if stray_places:
             faults.append(
-                f"{self._name}: {passed_over} bytes in {places} places belong to no message; "
+                f"{self._name}: {stray_bytes} bytes in {stray_places} places belong to no message; "
                 "damaged, so pings may be missing there, or wrong before them"
             )
         if full:

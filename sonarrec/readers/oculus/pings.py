@@ -1,6 +1,7 @@
 """What each message of an Oculus means.
 
-A further message is one function, from its bytes to a Ping and its header, and one row in MESSAGES.
+To add a message, write one function from its bytes to a Ping and its header, and add one row to
+MESSAGES.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from sonarrec.readers.oculus.samples import oculus_geometry, oculus_samples
 from sonarrec.readers.raw import Ping, UnusableError
 
 Header = dict[str, Any]
-"""What a ping says of the sonar, by name and unit; None where the sonar measured nothing."""
+"""What a ping says about the sonar, by name and unit; None if the sonar did not measure it."""
 Fields = list[tuple[str, str]]
 
 _HEAD: Fields = [
@@ -32,7 +33,7 @@ _WATER: Fields = [
 ]  # fmt: skip
 _IMAGE: Fields = [("data_size", "u1"), ("resolution", "<f8"), ("ranges", "<u2"), ("beams", "<u2")]
 _PLACE: Fields = [("offset", "<u4"), ("size", "<u4"), ("total", "<u4")]
-# The start of a ping of the first version is a count of unknown unit.
+# In the first version the start of a ping is a count of unknown unit.
 _RESULT = np.dtype(
     [*_HEAD, *_FIRE, *_WATER, ("sound_speed", "<f8"), ("start", "<u4"), *_IMAGE, *_PLACE]
 )
@@ -49,7 +50,7 @@ MESSAGE_MARK = b"SO"
 """The first bytes of every message: its `id`."""
 FULL_PING, SIMPLE_PING = 0x22, 0x23
 KNOWN_MESSAGES = (0x15, FULL_PING, SIMPLE_PING, 0x55, 0x80, 0xFF)
-"""Their numbers; the others are fire, settings, logs and nothing."""
+"""The numbers of all messages; those without a name are fire, settings, logs and dummy."""
 _BYTES_OF_SAMPLE = {0: 1, 1: 2, 3: 4}
 
 
@@ -78,7 +79,7 @@ MESSAGES: dict[tuple[int, int], Callable[[bytes], tuple[Ping, Header]]] = {
 
 
 def _ping(message: bytes, layout: np.dtype[Any]) -> tuple[Ping, Header]:
-    """A ping and its header, without what only the second version holds."""
+    """A ping and its header, without what only the second version has. Raises UnusableError."""
     if len(message) < layout.itemsize:
         raise UnusableError(f"a ping of {len(message)} bytes")
     fields = np.frombuffer(message, layout, 1)[0]
@@ -89,7 +90,7 @@ def _ping(message: bytes, layout: np.dtype[Any]) -> tuple[Ping, Header]:
     size = _BYTES_OF_SAMPLE.get(int(fields["data_size"]))
     if size is None:
         raise UnusableError(f"unknown sample type {fields['data_size']}")
-    gains = len(image) == bins * (beams * size + 4)  # the flag that announces them may be wrong
+    gains = len(image) == bins * (beams * size + 4)  # the flag that announces gains may be wrong
     hundredths = np.frombuffer(message, "<i2", beams, layout.itemsize).astype(float)
     geometry = oculus_geometry(hundredths, float(fields["resolution"]), bins, beams)
     pixels = oculus_samples(image, bins, beams, size, gains=gains)
@@ -110,23 +111,23 @@ def _ping(message: bytes, layout: np.dtype[Any]) -> tuple[Ping, Header]:
 
 
 def _within(value: float, low: float, high: float) -> float | None:
-    """The value; None outside of its bounds, where it is whatever lay in the sonar's memory."""
+    """The value; None out of bounds, which is what happened to be in the sonar's memory."""
     leftover = 0 < abs(value) < 1e-9
     return float(f"{value:.7g}") if low <= value <= high and not leftover else None
 
 
 def message_number(message: bytes) -> int | None:
-    """Which message it is; None for bytes that are none."""
+    """The number of a message; None if these bytes are not a message."""
     if len(message) < HEAD_TYPE.itemsize or message[:2] != MESSAGE_MARK:
         return None
     return int(np.frombuffer(message, HEAD_TYPE, 1)[0]["message"])
 
 
 def decoded(message: bytes) -> tuple[Ping, Header]:
-    """The ping of a message, and its header. Raises UnusableError where it cannot be used."""
+    """The ping of a message, and its header. Raises UnusableError if it cannot be used."""
     head = np.frombuffer(message, HEAD_TYPE, 1)[0]
     parse = MESSAGES.get((int(head["message"]), int(head["version"])))
     if parse is None:
         raise UnusableError(f"a ping of version {head['version']}, which is not known")
-    with np.errstate(all="ignore"):  # damaged numbers overflow; what comes of them is checked
+    with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
         return parse(message)

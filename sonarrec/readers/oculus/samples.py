@@ -1,4 +1,4 @@
-"""The geometry and the samples of a ping; those in the MCAP messages of its drivers are alike."""
+"""The geometry and the samples of a ping, in Oculus files and in MCAP messages of its drivers."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def oculus_geometry(
 ) -> PingGeometry:
     """The geometry of a ping whose bins are `resolution_m` long and begin at the sonar.
 
-    hundredths: (beams,) bearings in hundredths of a degree. Raises UnusableError where the numbers
-    cannot be meant.
+    hundredths: (beams,) bearings in hundredths of a degree. Raises UnusableError if the numbers are
+    impossible.
     """
     if len(hundredths) != beams:
         raise UnusableError(f"{beams} beams with {len(hundredths)} bearings")
     if not 0 < resolution_m < math.inf:
         raise UnusableError(f"range resolution {resolution_m:g} m")
     ranges = (np.arange(bins) + 0.5) * resolution_m
-    # Rows of an image: which axis is which need not be found out.
+    # The pixels come as the rows of an image, so their order is known.
     return replace(ping_geometry(ranges, hundredths / 100), beam_order="range-major")
 
 
@@ -35,8 +35,8 @@ def oculus_samples(
     """The (bins, beams) samples of a ping, unsigned integers of `size` bytes.
 
     step: bytes from row to row; those beyond a row's own are skipped. gains: whether each row
-    begins with its gain, 4 bytes; its samples are divided by the gain's root (float32 then).
-    Raises UnusableError where the numbers do not fit the data.
+    begins with its gain, 4 bytes; then its samples are divided by the gain's root, as float32.
+    Raises UnusableError if the numbers do not fit the data.
     """
     if size not in (1, 2, 4):
         raise UnusableError(f"samples of {size} bytes")
