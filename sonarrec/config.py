@@ -1,7 +1,7 @@
 """Every setting, once: its default, bounds, unit and meaning, and where it is in the paper.
 
-The presets are one code path with different numbers. What the paper leaves open is marked
-"open in the paper"; PRESETS has what `--preset paper` takes for it.
+All presets are one code path with different numbers. What the paper leaves open is marked "open in
+the paper"; PRESETS has the values that `--preset paper` uses.
 """
 
 from __future__ import annotations
@@ -97,18 +97,18 @@ class Continuity:
         "image",
         "",
         "random_walk: Eq. 3 alone, as the paper; image: the sonar's motion is measured between "
-        "the frames first. Poses tell it in both cases. Where it is known the walk is "
+        "the frames first. Poses give it in both cases. If it is known, the walk is "
         "sigma_known_px wide",
     )
     sigma_known_px: NotNegative = _setting(
         4.0,
         "fan pixels",
-        "random walk where the motion is known; image: also how wide a group begins",
+        "random walk if the motion is known; image: also how wide a group begins",
     )
     min_match: NotNegative = _setting(
         0.25,
         "correlation",
-        "image: where a standing sonar's frames match less, the motion is not known",
+        "image: if the frames of a standing sonar match less, the motion is not known",
     )
     jump: NotNegative = _setting(
         0.25,
@@ -125,7 +125,7 @@ class Continuity:
     z_hit: NotNegative = _setting(
         0.95, "weight", "weight of the score map in Eq. 4; open in the paper"
     )
-    # Without it a frame in which nothing is hit leaves no weight at all.
+    # If it were 0, a frame in which nothing is hit would leave no weight at all.
     z_rand: Annotated[float, bounds(1e-9)] = _setting(
         0.05, "weight", "weight of the uniform part in Eq. 4; open in the paper"
     )
@@ -161,13 +161,13 @@ class Continuity:
         0.2,
         "disc diameters",
         "a candidate this near to where the motion takes a remembered group may be its object, "
-        "had it just left",
+        "if the group has only just left",
     )
     recall_drift: NotNegative = _setting(
         0.02,
         "disc diameters",
-        "standard error that this place gains with every frame away, beside that of the motion; "
-        "twice both together are added to recall",
+        "standard error that this place gains with every frame away, besides that of the motion; "
+        "twice the two together is added to recall",
     )
     recall_most: NotNegative = _setting(0.5, "disc diameters", "recall grows no wider than this")
     recall_in_view: Share = _setting(
@@ -260,9 +260,9 @@ SECTIONS = {"candidates": Candidates, "continuity": Continuity, "features": Feat
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
     "offline": {"features": {"lag_frames": 240}},
-    # How what is open in the paper was chosen: candidates and smi on two seeds of an earlier scene
-    # (2100 and 2101); worlds were then fitted to these; continuity and features on those worlds
-    # (`make paper-choices`).
+    # How the values that are open in the paper were chosen: those of candidates and smi on two
+    # seeds of an earlier scene (2100 and 2101), to which worlds were then fitted; those of
+    # continuity and features on these worlds (`make paper-choices`).
     "paper": {
         "candidates": {
             "plane": "fan",
@@ -305,31 +305,31 @@ def preset(name: str) -> Config:
 
 
 def with_table(config: Config, table: Mapping[str, Any], where: str) -> Config:
-    """`config` with the keys of a table of sections in place; `where` names it in errors.
+    """`config`, changed by the keys of a table of sections. where: names the table in errors.
 
-    Raises UsageError for an unknown section or key, and for a value that cannot be meant.
+    Raises UsageError for an unknown section or key, and for an invalid value.
     """
     stated = {key: value for key, value in table.items() if key != "preset"}
     return from_table(Config, stated, where, over=config, error=UsageError)
 
 
 def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Config]:
-    """The configurations of several presets and a TOML file, whose settings go over theirs.
+    """The configurations of several presets, changed by the settings of a TOML file.
 
-    path: a file of settings, or a run.toml. A preset that it names serves where none is asked for.
-    Raises UsageError where the file cannot be read or holds what is no setting, and for a preset
-    that is unknown or asked for twice.
+    path: a file of settings, or a run.toml. If no preset is given, the file's own is used.
+    Raises UsageError if the file cannot be read or holds anything but settings, and for a preset
+    that is unknown or given twice.
     """
     tables = [{}] if path is None else _config_tables(path)
     if not presets:
         presets = [table.get("preset", "default") for table in tables]
     presets = [name.strip() for name in presets]  # they are typed as a list
     if len(set(presets)) < len(presets):
-        raise UsageError(f"--preset {','.join(presets)}: each preset once")
+        raise UsageError(f"--preset {','.join(presets)}: name each preset once")
     chosen = []
     for name in presets:
         same = [t for t in tables if t.get("preset", name) == name]
-        # Settings of one preset serve for any other as well; of several each serves its own.
+        # Settings of a single preset apply to any preset, those of several each to its own.
         table = same[0] if same else tables[0] if len(tables) == 1 else {}
         chosen.append(with_table(preset(name), table, str(path)))
     return chosen
@@ -348,7 +348,7 @@ def _config_tables(path: Path) -> list[dict[str, Any]]:
 
 
 def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
-    """`config` with `stage.key=value` texts in place. Raises UsageError where one is not that."""
+    """`config`, changed by `stage.key=value` texts. Raises UsageError for an invalid one."""
     for text in assignments:
         path, equals, value = text.partition("=")
         section, dot, key = path.strip().partition(".")
@@ -365,7 +365,7 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
 
 
 def _plain(value: str) -> float | str:
-    """The value of a text that is no TOML: a number such as .5, or a name without quotes."""
+    """The value of a text that is not TOML: a number such as .5, or a name without quotes."""
     try:
         return float(value)
     except ValueError:

@@ -18,11 +18,11 @@ from sonarrec.records import BoolArray, ByteImage, Fan, FloatArray, PolarImages,
 from sonarrec.sonar import Geometry
 
 MAX_FAN_PIXELS = 2**24
-MAX_SIDE = 2**15 - 2  # cv2.remap, of what it reads and of what it makes
-# Nearer than this multiple of the height the floor is seen so steeply that a pixel of slant range
-# covers several of floor.
+MAX_SIDE = 2**15 - 2  # of the images that cv2.remap can read and make
+# At slant ranges below this multiple of the height, the floor is seen so steeply that one pixel of
+# slant range covers several pixels of floor.
 STEEPEST = 1.05
-BEYOND = -2  # column and row of a pixel that no image has, nor its neighbours: cv2.remap makes it 0
+BEYOND = -2  # column and row of a pixel outside every image, like its neighbours; it becomes 0
 
 
 def fan_for_image(sonar: Geometry, rows: int, columns: int) -> Fan:
@@ -83,7 +83,7 @@ def plane_position(pair: tuple[str, FloatArray, FloatArray], fan: Fan | None) ->
     """(rows, 2) metres in the fan plane, right and ahead of the sonar.
 
     pair: ("polar", slant ranges in m, bearings in deg) or ("pixel", columns, rows), each (rows,).
-    None where it is in pixels and there is no fan to turn them into metres.
+    None if it is in pixels and there is no fan to convert them into metres.
     """
     kind, first, second = pair
     if kind == "pixel":
@@ -112,7 +112,7 @@ def polar_from_plane(position: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def in_fan(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> BoolArray:
-    """Which slant ranges and bearings the sonar sees: bool, shapes broadcast."""
+    """Whether the sonar sees slant ranges and bearings; shapes broadcast."""
     return np.asarray(
         (range_m >= fan.range_min_m)
         & (range_m <= fan.range_max_m)
@@ -122,15 +122,15 @@ def in_fan(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> BoolArray:
 
 
 def in_image(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> BoolArray:
-    """Which slant ranges and bearings the fan image shows: bool, shapes broadcast.
+    """Whether the fan image shows slant ranges and bearings; shapes broadcast.
 
-    An image whose rows reach from range_max_m to range_min_m straight ahead, as most are, cuts the
-    near corners of a wide fan off.
+    The rows of most images reach from range_max_m to range_min_m straight ahead; they cut off the
+    near corners of a wide fan.
     """
     column, row = pixel_from_polar(fan, range_m, bearing_deg)
     shown = in_fan(fan, range_m, bearing_deg)
     shown &= (row >= -0.5) & (row <= fan.rows - 0.5)
-    # Fans are drawn as wide as whole pixels go: what is cut off there is cut by more than one.
+    # Fans are drawn as wide as whole pixels allow, so up to one pixel beyond still counts.
     return np.asarray(shown & (column >= -1) & (column <= fan.columns))
 
 
@@ -173,24 +173,24 @@ def beam_bearings(sonar: Geometry, beams: int) -> FloatArray:
 
 
 class Resampling:
-    """Resamples images, bilinearly, by a table that is filled a few rows at a time.
+    """Resamples images bilinearly, by a table that is filled a few rows at a time.
 
-    What was not filled in shows 0.
+    Pixels that were not filled are 0.
     """
 
     def __init__(self, shape: tuple[int, int], shrink: tuple[int, int] = (1, 1)) -> None:
-        """shape: (rows, columns) of what is made. shrink: (down, across) how many pixels are first
-        averaged: their mean has less speckle than single pixels picked here.
+        """shape: (rows, columns) of the resampled images. shrink: (down, across) how many pixels
+        are averaged first; a mean has less speckle than a single pixel.
         """
         self._shrink = shrink
         self._columns = np.full((*shape, 2), BEYOND, np.int16)
         self._weights = np.zeros(shape, np.uint16)
 
     def fill(self, band: slice, column: FloatArray, row: FloatArray, seen: BoolArray) -> None:
-        """Set, for some rows of the resampled images, where in the images each pixel lies.
+        """Set where each pixel of some rows comes from.
 
-        band: the rows. column, row: in pixels of the images. seen: whether they lie inside. All
-        (rows of the band, columns).
+        band: the rows of the resampled images. column, row: position in the images, in pixels.
+        seen: whether it is inside. All three are (rows of the band, columns).
         """
         down, across = self._shrink
         self._columns[band], self._weights[band] = cv2.convertMaps(
@@ -203,7 +203,7 @@ class Resampling:
     def __call__(self, image: ByteImage) -> ByteImage:
         """An image (uint8) resampled, (rows, columns) uint8."""
         if max(self._shrink) > 1:
-            # Whole blocks only: a remainder would shift the scale by a part of a pixel.
+            # Filled up to whole blocks: a remainder would shift the scale by a part of a pixel.
             rows, columns = (-side % by for side, by in zip(image.shape, self._shrink, strict=True))
             if rows or columns:
                 filled = cv2.copyMakeBorder(image, 0, rows, 0, columns, cv2.BORDER_REPLICATE)
@@ -222,10 +222,11 @@ class PolarToFan(PolarImages):
     def __init__(
         self, sonar: Geometry, range_bins: int, beams: int, fan: Fan | None = None
     ) -> None:
-        """fan: of another ping, whose window may differ; outside of its own, a ping shows 0.
+        """fan: that of the log's first ping, whose window may differ; None: the ping's own. Parts
+        of the fan outside the ping's window are 0.
 
-        Raises SonarrecError where bearings_deg or ranges_m does not match the image, where the fan
-        would have more than MAX_FAN_PIXELS, or where it or the image has a side above MAX_SIDE.
+        Raises SonarrecError if bearings_deg or ranges_m do not match the image, if the fan would
+        have more than MAX_FAN_PIXELS, or if it or the image has a side above MAX_SIDE.
         """
         for key, name, count in (
             ("bearings_deg", "beams", beams),
@@ -315,7 +316,7 @@ class PolarToFan(PolarImages):
 def floor_depth(fan: Fan) -> float:
     """Height of the sonar above the floor, m.
 
-    Where it is not stated the beam's axis is taken to meet the floor in the middle of the window:
+    If it is not stated, the beam's axis is assumed to meet the floor in the middle of the window:
     there, and only there, the exact squeeze is Eq. 1's cos(tilt).
     """
     if fan.height_m is not None:
@@ -325,7 +326,7 @@ def floor_depth(fan: Fan) -> float:
 
 
 def ground_range(fan: Fan, range_m: FloatArray | float) -> FloatArray:
-    """Ground range (m) of floor points at slant range (m); NaN nearer than the floor."""
+    """Ground range (m) of floor points at slant range (m); NaN if nearer than the floor."""
     slant = np.asarray(range_m, dtype=float)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(slant**2 - floor_depth(fan) ** 2))
@@ -337,7 +338,8 @@ def slant_range(fan: Fan, ground_m: FloatArray | float) -> FloatArray:
 
 
 def points_on_disc(radius_m: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """(count,) right and ahead of its centre, m: points spread evenly, as a sunflower's seeds."""
+    """(count,) m to the right and ahead of the centre: points spread evenly over a disc, like the
+    seeds of a sunflower."""
     n = np.arange(count) + 0.5
     distance, turn = radius_m * np.sqrt(n / count), n * (np.pi * (3 - math.sqrt(5)))
     return distance * np.cos(turn), distance * np.sin(turn)

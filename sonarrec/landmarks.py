@@ -49,7 +49,7 @@ class LandmarkSet:
         return np.asarray(table[:, np.minimum(sector, table.shape[1] - 1)])
 
     def indices(self, ids: IntArray) -> IntArray:
-        """(n,) the place in the set of each of (n,) IDs, which must be in it."""
+        """(n,) indices into `ids`, of (n,) IDs that must be in the set."""
         order = np.argsort(self.ids)
         return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)])
 
@@ -66,9 +66,9 @@ class LandmarkSet:
         return np.asarray(np.where(ring, 1.0, np.where(symbol, on, 0.0)))
 
     def periods_deg(self) -> FloatArray:
-        """(K,) the smallest turn, in deg, that leaves each ID's symbol as it was; 360 mostly.
+        """(K,) the smallest turn, deg, after which each ID's symbol looks the same; mostly 360.
 
-        NaN if every turn does: such a symbol, all bright or all dark, has no orientation.
+        NaN for a symbol that is all bright or all dark: it has no orientation.
         """
         count = len(self.sectors[0])
         turns = [
@@ -114,7 +114,7 @@ class _LandmarkSetFile:
 def load_landmarks(source: str | Path) -> LandmarkSet:
     """Read a landmark set: the name of a built-in one ("basin") or a TOML file.
 
-    Raises UsageError where the file is missing or what it says cannot be a landmark set.
+    Raises UsageError if the file is missing or does not describe a landmark set.
     """
     path = named_file(source, BUILT_IN)
     if path is None:
@@ -128,7 +128,7 @@ def load_landmarks(source: str | Path) -> LandmarkSet:
 def landmarks_from_table(
     table: object, where: str, error: type[SonarrecError] = SonarrecError
 ) -> LandmarkSet:
-    """A LandmarkSet from the keys of its TOML; `where` names it in errors (`error`)."""
+    """A LandmarkSet from the keys of its TOML. where: names it in errors, which are `error`s."""
     stated = from_table(_LandmarkSetFile, table, where, error=error)
     ids = tuple(row.id for row in stated.landmark)
     sectors = tuple(row.sectors for row in stated.landmark)

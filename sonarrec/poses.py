@@ -15,8 +15,8 @@ import numpy as np
 
 from sonarrec.records import FloatArray, IntArray, Motion
 
-# Between rows that are farther apart than this many times the usual step there is no pose.
 GAP = 10
+"""There is no pose between rows that are more than this many usual steps apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,8 @@ class PoseTable:
     positive to the right (clockwise seen from above) and without jumps of 360, then x and y, the
     place on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns: between
     two rows that are farther apart there is no pose. problems: a line for each row that could not
-    be used. axes: what its own x and y are where yaw is 0; `pose` has right and ahead in any case.
+    be used. axes: the directions of x and y in the user's own table at yaw 0; in `pose` they are
+    always right and ahead.
     """
 
     name: str

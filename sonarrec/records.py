@@ -22,7 +22,7 @@ IntArray = npt.NDArray[np.int64]
 IndexArray = npt.NDArray[np.intp]
 
 PART = ".part"
-"""How the name of a folder of results ends while its run is not finished; no other ends so."""
+"""Ending of the name of a results folder whose run is not finished; no other folder has it."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 """How the names of images end; a folder that holds some is a log."""
 
@@ -37,12 +37,12 @@ class SonarrecError(Exception):
     """A fault in the input or the settings, in one line: what, where, what to do."""
 
     def __str__(self) -> str:
-        # It may quote what files hold.
+        # The message may quote the contents of files.
         return "\n".join(map(printable, super().__str__().split("\n")))
 
     @property
     def line(self) -> str:
-        """The one line, without the example of a sonar.toml that some have behind it."""
+        """The first line, without the example of a sonar.toml that may follow."""
         return str(self).partition("\n")[0].removesuffix("; like this:")
 
 
@@ -68,17 +68,17 @@ def name_as_text(name: object) -> str:
 
 
 def name_from_text(text: str) -> str:
-    """The file's name of which `name_as_text` made this text."""
+    """The file's name from which `name_as_text` made this text."""
     name = re.sub(rb"\\x([89a-f][0-9a-f])", lambda byte: bytes([int(byte[1], 16)]), text.encode())
     return name.decode(sys.getfilesystemencoding(), errors="surrogateescape")
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The server from which the files in a local folder are.
+    """The server that the files in a local folder were fetched from.
 
-    url: of the log or the results, as given, without what is secret. here: the local folder.
-    there: the folder of the server that it stands for.
+    url: of the log or the results, as given, without secrets. here: the local folder. there: the
+    folder on the server that it stands for.
     """
 
     url: str
@@ -190,7 +190,7 @@ class PolarImages(Protocol):
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
         """(beam, range bin, whether the images show it) of slant ranges (m), bearings (deg).
 
-        Half a bin beyond the outermost centres counts as there. The arguments have one shape.
+        Half a bin beyond the outermost centres still counts as shown. The arguments have one shape.
         """
         ...
 
@@ -202,7 +202,7 @@ class Frame:
     index: 0-based position in the log (unusable frames keep their number).
     timestamp_ns: time in ns; if the log carries none, from the index and the frame rate.
     pixels: uint8, log-compressed intensity: the fan image or, if there is `polar`, a polar image
-    (range bins, beams). polar: how that lies in the fan.
+    (range bins, beams). polar: how a polar image fills the fan.
     stamps: all times that the log states for the frame.
     """
 
@@ -223,8 +223,8 @@ class Frame:
 class Motion:
     """How the sonar moved from one frame to the next.
 
-    pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it was carried, to
-    the right and ahead as it looked before. The sigmas: their standard errors; 0 if poses are
+    pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it moved, in the
+    directions that were right and ahead before. The sigmas: their standard errors; 0 if poses are
     given. known: False if the motion was not measured; then sigmas are wide.
     """
 
@@ -261,7 +261,7 @@ class Groups:
     numbers: (n,) int, stable over frames. positions: (n, 2) float, (column, row) in plane pixels.
     spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1. sight_deg:
     (n,) by how many degrees, counter-clockwise seen from above, the line of sight to the object has
-    turned over the floor since the track began: 0 where the sonar only pans. in_view: (n,) whether
+    turned over the floor since the track began; 0 if the sonar only pans. in_view: (n,) whether
     enough of the disc is inside the fan (continuity.least_in_view); one that comes in shows less at
     first. remembered: (m,) numbers of those that left the view and may return.
     """
@@ -337,7 +337,7 @@ class Estimate:
 class FrameResult:
     """The results of one frame: a row of frames.csv and its rows of estimates.csv.
 
-    motion: of the sonar since the frame before; None for the first one, and if not looked for.
+    motion: of the sonar since the frame before; None for the first frame, and if not measured.
     """
 
     index: int

@@ -1,4 +1,4 @@
-"""What a sonar.toml, flags or a message state of the sonar, and whether it is complete."""
+"""The sonar's geometry as a sonar.toml, flags or messages state it, and whether it is complete."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sonarrec.files.toml import Finite, from_table, read_toml
 from sonarrec.records import ColourMap, SonarrecError, UsageError
 
 MIN_WINDOW_M = 0.01
-STEEPEST_TILT_DEG = 89.0  # that is assumed; at 90 every disc would be a line in the image (Eq. 1)
+STEEPEST_TILT_DEG = 89.0  # of tilts that are assumed; at 90 every disc would be a line (Eq. 1)
 EXAMPLE_SONAR_TOML = """\
 [sonar]
 layout = "fan"              # or "polar": rows = range bins (row 0 nearest), columns = beams
@@ -48,7 +48,7 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class Sonar:
-    """The sonar's geometry as a sonar.toml, flags or a run.toml state it; None: nothing said."""
+    """The sonar's geometry as a sonar.toml, flags or a run.toml state it; None: not stated."""
 
     layout: Literal["fan", "polar"] | None = None
     range_min_m: Finite | None = None  # slant range
@@ -60,7 +60,7 @@ class Sonar:
     metres_per_pixel: Finite | None = None  # of a fan image
     apex_px: tuple[Finite, Finite] | None = None  # (column, row) of the fan's apex
     bearings_deg: tuple[Finite, ...] | None = None  # one per beam, where not evenly spaced
-    ranges_m: tuple[Finite, ...] | None = None  # one per range bin, at its middle, likewise
+    ranges_m: tuple[Finite, ...] | None = None  # one per bin, at its middle, likewise
     beam_order: BeamOrder | None = None  # of a polar image: a row per range bin, or per beam
     flip: bool | None = None  # left and right are exchanged
     colour_map: ColourMap | None = None  # of pictures in false colour
@@ -69,12 +69,12 @@ class Sonar:
     dynamic_range_db: Finite | None = None  # see readers.grey
 
     def updated(self, other: Sonar) -> Sonar:
-        """This geometry with every key that `other` states put in its place."""
+        """This geometry, with the keys that `other` states replaced by its values."""
         stated = {f.name: v for f in fields(other) if (v := getattr(other, f.name)) is not None}
         return replace(self, **stated)
 
     def as_table(self) -> dict[str, Any]:
-        """The stated keys, in the order of the contract, as plain TOML values."""
+        """The stated keys as plain TOML values, in the order of the fields."""
         table = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -83,7 +83,7 @@ class Sonar:
         return table
 
     def missing(self) -> list[str]:
-        """The keys without which the geometry is not complete and which it does not state."""
+        """The keys that a complete geometry needs and that are not stated."""
         needed = ["range_min_m", "range_max_m"]
         if not self.states_floor:
             needed.append("tilt_deg")
@@ -93,21 +93,21 @@ class Sonar:
 
     @property
     def states_floor(self) -> bool:
-        """Whether it tells where the floor is, by the tilt or by the height."""
+        """Whether it states where the floor is, by the tilt or by the height."""
         return self.tilt_deg is not None or self.height_m is not None
 
     def complete(self, where: str) -> Geometry:
-        """The geometry. Raises SonarrecError where it lacks a key or contradicts itself.
+        """The complete geometry. Raises SonarrecError if it lacks a key or contradicts itself.
 
-        If only the height is stated, not the tilt, the beam's axis is taken to meet the floor in
-        the middle of the window, as `geometry.floor_depth` takes it where only the tilt is.
+        If the height is stated but not the tilt, the beam's axis is assumed to meet the floor in
+        the middle of the window. `geometry.floor_depth` assumes the same if only the tilt is.
         """
         low, high, beams = self.range_min_m, self.range_max_m, self.bearings_deg
         tilt = self.tilt_deg
         if tilt is None and self.height_m is not None and low is not None and high is not None:
             sine = min(max(2 * self.height_m / max(low + high, MIN_WINDOW_M), 0.0), 1.0)
             tilt = min(round(math.degrees(math.asin(sine)), 2), STEEPEST_TILT_DEG)
-        view = self.field_of_view_deg if beams is None else 0.0  # which the beams tell
+        view = self.field_of_view_deg if beams is None else 0.0  # not needed with the beams
         if low is None or high is None or tilt is None or view is None:
             missing = self.missing()
             raise SonarrecError(
@@ -138,11 +138,11 @@ class Sonar:
         )
 
     def contradiction(self) -> str | None:
-        """The first thing of it that cannot be, in a few words; None where all can."""
+        """The first contradiction, in a few words; None if there is none."""
         return next((wrong for _, wrong in self._contradictions()), None)
 
     def check_flags(self, flags: Sonar) -> None:
-        """Raise UsageError where what flags state contradicts itself, or the rest of this."""
+        """Raise UsageError if what the flags state is contradictory, alone or with the rest."""
         for keys, wrong in self._contradictions():
             stated = [key for key in keys if getattr(flags, key) is not None]
             if stated:
@@ -150,7 +150,7 @@ class Sonar:
                 raise UsageError(f"{names}: {wrong}")
 
     def _contradictions(self) -> Iterator[tuple[tuple[str, ...], str]]:
-        """What cannot be: the keys it lies in, and what in a few words."""
+        """(the keys involved, a few words) for each contradiction and impossible value."""
         low, high, tilt = self.range_min_m, self.range_max_m, self.tilt_deg
         window = ("range_min_m", "range_max_m")
         if low is not None and high is not None:
@@ -176,6 +176,11 @@ class Sonar:
             value = getattr(self, key)
             if value is not None and value <= 0:
                 yield (key,), f"{key} = {value:g} must be above 0"
+        yield from self._contradictions_of_bins_and_beams()
+
+    def _contradictions_of_bins_and_beams(self) -> Iterator[tuple[tuple[str, ...], str]]:
+        """As `_contradictions`, for the keys with a number per beam or range bin."""
+        low, high = self.range_min_m, self.range_max_m
         if self.bearings_deg is not None:
             if max(map(abs, self.bearings_deg), default=0) >= 90:
                 yield ("bearings_deg",), "bearings_deg must lie between -90 and 90"
@@ -188,7 +193,7 @@ class Sonar:
             below = low is not None and least is not None and least < low
             if below or (high is not None and most is not None and most > high):
                 wrong = "ranges_m must lie between range_min_m and range_max_m"
-                yield ("ranges_m", *window), wrong
+                yield ("ranges_m", "range_min_m", "range_max_m"), wrong
             steps = np.diff(self.ranges_m)
             if not len(steps) or not np.all(steps > 0):
                 yield ("ranges_m",), "ranges_m must rise from bin to bin"
@@ -196,17 +201,17 @@ class Sonar:
 
 @dataclass(frozen=True, slots=True)
 class PingGeometry:
-    """What a polar ping tells of itself: all but tilt and height."""
+    """The geometry that a polar ping states: everything except tilt and height."""
 
     range_min_m: float  # the window's slant ranges
     range_max_m: float
     bearings_deg: tuple[float, ...]  # of the beams' middles
     ranges_m: tuple[float, ...] | None  # of the bins' middles; None: evenly spaced
-    beam_order: BeamOrder | None = None  # None: to be found out
-    beam_width_deg: float | None = None  # between half-power points; None: it does not say
+    beam_order: BeamOrder | None = None  # None: to be found from the samples
+    beam_width_deg: float | None = None  # between half-power points; None: not stated
 
     def as_sonar(self) -> Sonar:
-        """The geometry as a Sonar, which holds what a user could state of it."""
+        """The geometry as a Sonar, without what a user cannot state."""
         return Sonar(
             layout="polar",
             range_min_m=self.range_min_m,
@@ -229,8 +234,8 @@ def _edges(bearings_deg: tuple[float, ...], flip: bool) -> tuple[float, float]:
 def load_sonar(path: Path) -> Sonar:
     """Read a sonar.toml.
 
-    Raises SonarrecError where the file cannot be read, is no TOML, lacks [sonar],
-    or has a key or value that cannot be meant.
+    Raises SonarrecError if the file cannot be read, is not TOML, has no table [sonar], or has an
+    unknown key or an invalid value.
     """
     document = read_toml(path)
     if set(document) != {"sonar"}:
@@ -239,7 +244,7 @@ def load_sonar(path: Path) -> Sonar:
 
 
 def sonar_from(sonar: Sonar | Mapping[str, Any] | None) -> Sonar:
-    """The geometry that a program gives: a Sonar, keys of sonar.toml, or nothing."""
+    """The geometry that a program passes: a Sonar, keys of sonar.toml, or nothing."""
     return sonar if isinstance(sonar, Sonar) else sonar_from_table(sonar or {}, "sonar")
 
 

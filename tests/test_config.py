@@ -173,7 +173,7 @@ def test_spaces_in_a_list_of_presets_count_for_nothing(tmp_path):
     file = tmp_path / "two.toml"
     file.write_text('[[config]]\npreset = "paper"\n[[config]]\npreset = "offline"\nseed = 7\n')
     assert [c.seed for c in config.configs(["paper", " offline "], file)] == [0, 7]
-    with pytest.raises(UsageError, match="each preset once"):
+    with pytest.raises(UsageError, match="name each preset once"):
         config.configs(["default", " default"])
 
 
