@@ -21,16 +21,16 @@ def open_log(
     time: Clock = "log",
     up_to: Path | None = None,
 ) -> Log:
-    """Open a folder or glob of images, a video, an MCAP, a bag of ROS or a sonar's own file.
+    """Open a folder or glob of images, a video, an MCAP, a ROS bag or a sonar's own file.
 
-    path: also a log that `find_log` found, which is not looked for again. sonar: keys that win over
-    those in files, such as {"tilt_deg": 20.0}. sonar_file: in place of the sonar.toml beside the
-    log (for a folder or glob `sonar.toml` beside the images; for one file `NAME.sonar.toml`, else
-    `sonar.toml` in its folder). topic: the image channel of an MCAP file or a bag. time: which of
-    the times in it names a frame; frames come in the order of log time whatever it is. up_to: the
-    folder up to which sonar.toml is looked for where none lies beside the log.
-    Raises SonarrecError where the log or its geometry cannot be used, UsageError where the topic
-    or time cannot be meant.
+    path: may also be a log that `find_log` found. sonar: keys that take precedence over those in
+    files, such as {"tilt_deg": 20.0}. sonar_file: in place of the sonar.toml beside the log (for a
+    folder or glob `sonar.toml` beside the images; for one file `NAME.sonar.toml`, else `sonar.toml`
+    in its folder). topic: the image channel of an MCAP file or a bag. time: which time of a message
+    becomes the time of its frame; the order of frames is always that of log time. up_to: the
+    highest folder searched for sonar.toml if there is none beside the log.
+    Raises SonarrecError if the log or its geometry cannot be used, UsageError if the topic or time
+    is invalid.
     """
     if isinstance(path, Source):
         source, path = path, path.path
@@ -43,7 +43,8 @@ def open_log(
         )
     if time != "log" and not source.reader.has_topics:
         raise UsageError(
-            f"{name_as_text(path)}: --time chooses a clock of an MCAP or a ROS bag; this is none"
+            f"{name_as_text(path)}: --time chooses a clock of an MCAP or a ROS bag; this log is "
+            "neither"
         )
     file = None if sonar_file is None else Path(sonar_file)
     resolved, where = source.stated_sonar(sonar_from(sonar), file)

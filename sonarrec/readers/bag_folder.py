@@ -143,7 +143,7 @@ def _parsed(data: bytes) -> tuple[dict[str, Any], str | None]:
     except (YAMLError, ValueError, TypeError, RecursionError):
         return {}, "cannot be read as YAML"
     table = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
-    return (table, None) if isinstance(table, dict) else ({}, "tells of no bag")
+    return (table, None) if isinstance(table, dict) else ({}, "describes no bag")
 
 
 @dataclass(slots=True)
@@ -242,9 +242,8 @@ class BagFolder(Recording):
             short = count - self.counts[number]
             if short <= 0 or short > _MAX_LOST:
                 continue
-            shares = {
-                id(p): files.get(p.path.name, 0) - p.found.total() for p in damaged
-            }  # of all channels; right for this one where the others lost nothing
+            # Lost messages of all channels; right for this one if the others lost none.
+            shares = {id(p): files.get(p.path.name, 0) - p.found.total() for p in damaged}
             if len(damaged) == 1:
                 damaged[0].lost[number] = short
             elif damaged and min(shares.values()) >= 0 and sum(shares.values()) == short:

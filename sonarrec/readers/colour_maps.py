@@ -1,7 +1,7 @@
-"""Finds the colour map in which a viewer or driver drew pictures, and turns them back to grey.
+"""Finds the colour map in which a viewer or driver drew pictures, and converts them to grey.
 
-The luminance of these maps does not rise with the level, or not in proportion: in `jet` the
-strongest echoes are as dark as the weakest.
+Their luminance will not do: in these maps it does not rise with the level, or not in proportion. In
+`jet` the strongest echoes are as dark as the weakest.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 
 from sonarrec.records import ByteImage, FloatArray
 
-# Of OpenCV, most of them matplotlib's too. The luminance of ramps of one hue is good enough.
+# OpenCV's; matplotlib has most of them too. Ramps of one hue are left out: their luminance is good
+# enough.
 MAPS = {
     "hot": cv2.COLORMAP_HOT,
     "inferno": cv2.COLORMAP_INFERNO,
@@ -27,15 +28,14 @@ MAPS = {
     "viridis": cv2.COLORMAP_VIRIDIS,
 }
 LUMINANCE = "luminance"
-"""As a colour map: grey by OpenCV's weights of red, green and blue."""
+"""In place of a colour map: grey by OpenCV's weights of red, green and blue."""
 
-# Of colours (0 to 255 in each channel): from what difference between channels on a pixel is not
-# grey; below what largest channel it is black, as what lies outside a fan is in any map; how far at
-# the mean from a map's nearest colour the pixels of pictures in it lie, as JPEG and video mix
-# neighbours.
-_COLOURED, _BLACK, _NEAR = 16, 24, 25.0
-_LEAST_COLOURED = 0.1  # share of the pixels
-_SAMPLED = 2000  # pixels
+# In levels, 0 to 255 in each channel:
+_COLOURED = 16  # a pixel is not grey if its channels differ by more
+_BLACK = 24  # a pixel is black, as outside of a fan in any map, if all channels are below
+_NEAR = 25.0  # mean distance from a map's nearest colour, since JPEG and video mix neighbours
+_LEAST_COLOURED = 0.1  # share of the pixels of a picture that is not grey
+_SAMPLED = 2000  # pixels of each picture
 _BITS = 6  # of each channel, in the table of colours
 
 
@@ -46,7 +46,7 @@ def is_coloured(pixels: np.ndarray) -> bool:
 
 
 def find_map(images: Sequence[np.ndarray]) -> str | None:
-    """The colour map of a log's first images; None where it is none of MAPS.
+    """The colour map of a log's first images; None if it is not one of MAPS.
 
     images: (rows, columns, 3 or more) uint8, BGR.
     """
@@ -60,7 +60,7 @@ def find_map(images: Sequence[np.ndarray]) -> str | None:
 
 
 def map_levels(pixels: np.ndarray, name: str) -> ByteImage:
-    """(rows, columns) uint8: the level of each BGR pixel's nearest colour in a map; 0 of black."""
+    """(rows, columns) uint8: the level of each BGR pixel's nearest colour in a map; 0 if black."""
     down = 8 - _BITS
     blue, green, red = (pixels[:, :, k].astype(np.int32) >> down for k in range(3))
     return np.asarray(_levels(name)[(blue << 2 * _BITS) | (green << _BITS) | red])

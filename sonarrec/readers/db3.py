@@ -19,22 +19,22 @@ from sonarrec.records import SonarrecError, name_as_text
 
 
 class Db3Recording(Recording):
-    """A `Recording` of one database; of one that is cut, the messages before the cut."""
+    """A `Recording` of one database. If it is cut, only the messages before the cut are read."""
 
     def __init__(self, path: Path, at: Path | None = None) -> None:
-        """at: where its bytes are, if not at `path`.
+        """path: the file's name in messages. at: the file to read, if it is another one.
 
-        Raises SonarrecError where it is none, or nothing in it can be read.
+        Raises SonarrecError if it is no such database, or nothing in it can be read.
         """
         super().__init__(path)
         self.profile, self.library = "ros2", "SQLite"
         self.chunks: dict[str, int] = {}
-        # Its name goes into a URI, in which ? and # have meanings of their own.
+        # Quoted, because the name becomes part of a URI, in which ? and # have a meaning.
         name = quote(os.fsencode(at or path))
         self._database: _Database
         try:
             self._database = _WholeDatabase(name)
-        except Exception as error:  # what a damaged database raises is nowhere listed
+        except Exception as error:  # rosbags does not list what it raises for damaged databases
             whole = _line(error)
             try:
                 self._database = _CutDatabase(name)
@@ -71,21 +71,21 @@ class Db3Recording(Recording):
 
 
 class _Database(Protocol):
-    """What Db3Recording reads of a database. channels, counts, span: as of a Recording."""
+    """What Db3Recording needs of a database. channels, counts, span: as in a Recording."""
 
     channels: dict[int, Channel]
     counts: Counter[int]
     span: tuple[int, int] | None
 
     def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
-        """(channel, log time in ns, message), by time."""
+        """(channel, log time in ns, message) of some channels, in order of time."""
         ...
 
     def close(self) -> None: ...
 
 
 class _WholeDatabase:
-    """A database that SQLite finds nothing wrong with, read by rosbags."""
+    """A database without damage, read by rosbags."""
 
     def __init__(self, name: str) -> None:
         from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
@@ -93,7 +93,7 @@ class _WholeDatabase:
         reader: Any = Sqlite3Reader(Path(name))
         self._reader = reader
         reader.open()
-        # A row comes whole: no longer than a message may be.
+        # SQLite returns rows whole, so no row may be longer than the longest message.
         reader.dbconn.limit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_FRAME_BYTES)
         self.channels = {c.id: _channel(c) for c in reader.connections}
         self.counts = Counter({c.id: int(c.msgcount) for c in reader.connections})
@@ -114,9 +114,9 @@ class _WholeDatabase:
 
 
 class _CutDatabase:
-    """A database whose end is missing: the rows before that, in the order they were written.
+    """A database whose end is missing: the rows before the cut.
 
-    rosbags cannot serve: it counts all rows first, and SQLite refuses that for a file that is cut.
+    rosbags cannot read it: it counts all rows first, which SQLite refuses for a cut file.
     """
 
     def __init__(self, name: str) -> None:
@@ -135,7 +135,7 @@ class _CutDatabase:
             }
             self._times, self._places = array("q"), array("q")
             self._channels = array("q")
-            self._look()
+            self._find_rows()
         except BaseException:
             self._db.close()
             raise
@@ -143,7 +143,7 @@ class _CutDatabase:
         self.span = (min(self._times), max(self._times)) if self._times else None
 
     def _definitions(self) -> dict[str, tuple[str, bytes]]:
-        """Encoding and text of the definitions, which older databases do not hold."""
+        """(encoding, text) of the definitions by message type; older databases have none."""
         try:
             return {
                 kind: (str(encoding), str(text).encode(errors="replace"))
@@ -155,8 +155,8 @@ class _CutDatabase:
         except sqlite3.Error:
             return {}
 
-    def _look(self) -> None:
-        """Note place, channel and time of each message: 24 bytes each."""
+    def _find_rows(self) -> None:
+        """Remember place, channel and time of each message up to the cut: 24 bytes each."""
         rows = self._db.execute("SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid")
         try:
             for place, channel, time in rows:
@@ -175,7 +175,7 @@ class _CutDatabase:
                 )
                 try:
                     (data,) = rows.fetchone()
-                except sqlite3.Error:  # it reaches beyond the cut
+                except sqlite3.Error:  # the row reaches beyond the cut
                     data = None
                 yield self._channels[turn], self._times[turn], data
 
@@ -194,6 +194,6 @@ def _channel(connection: Any) -> Channel:
 
 
 def _line(error: BaseException) -> str:
-    """What an error of the library says, without its names of files."""
+    """The text of an error of the library, without its names of files."""
     text = str(error.__cause__ or error).partition("\n")[0]
     return name_as_text(text.rpartition(": ")[2] or type(error).__name__)[:200]

@@ -135,7 +135,7 @@ class Source:
         if topic is not None and not self.reader.has_topics:
             raise UsageError(
                 f"{name_as_text(where)}: --topic chooses a channel of an MCAP or a ROS bag; this "
-                "is none"
+                "log is neither"
             )
 
     def open(self, topic: str | None = None) -> RawLog:
@@ -180,7 +180,7 @@ def open_recording(path: Path) -> Recording:
     """Open one file of messages. Raises SonarrecError if it is another kind or cannot be read."""
     reader = _reader_of(path)
     if reader.recording is None:
-        raise SonarrecError(f"{name_as_text(path)}: no file of messages")
+        raise SonarrecError(f"{name_as_text(path)}: not a file of messages")
     return _recording(reader, path)
 
 

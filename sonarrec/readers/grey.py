@@ -2,19 +2,19 @@
 
 | pixels | `pixel_scale` | `full_scale`, which becomes 255 |
 |---|---|---|
-| 8 bit | linear: sonars compress before they store so few bits; but log where the speckle of the
+| 8 bit | linear: sonars compress before they store so few bits; but log if the speckle of the
   first frames is that of amplitudes (`holds_amplitudes`) | 255; log: by the first frame |
-| 16 bit | linear, but log where the first frame would be next to black, or where the speckle is
-  that of amplitudes | 65535; log: by the first frame |
+| 16 bit | linear, but log if the first frame would be almost black, or if the speckle is that of
+  amplitudes | 65535; log: by the first frame |
 | floating-point images within 0 to 1 | linear | 1 |
 | floating-point, some negative | db: decibels | by the first frame |
 | 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |
 
 `linear` is 255 v / full_scale, `log` 255 (1 + 20 log10(v / full_scale) / dynamic_range_db), `db`
-255 (1 + (v - full_scale) / dynamic_range_db), each cut to 0 to 255. These are the defaults; keys of
-the geometry state others. For a PGM its maxval takes the place of 255 and 65535. The full scale of
-log and db is such that the median of the first frame's echoes, floor speckle whatever bright things
-lie on it, comes to a third of the range. Later frames never enter.
+255 (1 + (v - full_scale) / dynamic_range_db), each clipped to 0 to 255. These are the defaults;
+keys of the geometry override them. The maxval of a PGM is used in place of 255 and 65535. "By the
+first frame": such that the median of its echoes becomes a third of the range; this median is floor
+speckle, whatever bright things lie on the floor. Later frames do not change the scale.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from sonarrec.records import ByteImage, SonarrecError
 from sonarrec.sonar import Sonar
 
 DYNAMIC_RANGE_DB = 50.0
-_MEDIAN_AT = 1 / 3  # where floor speckle lies in the range: high enough for shadows to show
+_MEDIAN_AT = 1 / 3  # of the range, for floor speckle: high enough for shadows to show
 _NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median below
 
-# Of `holds_amplitudes`: rows and columns of a block, when a block is of use, and the sum of slope
+# For `holds_amplitudes`: rows and columns of a block, which blocks are used, and the sum of slope
 # and skew above which pixels are amplitudes. In simulated pictures (77 of tuning and model seeds)
-# that sum is .94 at most for logarithms, and 1.05 or more for 95 of 100 pictures of amplitudes; the
-# others show a floor in relief without speckle.
+# this sum is at most .94 for logarithms, and at least 1.05 for 95 of 100 pictures of amplitudes;
+# the others show a floor in relief without speckle.
 _BLOCK = (16, 4)
 _MOST_BLACK, _LEAST_LEVEL, _LEAST_SPREAD, _LEAST_BLOCKS = 0.2, 4.0, 0.5, 50
 _DIM, _LEAST_SPECKLE = 1 / 8, 0.2  # of full scale; spread over level
@@ -50,8 +50,10 @@ Scale = Literal["linear", "log", "db"]
 
 @dataclass(frozen=True, slots=True)
 class GreyScale:
-    """How the pixels of one log become grey; see the module. bounded: finite pixels below 0 or
-    above full_scale are a fault rather than black or white."""
+    """How the pixels of one log become grey; see the module.
+
+    bounded: whether finite pixels below 0 or above full_scale are a fault, not black or white.
+    """
 
     pixel_scale: Scale
     full_scale: float
@@ -59,24 +61,24 @@ class GreyScale:
     bounded: bool = False
 
     def as_table(self) -> dict[str, Any]:
-        """The keys of the geometry that would state this scale."""
+        """The keys of the geometry that state this scale."""
         table = {"pixel_scale": self.pixel_scale, "full_scale": self.full_scale}
         linear = self.pixel_scale == "linear"
         return table if linear else table | {"dynamic_range_db": self.dynamic_range_db}
 
 
 def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarray:
-    """(rows, columns) in this machine's byte order, of pixels as a Ping holds them.
+    """(rows, columns) in this machine's byte order, from pixels as in a Ping.
 
-    8-bit colours become the levels of the colour map; all others, and by LUMINANCE these too, grey
-    by OpenCV's weights (.299 R + .587 G + .114 B; alpha is left out).
+    8-bit colours become the levels of the colour map. Other colours, and all with LUMINANCE, become
+    grey by OpenCV's weights (.299 R + .587 G + .114 B, without alpha).
     Raises UnusableError for other pixels.
     """
     if pixels.dtype.kind not in "uif" or pixels.dtype == np.float16:
         raise UnusableError(f"{pixels.dtype} pixels are not supported")
     pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
     if pixels.dtype == np.float64:
-        with np.errstate(over="ignore"):  # beyond 32 bits is infinite, hence white
+        with np.errstate(over="ignore"):  # values beyond 32 bits become infinite, which is white
             pixels = pixels.astype(np.float32)
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
@@ -97,9 +99,9 @@ def grey_scale(
 ) -> GreyScale | None:
     """The scale of a log by its first frame, as far as `sonar` does not state it.
 
-    pixels: of single_channel. amplitudes: they are echo amplitudes, of floating point whatever
-    their size. white: as of a RawFrame. None where the frame is blank, and so black on any scale.
-    Raises SonarrecError for a full scale that cannot be meant.
+    pixels: from single_channel. amplitudes: whether they are known to be echo amplitudes; then
+    floating-point values within 0 to 1 are too. white: as in a RawFrame. Returns None if the frame
+    is blank, since it is black on any scale. Raises SonarrecError for an invalid full scale.
     """
     values = pixels[np.isfinite(pixels)]
     if not values.any():
@@ -132,23 +134,24 @@ def grey_scale(
 
 
 def _usual_scale(values: np.ndarray, largest: float | None) -> Scale:
-    """The default for finite values of a type whose full scale is `largest`, None if unknown."""
+    """The default scale. values: finite. largest: full scale of their type; None if unknown."""
     if largest is None:
         return "db" if values.dtype.kind == "f" and values.min() < 0 else "log"
     return "log" if values.itemsize == 2 and next_to_black(values, largest) else "linear"
 
 
 def _middle(values: np.ndarray) -> float:
+    """The median without zeros."""
     return float(np.median(values[values != 0]))
 
 
 def next_to_black(pixels: np.ndarray, white: float | None) -> bool:
-    """Whether 16-bit integers, not all 0, are so dark that they are read as log for that."""
+    """Whether 16-bit integers, not all 0, are so dark that they are read as log."""
     return _middle(pixels) < _NEXT_TO_BLACK * (white or np.iinfo(pixels.dtype).max)
 
 
 def dim_level(pixels: np.ndarray, white: int | None) -> str | None:
-    """How dim 16-bit integers, not all 0, would be as linear grey; None where they are not."""
+    """How dim 16-bit integers, not all 0, would be as linear grey; None if not dim."""
     middle, full = _middle(pixels), white or np.iinfo(pixels.dtype).max
     return f"median {middle:.0f} of {full}" if middle < _DIM * full else None
 
@@ -156,14 +159,14 @@ def dim_level(pixels: np.ndarray, white: int | None) -> str | None:
 def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
     """Whether images of integers hold echo amplitudes rather than their logarithm, by speckle.
 
-    images: of single_channel, all of 8 or all of 16 bits; of the latter none next to black. In
-    amplitudes speckle spreads in proportion to its level, and its peaks reach farther than its
-    troughs; in logarithms it spreads evenly, and its troughs reach farther. An 8-bit picture
-    so dim that distant echoes are next to black is taken for amplitudes as well: if it holds
-    logarithms, little is lost. Measured in small blocks; False where too few show speckle.
+    images: from single_channel, all of 8 or all of 16 bits; 16-bit ones must not be next to black.
+    In amplitudes the spread of speckle is proportional to its level, and peaks reach farther than
+    troughs; in logarithms the spread is even, and troughs reach farther. An 8-bit picture that is
+    so dim that distant echoes are next to black is taken for amplitudes too: if it holds
+    logarithms, little is lost. Measured in small blocks; False if too few show speckle.
     """
     rows, columns = _BLOCK
-    # 16 bits hold far more steps than their content may fill: its brightest pixel is its white.
+    # The content may fill only a small part of 16 bits: its brightest pixel counts as white.
     deep = bool(images) and images[0].dtype != np.uint8
     white = np.float32(max(image.max() for image in images) if deep else 255)
     parts = [np.empty((0, rows * columns), np.float32)]
@@ -174,7 +177,7 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
         parts.append(block * 255 / white if deep else block)
     block = np.concatenate(parts)
     level, spread = block.mean(axis=1), block.std(axis=1)
-    # Black has no speckle, and what is cut off at either end has another.
+    # Black has no speckle, and clipping at either end changes it.
     whole = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
     whole &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
     if np.count_nonzero(whole) < _LEAST_BLOCKS:
@@ -183,18 +186,18 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
     dim = not deep and np.median(level) < _DIM * 256
     if dim and np.median(spread / level) > _LEAST_SPECKLE:
         return True
-    if np.log(level).std() < _LEAST_RANGE:  # at one level a spread tells nothing
+    if np.log(level).std() < _LEAST_RANGE:  # levels too similar to find a slope
         return False
     slope = np.polyfit(np.log(level), np.log(spread), 1)[0]  # 1 of amplitudes, 0 of logarithms
     off = (block - level[:, None]) / spread[:, None]
-    skew = np.median((off * off * off).mean(axis=1))  # a power takes twenty times as long
+    skew = np.median((off * off * off).mean(axis=1))  # ** 3 takes twenty times as long
     return bool(slope + skew > _AMPLITUDES)
 
 
 def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
-    """(rows, columns) uint8 of the pixels of single_channel; NaN (no data) becomes 0.
+    """(rows, columns) uint8, from the pixels of single_channel; NaN (no data) becomes 0.
 
-    Raises UnusableError where pixels are out of bounds.
+    Raises UnusableError if pixels are out of bounds.
     """
     full = scale.full_scale
     if scale.pixel_scale == "linear":
@@ -203,7 +206,7 @@ def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
         if pixels.dtype == np.uint16:
             return _rounded(np.ascontiguousarray(pixels), 255 / full)
     values = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
-    # Infinities are no fault, as `grey_scale` settles on what is finite.
+    # Infinities are allowed, because `grey_scale` uses finite values only.
     if scale.bounded and (((values < 0) | (values > full)) & np.isfinite(values)).any():
         raise UnusableError(
             f"floating-point pixels must lie in 0 to {full:g}, as in the first frame"

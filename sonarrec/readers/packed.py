@@ -1,6 +1,6 @@
 """Recordings that were compressed as a whole: unpacked into a temporary file, a piece at a time.
 
-The readers behind need to go to and fro in them, which no compressed stream allows.
+Their readers need random access, which a compressed stream does not allow.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ PACKINGS: dict[str, Callable[[BinaryIO, int], Iterator[bytes]]] = {
     ".zstd": _zstd,
     ".lz4": _lz4,
 }
-"""By the end of a name: what gives the contents of a file of so many bytes, in pieces."""
+"""By the ending of a name: yields the contents of a file of so many bytes, in pieces."""
 
 
 @contextmanager
 def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
-    """Where the bytes of a recording are, and what was wrong with its packing, if anything was.
+    """(the file to read, what is wrong with the compressed file or None).
 
-    Of one that is cut or damaged what was unpacked before serves. The temporary file is removed at
-    the end, when the reader has opened it: so it is gone with the reader, however that ends.
-    Raises SonarrecError where it unpacks to more than is read, or finds no room.
+    If it is cut or damaged, what could be unpacked before is used. The temporary file is unlinked
+    at the end, when the reader has opened it, so it never outlives the reader.
+    Raises SonarrecError if it unpacks to more than is read, or if there is no room.
     """
     unpack = PACKINGS.get(path.suffix.lower())
     if unpack is None:
@@ -57,14 +57,14 @@ def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
             problem = _unpack_to(path, unpack, out)
         yield Path(name), problem
     finally:
-        with suppress(OSError):  # a system that keeps open files: it stays in the temporary folder
+        with suppress(OSError):  # some systems do not unlink open files: then it stays
             Path(name).unlink()
 
 
 def _unpack_to(
     path: Path, unpack: Callable[[BinaryIO, int], Iterator[bytes]], out: BinaryIO
 ) -> str | None:
-    """Write what a file unpacks to; returns what was wrong with it, None if nothing was."""
+    """Unpack a file into `out`; returns what was wrong with it, or None."""
     import zstandard
 
     from sonarrec.readers.mcap.chunks import DamagedError
@@ -79,13 +79,13 @@ def _unpack_to(
                 if written > most:
                     raise SonarrecError(
                         f"{name_as_text(path)}: {size} bytes unpack to more than {most}, which is "
-                        "not read; unpack it by hand if that is meant"
+                        "not read; unpack it by hand if this is right"
                     )
                 out.write(piece)
         except (zstandard.ZstdError, DamagedError, RuntimeError, EOFError, MemoryError) as error:
             if not written:
                 raise SonarrecError(f"{name_as_text(path)}: cannot be unpacked ({error})") from None
-            return f"damaged behind {written} unpacked bytes ({error}); what came before is read"
+            return f"damaged after {written} unpacked bytes ({error}); what came before is read"
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise

@@ -1,4 +1,4 @@
-"""A ping's geometry, compared with that of other pings, of the fan, and as the user states it."""
+"""Compares a ping's geometry with that of other pings, of the fan, and with the user's."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, list
             against.append(f"{key} = {mine:g} (not {theirs:.4g})")
             sonar = replace(sonar, ranges_m=stated.ranges_m)
         elif stated.ranges_m is None and ping.ranges_m is not None:
-            sonar = replace(sonar, **{key: theirs})  # the bins' own middles end there
+            sonar = replace(sonar, **{key: theirs})  # which fits the middles of the bins
     bearings = np.asarray(ping.bearings_deg)
     beam_deg = float(np.ptp(bearings)) / (len(bearings) - 1)
     if stated.bearings_deg is not None:

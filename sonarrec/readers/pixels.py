@@ -1,4 +1,4 @@
-"""The one place where the bytes of images, files or messages, become pixels."""
+"""Decodes images, from files or messages, into pixels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from functools import cache
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import cv2
 import numpy as np
@@ -68,9 +68,9 @@ _PNG_CHUNK = struct.Struct(">I4s")  # length, name; a checksum of 4 bytes follow
 
 
 def _png_is_whole(data: memoryview) -> bool:
-    """Whether a PNG holds all its chunks up to the last; True of anything else.
+    """Whether a PNG has all its chunks up to the last; True for anything else.
 
-    OpenCV believes the length of a chunk, and makes room for it (up to 4 GB), before it reads.
+    OpenCV trusts the stated length of a chunk, and allocates it (up to 4 GB), before it reads.
     """
     if data[: len(_PNG)] != _PNG:
         return True
@@ -87,56 +87,69 @@ _PGM = re.compile(rb"P[25](?:\s|#.*\n)+\d+(?:\s|#.*\n)+\d+(?:\s|#.*\n)+(\d{1,5})
 
 
 def pgm_maxval(data: np.ndarray) -> int | None:
-    """The value that the bytes of a PGM call white; None where it is the largest of its type, and
-    of other files."""
+    """The value that a PGM states as white; None if it is the largest of its type, and for other
+    files."""
     header = _PGM.match(data[:1000].tobytes())
     return int(header[1]) if header and int(header[1]) not in (0, 255, 65535) else None
 
 
+class _TiffLayout(NamedTuple):
+    """One kind of TIFF. order, offset, length: struct formats of the byte order, an offset and the
+    length of a directory."""
+
+    order: str
+    first_at: int  # where the offset of the first directory is
+    offset: str
+    length: str
+    entry_bytes: int
+
+    def unpack(self, form: str, data: memoryview, at: int) -> tuple[int, ...]:
+        """The numbers of a struct format at a place of the file."""
+        return struct.unpack_from(self.order + form, data, at)
+
+
 _TIFFS = {
-    # first bytes: byte order, where the first directory's offset lies, the types of an offset and
-    # of a directory's length, the bytes of an entry
-    b"II*\0": ("<", 4, "I", "H", 12),
-    b"MM\0*": (">", 4, "I", "H", 12),
-    b"II+\0": ("<", 8, "Q", "Q", 20),
-    b"MM\0+": (">", 8, "Q", "Q", 20),
+    b"II*\0": _TiffLayout("<", 4, "I", "H", 12),
+    b"MM\0*": _TiffLayout(">", 4, "I", "H", 12),
+    b"II+\0": _TiffLayout("<", 8, "Q", "Q", 20),
+    b"MM\0+": _TiffLayout(">", 8, "Q", "Q", 20),
 }
+"""By the first bytes of the file."""
 _SUBFILE_TYPE, _PART_OF_ANOTHER = 254, 0b101  # bits: a smaller copy of another image, its mask
 _PHOTOMETRIC, _WHITE_IS_ZERO = 262, 0
 
 
 def _tiff_holds_several(data: memoryview) -> bool:
     """Whether this is a TIFF of several images, without smaller copies of one and its mask."""
-    if data[:4].tobytes() not in _TIFFS:
+    tiff = _TIFFS.get(data[:4].tobytes())
+    if tiff is None:
         return False
-    order, at, offset, length, entry_bytes = _TIFFS[data[:4].tobytes()]
     images, met = 0, set[int]()
-    with contextlib.suppress(struct.error, OverflowError):  # cut short, or led beyond memory
-        (at,) = struct.unpack_from(order + offset, data, at)
+    with contextlib.suppress(struct.error, OverflowError):  # cut short, or an offset beyond the end
+        (at,) = tiff.unpack(tiff.offset, data, tiff.first_at)
         while at and at not in met:
             met.add(at)
-            (entries,) = struct.unpack_from(order + length, data, at)
-            at += struct.calcsize(order + length)
-            # Entries are in the order of their tags, of which this is the lowest.
-            tag, _, _, value = struct.unpack_from(f"{order}HH{offset}I", data, at)
+            (entries,) = tiff.unpack(tiff.length, data, at)
+            at += struct.calcsize(tiff.order + tiff.length)
+            # Entries are sorted by tag, and this is the lowest tag.
+            tag, _, _, value = tiff.unpack(f"HH{tiff.offset}I", data, at)
             images += not (tag == _SUBFILE_TYPE and value & _PART_OF_ANOTHER)
             if images > 1:
                 return True
-            (at,) = struct.unpack_from(order + offset, data, at + entries * entry_bytes)
+            (at,) = tiff.unpack(tiff.offset, data, at + entries * tiff.entry_bytes)
     return False
 
 
 def _tiff_white_is_zero(data: memoryview) -> bool:
-    """Whether this is a TIFF whose lowest values are the brightest."""
-    if data[:4].tobytes() not in _TIFFS:
+    """Whether this is a TIFF in which 0 is white. It must be whole."""
+    tiff = _TIFFS.get(data[:4].tobytes())
+    if tiff is None:
         return False
-    order, at, offset, length, entry_bytes = _TIFFS[data[:4].tobytes()]
-    (at,) = struct.unpack_from(order + offset, data, at)
-    (entries,) = struct.unpack_from(order + length, data, at)
-    at += struct.calcsize(order + length)
+    (at,) = tiff.unpack(tiff.offset, data, tiff.first_at)
+    (entries,) = tiff.unpack(tiff.length, data, at)
+    at += struct.calcsize(tiff.order + tiff.length)
     fields = (
-        struct.unpack_from(f"{order}HH{offset}H", data, at + k * entry_bytes)
-        for k in range(entries)
+        tiff.unpack(f"HH{tiff.offset}H", data, at + k * tiff.entry_bytes) for k in range(entries)
     )
     return any((tag, value) == (_PHOTOMETRIC, _WHITE_IS_ZERO) for tag, _, _, value in fields)
 
@@ -144,7 +157,7 @@ def _tiff_white_is_zero(data: memoryview) -> bool:
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as stored.
 
-    Raises UnusableError where OpenCV cannot read it whole, its header states too many pixels, or
+    Raises UnusableError if OpenCV cannot read it whole, if its header states too many pixels, or if
     it is a TIFF of several images.
     """
     buffer = np.frombuffer(data, np.uint8)
@@ -173,7 +186,7 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("unreadable image")
     if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
         raise UnusableError("a JPEG that is damaged inside")
-    # OpenCV turns those of 8 bits over itself.
+    # OpenCV itself inverts such images of 8 bits.
     if image.dtype == np.uint16 and _tiff_white_is_zero(buffer.data):
         image = np.bitwise_not(image)
     return np.asarray(image)
@@ -204,11 +217,11 @@ def raw_pixels(
     step: int,
     big_endian: bool,
 ) -> np.ndarray:
-    """The pixels of an uncompressed image message, without a copy where they lie in BGR order.
+    """The pixels of an uncompressed image message, without a copy if they are in BGR order.
 
-    step: bytes from row to row. Some drivers state it wrongly: where step * height is not the
-    length of the data but the pixels without padding are, the width is believed.
-    Raises UnusableError where the numbers do not fit together or the encoding is unknown.
+    step: bytes from row to row. Some drivers state it wrongly: it is ignored if it does not fit the
+    length of the data but rows without padding do.
+    Raises UnusableError if the numbers do not fit together or the encoding is unknown.
     """
     if encoding not in _RAW_ENCODINGS:
         known = ", ".join(_RAW_ENCODINGS)
@@ -224,7 +237,7 @@ def raw_pixels(
                 f"{width} x {height} {encoding} pixels do not fit {len(data)} bytes (step {step})"
             )
         step = row
-    step = min(step, len(data))  # of a single row it may be anything
+    step = min(step, len(data))  # with a single row it may be anything
     pixels: np.ndarray = np.ndarray(
         (height, width, channels),
         dtype,

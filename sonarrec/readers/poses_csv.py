@@ -20,8 +20,8 @@ LOOK_ALIKE = (
 )
 """Names, in lower case, that other programs give to positions. They are refused: without x and y
 the sonar would be taken to turn in one place."""
-# How the unit of a column `timestamp` is told: rows of a steady pan may be half a minute apart, and
-# nobody writes 2,000 a second. Steps in between can only be milliseconds or microseconds.
+# How the unit of a column `timestamp` is recognised: rows of a steady pan may be half a minute
+# apart, and nobody writes 2,000 a second. Steps in between must be milliseconds or microseconds.
 SECONDS_BELOW = 50
 NANOSECONDS_FROM = 500_000
 
@@ -34,7 +34,7 @@ def read_poses(path: Path) -> PoseTable:
     NANOSECONDS_FROM or more. Rows may be in any order; of several rows at one time the first
     counts. Raises SonarrecError if the table cannot be used.
     """
-    # It loads pandas, which only runs with such a table need.
+    # Not at the top, because it loads pandas, which few runs need.
     from sonarrec.files.tables import Kind, read_header, read_table
 
     kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "place")

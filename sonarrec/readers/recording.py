@@ -1,4 +1,4 @@
-"""What every container of messages gives, whatever its format: MCAP, the bags of ROS."""
+"""What all containers of messages (MCAP files and ROS bags) have in common."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from sonarrec.records import name_as_text
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message. Times in ns; publish_time is None where the container keeps none.
+    """One message. Times in ns; publish_time is None if the container does not store it.
 
-    data is None where it cannot be read; then `problem` says why. Without a problem it is one of
-    many that were lost together, for which the recording's `faults` have one line.
+    data is None if it cannot be read; then `problem` says why. If `problem` is None too, it was
+    lost together with others, which the recording's `faults` report in one line.
     """
 
     channel: int
@@ -27,8 +27,11 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """What the messages of one channel are. schema: the message's name, empty without one.
-    schema_encoding, definition: as the container holds it ("ros2msg", ...)."""
+    """One channel, and the type of its messages.
+
+    schema: name of the type; empty if there is none. schema_encoding, definition: as stored in the
+    container ("ros2msg", ...).
+    """
 
     topic: str
     schema: str
@@ -38,11 +41,11 @@ class Channel:
 
 
 class Recording(ABC):
-    """A container of messages, opened.
+    """An open container of messages.
 
-    channels: by a number of the container's own. counts: messages of each. profile, library: what
-    wrote it, empty where it does not say. span: first and last log time in ns, None without a
-    message. chunks: how many, by compression. whole: it was closed by its writer and is not cut.
+    channels: by the container's own numbers. counts: number of messages of each. profile, library:
+    what wrote it; empty if not stated. span: first and last log time in ns; None without messages.
+    chunks: number of chunks by compression. whole: whether its writer closed it and it is not cut.
     faults: a line for each thing that is wrong, complete after a pass over its messages.
     """
 
@@ -62,12 +65,12 @@ class Recording(ABC):
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """One pass over the messages of some channels, in the order of log time.
 
-        Raises SonarrecError where nothing more can be read.
+        Raises SonarrecError if nothing more can be read.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Close what is open."""
+        """Close the files that are open."""
 
     def fault(self, text: str) -> None:
         """Add a line about what is wrong."""
@@ -76,10 +79,10 @@ class Recording(ABC):
     def up_to_damage(
         self, messages: Iterator[Message], count: int, line: Callable[[Exception], str]
     ) -> Iterator[Message]:
-        """Yield the messages that a library reads, up to the damage: whatever it raises.
+        """Yield the messages that a library reads, until it raises an error of any kind.
 
-        Libraries do not list what they raise. count: how many messages there should be. line: makes
-        a line of an error.
+        Libraries do not list the errors that damaged files cause. count: how many messages there
+        should be. line: turns an error into a line.
         """
         messages_read = 0
         try:

@@ -15,16 +15,16 @@ from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Channel, Message, Recording
 from sonarrec.records import SonarrecError, name_as_text
 
-MAX_CHUNK_BYTES = 2**27  # inflated; it is held in memory. A recorder's own limit is below 1 MB
+MAX_CHUNK_BYTES = 2**27  # inflated, in memory; recorders write chunks of less than 1 MB
 
 
 class RosBag(Recording):
     """A `Recording` of one bag of ROS 1."""
 
     def __init__(self, path: Path, at: Path | None = None) -> None:
-        """at: where its bytes are, if not at `path`.
+        """path: the file's name in messages. at: the file to read, if it is another one.
 
-        Raises SonarrecError where it is none or is damaged, OSError where it cannot be read.
+        Raises SonarrecError if it is no bag or is damaged, OSError if it cannot be read.
         """
         from rosbags.rosbag1 import Reader
 
@@ -44,8 +44,8 @@ class RosBag(Recording):
             self.span = (reader.start_time, reader.end_time - 1) if count else None
         except OSError:
             raise
-        except Exception as error:  # what a damaged bag raises is nowhere listed
-            hint = "; `rosbag reindex` mends it" if "not indexed" in str(error) else ""
+        except Exception as error:  # rosbags does not list what it raises for damaged bags
+            hint = "; `rosbag reindex` repairs it" if "not indexed" in str(error) else ""
             raise SonarrecError(
                 f"{name_as_text(path)}: not a whole bag of ROS 1 ({_line(error)}){hint}"
             ) from None
@@ -59,7 +59,7 @@ class RosBag(Recording):
     def _messages(self, channels: Collection[int]) -> Iterator[Message]:
         connections = [c for c in self._reader.connections if c.id in channels]
         if not connections:
-            return  # to rosbags none means all
+            return  # for rosbags, no connections means all
         for connection, time, data in self._reader.messages(connections):
             if len(data) > MAX_FRAME_BYTES:
                 problem = f"a message of {len(data)} bytes, more than is read"

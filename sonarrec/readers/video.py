@@ -15,9 +15,9 @@ VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
 
 
 def opencv_name(path: Path) -> str:
-    """A video's path as OpenCV takes it: what stands before a colon would be a protocol.
+    """A video's path for OpenCV, which takes what is before a colon for a protocol.
 
-    Raises SonarrecError where the name is not UTF-8, of which OpenCV dies.
+    Raises SonarrecError if the name is not UTF-8, because OpenCV would crash.
     """
     try:
         str(path).encode()
@@ -32,10 +32,10 @@ class VideoFrames(RawLog):
     """The frames of a video, timed by its container."""
 
     def __init__(self, path: Path) -> None:
-        """Raises SonarrecError where OpenCV cannot open the file as a video."""
+        """Raises SonarrecError if OpenCV cannot open the file as a video."""
         super().__init__()
         name = opencv_name(path)
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are told by us
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: we report faults ourselves
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self._video = cv2.VideoCapture(name)
         if not self._video.isOpened():
@@ -60,7 +60,7 @@ class VideoFrames(RawLog):
             at_ns = round(self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
             if at_ns > last_ns:
                 last_ns = timestamp_ns = at_ns
-            else:  # a container without times of its own
+            else:  # the container states no times
                 rate = self.playback_hz
                 timestamp_ns = None if rate is None else round(index * (1e9 / rate))
             yield RawFrame(f"frame {index}", timestamp_ns, pixels)
@@ -73,9 +73,9 @@ class VideoFrames(RawLog):
             )
 
     def _packets(self) -> int:
-        """How many frames the container holds, whether they decode or not; 0 where unknown.
+        """How many frames the container holds, whether they decode or not; 0 if unknown.
 
-        In AVI files a packet may be empty or none of a frame, in the others each is one frame.
+        In AVI files a packet may be empty or hold no frame; in the others each is one frame.
         """
         if self._path.suffix.lower() == ".avi":
             return 0

@@ -866,7 +866,7 @@ def test_a_topic_of_another_log_is_nothing_that_was_given(work: Path) -> None:
     told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
     assert "results of another log, dive.mcap with" in told.stderr
     told = sonarrec("overlay", "log", "--mcap", "o.mcap", "--topic", "/sonar", code=2)
-    assert "--topic chooses a channel of an MCAP or a ROS bag; this is none" in told.stderr
+    assert "--topic chooses a channel of an MCAP or a ROS bag; this log is neither" in told.stderr
 
 
 def test_the_recording_is_never_overwritten(work: Path) -> None:

@@ -457,7 +457,7 @@ def test_a_topic_that_is_not_there_is_told_in_one_line(pings):
     log = pose_log(Path("dive.mcap"), pings, "geometry_msgs/msg/PoseStamped", True, [0.0] * 16)
     for arguments, told in [
         ((log, "--odometry-topic", "/pose"), "there is /odom"),
-        ((pings, "--odometry-topic", "/odom"), "this is none"),
+        ((pings, "--odometry-topic", "/odom"), "this log is neither"),
         ((log, "--odometry-topic", "/odom", "--odometry", pan_table(Path("o.csv"))), "one of the"),
     ]:
         fault = sonarrec("run", *arguments, code=2).stderr

@@ -17,9 +17,8 @@ def image_decoders(log: Recording) -> dict[int, Decoder]:
     If the definition of a channel's messages cannot be used, the recording's faults say why.
     """
     decoders: dict[int, Decoder] = {}
-    by_definition: dict[
-        tuple[str, str, bytes, str], Decoder | None
-    ] = {}  # channels may share a schema
+    # Channels may share a definition.
+    by_definition: dict[tuple[str, str, bytes, str], Decoder | None] = {}
     for number, channel in log.channels.items():
         key = channel.schema, channel.schema_encoding, channel.definition, channel.message_encoding
         if key not in by_definition:

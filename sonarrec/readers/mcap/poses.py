@@ -39,7 +39,7 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     if not source.reader.has_topics:
         raise UsageError(
             f"{name_as_text(path)}: --odometry-topic names a channel of an MCAP or a ROS bag; this "
-            "is none"
+            "log is neither"
         )
     log = source.recording()
     try:
