@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.records import FloatArray, IntArray, SonarrecError
+
+if TYPE_CHECKING:
+    from sonarrec.files.tables import Table
 
 POSES_FILE = "poses.csv"
 """Poses beside a log (or NAME.poses.csv), used if the user gives none."""
@@ -40,28 +45,8 @@ def read_poses(path: Path) -> PoseTable:
     kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "place")
     kinds |= {"timestamp_ns": "whole", "timestamp": "time"}
     table = read_table(path, kinds, ("yaw",), HEADER)
-    if "timestamp_ns" in table:
-        at = table["timestamp_ns"]
-    elif "timestamp" in table:
-        at = table["timestamp"]
-    else:
-        raise SonarrecError(
-            f"{path}: wrong columns, neither timestamp nor timestamp_ns; "
-            f"expected a header such as {HEADER}"
-        )
-    if ("x" in table) != ("y" in table):
-        raise SonarrecError(f"{path}: x and y go together; give both or neither")
-    alike = [name for name in read_header(path, HEADER) if name.lower() in LOOK_ALIKE]
-    if "x" not in table and alike:
-        raise SonarrecError(
-            f"{path}: no position can be read from the columns {', '.join(alike)}: expected x,y "
-            "in metres (sonarrec help poses); rename them, or drop them if the sonar only turns"
-        )
-    steps = np.diff(np.unique(at))
-    if not len(steps):
-        raise SonarrecError(f"{path}: a motion needs rows at two times or more")
-    if "timestamp_ns" not in table:
-        at = _nanoseconds(path, at, float(np.median(steps)))
+    _check_columns(path, table, read_header(path, HEADER))
+    at = _times_ns(path, table)
     still = np.zeros(len(at))
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -75,6 +60,32 @@ def read_poses(path: Path) -> PoseTable:
         table.get("x", still),
         table.get("y", still),
     )
+
+
+def _check_columns(path: Path, table: Table, header: Sequence[str]) -> None:
+    """Raise SonarrecError if there are no times, or positions that cannot be read."""
+    if not {"timestamp", "timestamp_ns"} & table.keys():
+        raise SonarrecError(
+            f"{path}: wrong columns, neither timestamp nor timestamp_ns; "
+            f"expected a header such as {HEADER}"
+        )
+    if ("x" in table) != ("y" in table):
+        raise SonarrecError(f"{path}: x and y go together; give both or neither")
+    alike = [name for name in header if name.lower() in LOOK_ALIKE]
+    if "x" not in table and alike:
+        raise SonarrecError(
+            f"{path}: no position can be read from the columns {', '.join(alike)}: expected x,y "
+            "in metres (sonarrec help poses); rename them, or drop them if the sonar only turns"
+        )
+
+
+def _times_ns(path: Path, table: Table) -> IntArray:
+    """(rows,) times in ns. Raises SonarrecError if they are all one, or in another unit."""
+    at = table["timestamp_ns"] if "timestamp_ns" in table else table["timestamp"]
+    steps = np.diff(np.unique(at))
+    if not len(steps):
+        raise SonarrecError(f"{path}: a motion needs rows at two times or more")
+    return at if "timestamp_ns" in table else _nanoseconds(path, at, float(np.median(steps)))
 
 
 def _nanoseconds(path: Path, timestamp: FloatArray, step: float) -> IntArray:

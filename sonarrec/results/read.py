@@ -131,16 +131,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     landmark_set = run.landmark_set(landmarks)
     fan = run.fan(sonar)
 
-    path = folder / "frames.csv"
-    frames = read_frames(folder)
-    order = np.argsort(frames["frame"], kind="stable")
-    frame = frames["frame"][order]
-    repeated = np.flatnonzero(np.diff(frame) == 0)
-    if repeated.size:
-        line = line_number(path, int(order[repeated[0] + 1]))
-        raise SonarrecError(f"{path} line {line}: frame {frame[repeated[0]]} is listed twice")
-    if not frame.size:
-        raise SonarrecError(f"{path}: no frame was processed")
+    frame, timestamp_ns = _processed_frames(folder)
 
     path = estimates_of(folder)
     [(_, table)] = estimate_tables(path, landmark_set)
@@ -155,7 +146,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         landmarks=landmark_set,
         fan=fan,
         frame=frame,
-        timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
+        timestamp_ns=timestamp_ns,
         methods=tuple(methods),
         method=renumber[table["method"].codes[listed]],
         frame_index=np.searchsorted(frame, table["frame"][listed]),
@@ -170,6 +161,24 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         finished=run.finished,
         run=run,
     )
+
+
+def _processed_frames(folder: Path) -> tuple[IntArray, IntArray | None]:
+    """(F,) numbers of the frames in frames.csv, rising, and (F,) their times, None if not stated.
+
+    Raises SonarrecError if there are none or one is listed twice.
+    """
+    path = folder / "frames.csv"
+    frames = read_frames(folder)
+    order = np.argsort(frames["frame"], kind="stable")
+    frame = frames["frame"][order]
+    repeated = np.flatnonzero(np.diff(frame) == 0)
+    if repeated.size:
+        line = line_number(path, int(order[repeated[0] + 1]))
+        raise SonarrecError(f"{path} line {line}: frame {frame[repeated[0]]} is listed twice")
+    if not frame.size:
+        raise SonarrecError(f"{path}: no frame was processed")
+    return frame, frames["timestamp_ns"][order] if "timestamp_ns" in frames else None
 
 
 def _methods(run: RunFile, present: list[str]) -> list[str]:
