@@ -182,6 +182,14 @@ class _CountingLog(RawLog):
         """Close the log."""
         self._raw.close()
 
+    def commonest_size(self) -> tuple[int | None, int | None]:
+        """(rows, columns) of the commonest size; None if no frame could be read."""
+        return next((size for size, _ in self.sizes.most_common(1)), (None, None))
+
+    def commonest_pixels(self) -> str | None:
+        """The commonest type of pixels; None if no frame could be read."""
+        return next((name for name, _ in self.pixels.most_common(1)), None)
+
     def rate_hz(self) -> float | None:
         """Frames per second between the first and the last time; None if unknown."""
         if self.start_ns is None or self.end_ns is None or self.end_ns <= self.start_ns:
@@ -210,7 +218,7 @@ def describe(
     source = find_log(path, up_to)
     source.check_topic(topic, path)
     flags = sonar or Sonar()
-    stated, where = source.stated_sonar(flags, sonar_file)
+    stated = _Stated(*source.stated_sonar(flags, sonar_file), flags)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
     faults: list[str] = []
@@ -222,7 +230,7 @@ def describe(
             raise UsageError(f"{name_as_text(path)}: no image channel {topic!r}; there is {there}")
     images = []
     for name in [topic] if topic is not None else topics:
-        of_topic, more = _images(source, stated, flags, where, name, quick, observe)
+        of_topic, more = _images(source, stated, name, quick, observe)
         images.append(of_topic)
         faults += [fault for fault in more if fault not in faults]
     return LogInfo(
@@ -268,33 +276,48 @@ def _container(source: Source) -> tuple[Container, list[str]]:
     return Container(log.profile, log.library, log.whole, chunks, start, end, channels), log.faults
 
 
+@dataclass(frozen=True, slots=True)
+class _Stated:
+    """The geometry that the user states. sonar: by file and flags. where: its name in messages.
+    flags: what flags alone state."""
+
+    sonar: Sonar
+    where: str
+    flags: Sonar
+
+    def origin(self, key: str, raw: _CountingLog) -> str:
+        """Where the value of a key comes from; see Images.origins."""
+        if getattr(self.flags, key) is not None:
+            return "flag"
+        if getattr(self.sonar, key) is not None:
+            return self.where
+        if raw.header_info.values:
+            return "header"
+        return "message" if raw.polar else "default"
+
+
 def _images(
     source: Source,
-    stated: Sonar,
-    flags: Sonar,
-    where: str,
+    stated: _Stated,
     topic: str | None,
     quick: bool,
     observe: Observe | None,
 ) -> tuple[Images, list[str]]:
     """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
 
-    stated: geometry from file and flags. flags: from flags only. where: name of the geometry.
     Returns (the images, faults of the file that reading revealed).
     """
     raw = _CountingLog(source.open(topic), observe)
-    by_user, stated = stated, raw.geometry(stated)
-    lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
-    complete = _with_stand_ins(stated, lacks)
+    sonar = raw.geometry(stated.sonar)
+    lacks = [key for key in sonar.missing() if key == "tilt_deg" or not raw.polar]
+    complete = _with_stand_ins(sonar, lacks)
     with Log(source.path, source.name, source.files, complete, raw, "log") as log:
         usable, problems, plausibility = _read_frames(
-            log, None if raw.polar else (complete, where), quick
+            log, None if raw.polar else (complete, stated.where), quick
         )
-    size = raw.sizes.most_common(1)
+    rows, columns = raw.commonest_size()
     geometry = log.sonar.as_table()
-    origins = {
-        key: _origin(key, flags, by_user, where, raw) for key in geometry if key not in lacks
-    }
+    origins = {key: stated.origin(key, raw) for key in geometry if key not in lacks}
     if log.order_from is not None:
         origins["beam_order"] = log.order_from
     layout = geometry.pop("layout")
@@ -305,9 +328,9 @@ def _images(
         topic=topic,
         frames=raw.frame_count if quick else raw.frames,
         usable=None if quick else usable,
-        rows=size[0][0][0] if size else None,
-        columns=size[0][0][1] if size else None,
-        pixels=raw.pixels.most_common(1)[0][0] if size else None,
+        rows=rows,
+        columns=columns,
+        pixels=raw.commonest_pixels(),
         start_ns=None if quick else raw.start_ns,
         end_ns=None if quick else raw.end_ns,
         rate_hz=None if quick else raw.rate_hz(),
@@ -315,7 +338,7 @@ def _images(
         polar_messages=raw.polar,
         header=dict(raw.header_info.values),
         geometry={key: value for key, value in geometry.items() if key not in lacks},
-        geometry_from=where if where != str(source.path) else None,
+        geometry_from=stated.where if stated.where != str(source.path) else None,
         origins=origins,
         assumed={} if lacks or log.fan is None else _assumed(log.sonar, log.fan, polar, raw.timed),
         lacks=lacks,
@@ -343,17 +366,6 @@ def _read_frames(
     except SonarrecError as error:
         return usable, log.problems or [error.line], plausibility
     return usable, log.problems, plausibility
-
-
-def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _CountingLog) -> str:
-    """Where the value of a key comes from; see Images.origins. stated: from file and flags."""
-    if getattr(flags, key) is not None:
-        return "flag"
-    if getattr(stated, key) is not None:
-        return where
-    if raw.header_info.values:
-        return "header"
-    return "message" if raw.polar else "default"
 
 
 def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,22 +64,32 @@ def fetched(
     cache are replaced by those of the server.
     """
     log = log if isinstance(log, RemoteLog) else RemoteLog(with_literal_name(parse_url(log)))
-    with (
-        hold(log, cache, progress, stop or threading.Event()) as local_log,
-        local_log.origin.translated(),
-    ):
+    transfer = _Transfer(cache, progress, stop or threading.Event())
+    with _hold(log, transfer) as local_log, local_log.origin.translated():
         yield local_log
 
 
+@dataclass(frozen=True, slots=True)
+class _Transfer:
+    """How files get into the cache.
+
+    progress: called as bytes arrive. stop: ends the transfer when it is set. wait: until other logs
+    make room, instead of raising NoRoomError.
+    """
+
+    cache: Cache
+    progress: Progress = no_progress
+    stop: threading.Event = field(default_factory=threading.Event)
+    wait: bool = True
+
+
 @contextmanager
-def hold(
-    log: RemoteLog, cache: Cache, progress: Progress, stop: threading.Event, *, wait: bool = True
-) -> Iterator[CachedCopy]:
-    """As `fetched`. wait: until other logs make room, instead of raising NoRoomError."""
+def _hold(log: RemoteLog, transfer: _Transfer) -> Iterator[CachedCopy]:
+    """As `fetched`, but errors raised inside keep the paths of the cache."""
     from sonarrec.remote.store import Store
 
-    root, name, items = items_of(log, Store(log.url, stop))
-    with _keep(log.url.redacted, root, items, cache, progress, stop, wait) as entry:
+    root, name, items = items_of(log, Store(log.url, transfer.stop))
+    with _keep(log.url.redacted, root, items, transfer) as entry:
         origin = Origin(log.url.redacted, str(entry.files), root.place.rstrip("/"))
         yield CachedCopy(entry.files / name, origin, entry.files if log.up_to else None)
 
@@ -91,7 +101,7 @@ def fetch_ahead(log: RemoteLog, cache: Cache) -> None:
     """
 
     def fetch() -> None:
-        with suppress(Exception), hold(log, cache, no_progress, threading.Event(), wait=False):
+        with suppress(Exception), _hold(log, _Transfer(cache, wait=False)):
             pass
 
     # A daemon, so that a run that is stopped does not wait for the transfer.
@@ -114,7 +124,7 @@ def _fetch_file(
     url: Url, root: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
 ) -> Iterator[CachedCopy]:
     """These files, which lie below `root`; otherwise as `fetched`."""
-    with _keep(url.redacted, root, items, cache, no_progress, threading.Event(), True) as entry:
+    with _keep(url.redacted, root, items, _Transfer(cache)) as entry:
         origin = Origin(url.redacted, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
             yield CachedCopy(entry.files / relative(url, root), origin, None, tuple(unused))
@@ -160,20 +170,12 @@ def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
 
 
 @contextmanager
-def _keep(
-    url: str,
-    root: Url,
-    items: Sequence[Item],
-    cache: Cache,
-    progress: Progress,
-    stop: threading.Event,
-    wait: bool,
-) -> Iterator[Entry]:
+def _keep(url: str, root: Url, items: Sequence[Item], transfer: _Transfer) -> Iterator[Entry]:
     """The entry with exactly these files, held; it is fetched if it is missing or has changed."""
     key = key_of(f"{url.rstrip('/')} {root.redacted}")
     # A dict, since a glob or an index page may name a file twice.
     names = {relative(item.url, root): item for item in items}
-    renewed = False
+    cache, stop, renewed = transfer.cache, transfer.stop, False
     while True:
         with cache.hold(key, alone=False, stop=stop) as entry:
             if _is_whole(entry, names, renewed):
@@ -182,10 +184,10 @@ def _keep(
         try:
             with cache.hold(key, alone=True, stop=stop) as entry:
                 if not _is_whole(entry, names, renewed):
-                    _fill(entry, url, names, cache, progress, stop)
+                    _fill(entry, url, names, transfer)
                 renewed = True
         except NoRoomError:
-            if not wait:
+            if not transfer.wait:
                 raise
             stop.wait(1.0)
         except OSError as error:  # the disk is full
@@ -217,14 +219,7 @@ def _is_there(
     return item.has_version or renewed
 
 
-def _fill(
-    entry: Entry,
-    url: str,
-    names: dict[str, Item],
-    cache: Cache,
-    progress: Progress,
-    stop: threading.Event,
-) -> None:
+def _fill(entry: Entry, url: str, names: dict[str, Item], transfer: _Transfer) -> None:
     """Fetch the missing files and delete others. Raises SonarrecError."""
     from sonarrec.remote.store import AT_ONCE, StoppedError, Store
 
@@ -234,25 +229,26 @@ def _fill(
     }
     sizes = [item.size for item in names.values()]
     about = {"url": url, "bytes": sum(size or 0 for size in sizes), "files": have}
-    cache.make_room(entry, about)
+    transfer.cache.make_room(entry, about)
     parts = {f"{name}.{item.identity}.part" for name, item in names.items()}  # unfinished transfers
-    for path in sorted(entry.files.rglob("*")):
-        if path.is_file() and path.relative_to(entry.files).as_posix() not in {*have, *parts}:
+    for path in _files_below(entry.files):
+        if path.relative_to(entry.files).as_posix() not in {*have, *parts}:
             path.unlink()
     lacks = [name for name in names if name not in have]
     total = None if None in sizes else sum(names[n].size or 0 for n in lacks)
-    came, lock, given_up = [0], threading.Lock(), threading.Event()
+    came, lock, given_up = 0, threading.Lock(), threading.Event()
 
     def count(more: int) -> None:
+        nonlocal came
         if given_up.is_set():
             raise StoppedError(f"{url}: given up")
         with lock:
-            came[0] += more
-            progress(came[0], total)
+            came += more
+            transfer.progress(came, total)
 
     def one(name: str) -> None:
         item = names[name]
-        Store(item.url, stop).fetch(item, entry.files / name, count)
+        Store(item.url, transfer.stop).fetch(item, entry.files / name, count)
         with lock:
             have[name] = [item.size, item.tag]
             if (item.size or 0) >= _LARGE:
@@ -265,8 +261,12 @@ def _fill(
         raise
     finally:
         entry.write(about)
-    held = sum(p.stat().st_size for p in entry.files.rglob("*") if p.is_file())
+    held = sum(path.stat().st_size for path in _files_below(entry.files))
     entry.write({**about, "bytes": held, "files": have})
+
+
+def _files_below(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 def _at_once(one: Callable[[str], None], names: Sequence[str], most: int) -> None:
