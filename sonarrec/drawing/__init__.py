@@ -1,1 +1,1 @@
-"""Pictures: what a method says onto a fan image, and the stated geometry."""
+"""Draws estimates and the stated geometry onto fan images."""

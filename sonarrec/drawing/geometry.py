@@ -35,7 +35,7 @@ def draw_grid(pen: Pen, fan: Fan) -> None:
     low, high = fan.bearing_min_deg, fan.bearing_max_deg
     edge = [_ray(fan, low), _arc(fan, fan.range_max_m), _ray(fan, high)[::-1]]
     outline = np.concatenate([*edge, _arc(fan, fan.range_min_m)[::-1]])
-    pen.lines(outline[None], GRID, 2, closed=True)  # before the labels: none loses its minus
+    pen.lines(outline[None], GRID, 2, closed=True)  # first, or it would cover minus signs of labels
     for range_m in nice_steps(fan.range_min_m, fan.range_max_m, 5):
         ring = _arc(fan, range_m)
         pen.lines(ring[None], GRID, 1)
@@ -59,7 +59,7 @@ def _ray(fan: Fan, bearing_deg: float) -> FloatArray:
 
 
 def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
-    """How wide a disc of the set is, across the line of sight, in the middle of the window."""
+    """Width in pixels, across the line of sight, of a disc in the middle of the window."""
     column, row = pixel_from_polar(fan, (fan.range_min_m + fan.range_max_m) / 2, 0.0)
     outline = disc_outline(fan, landmarks.radius_m, float(column), float(row))
     return float(np.ptp(outline[:, 0]))
@@ -68,12 +68,13 @@ def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
 def draw_preview(
     image: ByteImage, fan: Fan, landmarks: LandmarkSet, *, height_stated: bool = True
 ) -> ByteImage:
-    """A frame under what is stated of it: rings, bearings, the floor's near edge, three discs.
+    """A frame with the stated geometry drawn on it: rings, bearings, the floor's edge, three discs.
 
-    image: (fan.rows, fan.columns) uint8. The floor's near edge is the slant range of the height:
-    nothing nearer lies on the floor. The discs lie at a sixth, half and five sixths of the window.
+    image: (fan.rows, fan.columns) uint8. The near edge of the floor is drawn at the slant range of
+    the height; nothing nearer can be floor. The discs are at a sixth, half and five sixths of the
+    window.
     height_stated: whether the fan's height is stated, or was estimated.
-    Returns (rows, columns, 3) uint8 BGR: the frame as of draw_frame, with a legend below.
+    Returns (rows, columns, 3) uint8 BGR: the frame as from draw_frame, with a legend below.
     """
     pen = pen_on(image, fan)
     draw_grid(pen, fan)
@@ -93,7 +94,7 @@ def draw_preview(
 
 
 def _legend(fan: Fan, landmarks: LandmarkSet, width: int, height_stated: bool) -> ByteImage:
-    """Lines on what is stated, in the colours of what they explain."""
+    """(rows, width, 3) lines that state the geometry, in the colours of what is drawn."""
     unit = pixel_unit(width)
     assumed = "" if height_stated else ", estimated (no height is stated)"
     begins = floor_depth(fan)

@@ -1,4 +1,4 @@
-"""What every picture is drawn with: colours, a pen, a disc's outline; pictures put together."""
+"""Basics of all pictures: colours, a pen, the outline of a disc, frames put together."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sonarrec.records import ByteImage, Fan, FloatArray
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
 
-# Okabe and Ito's colours, told apart with any colour vision; those that stand out on black first.
+# Okabe and Ito's colours, distinct with any colour vision; first those that stand out on black.
 OKABE_ITO: tuple[Colour, ...] = (
     (86, 180, 233),
     (204, 121, 167),
@@ -44,7 +44,7 @@ _BLACK: Colour = (0, 0, 0)
 
 
 def landmark_colours(ids: Sequence[int]) -> dict[int, Colour]:
-    """One colour per ID: Okabe and Ito's, then ever paler rounds of them."""
+    """One colour per ID: Okabe and Ito's, then the same ones again, ever paler."""
     rounds = -(-len(ids) // len(OKABE_ITO))
     colours = {}
     for n, landmark in enumerate(ids):
@@ -57,8 +57,9 @@ def landmark_colours(ids: Sequence[int]) -> dict[int, Colour]:
 def disc_outline(fan: Fan, radius_m: float, x_px: float, y_px: float) -> FloatArray:
     """(48, 2) column and row, in fan pixels, of the edge of a floor disc centred at a fan pixel.
 
-    Exact for a flat floor: about an ellipse, squeezed along the range and stretched across it.
-    Where the centre is too near for the floor the shape of the nearest floor is drawn around it.
+    Exact for a flat floor: almost an ellipse, squeezed along the range and stretched across it. If
+    the centre is nearer than the floor can be, the outline has the shape of one at the nearest
+    floor.
     """
     range_m, bearing_deg = polar_from_pixel(fan, x_px, y_px)
     floor_m = np.maximum(range_m, STEEPEST * floor_depth(fan))
@@ -83,7 +84,7 @@ def enlargement(fan: Fan) -> int:
 
 
 def pixel_unit(longer_side: int) -> float:
-    """Pixels of a picture per pixel of text and line width laid out for 512 of them."""
+    """Factor for text and line widths, which are designed for pictures of 512 pixels."""
     return max(1.0, longer_side / 640)
 
 
@@ -101,25 +102,25 @@ class Pen:
         return np.asarray((points + 0.5) * self._scale - 0.5)
 
     def lines(self, lines: FloatArray, colour: Colour, width: int, *, closed: bool = False) -> None:
-        """(lines, points, 2) of one colour."""
-        # Far outside is as good as farther outside, and fits into 32 bits.
+        """Draw (lines, points, 2) in one colour."""
+        # Points far outside are moved nearer, so that they fit into 32 bits.
         fixed = np.clip(self._enlarged(lines) * 2**_FINE, -1e8, 1e8).round().astype(np.int32)
         width = round(width * self._unit)
         cv2.polylines(self.canvas, list(fixed), closed, colour[::-1], width, cv2.LINE_AA, _FINE)
 
     def line(self, points: FloatArray, colour: Colour, width: int, *, closed: bool = False) -> None:
-        """(points, 2), set off from what is below it."""
+        """Draw (points, 2) with a dark rim that sets it off from the image."""
         self.lines(points[None], _BLACK, width + 1, closed=closed)
         self.lines(points[None], colour, width, closed=closed)
 
     def dashes(self, outline: FloatArray, colour: Colour) -> None:
-        """A closed line of (a multiple of 4, 2) points, broken."""
+        """Draw a closed line of (a multiple of 4, 2) points, dashed."""
         parts = np.roll(outline, 1, axis=0).reshape(-1, 4, 2)[:, :3]
         self.lines(parts, _BLACK, 3)
         self.lines(parts, colour, 1)
 
     def label(self, text: str, outline: FloatArray, colour: Colour, below: bool = False) -> None:
-        """Text above (or below) an outline, kept inside the picture."""
+        """Write above (or below) an outline, inside the picture."""
         if not text:
             return
         low, high = self._enlarged(outline.min(axis=0)), self._enlarged(outline.max(axis=0))
@@ -136,7 +137,7 @@ class Pen:
     def note(
         self, text: str, at: FloatArray | tuple[float, float], colour: Colour, centred: bool = False
     ) -> None:
-        """Text at a point of the image (its bottom left, or middle), kept inside the picture."""
+        """Write at a point of the image (its bottom left, or middle), inside the picture."""
         (width, height), _ = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
         x, y = self._enlarged(np.asarray(at, float))
         x, y = x + 3 * self._unit, y - 3 * self._unit
@@ -149,7 +150,7 @@ class Pen:
     def text(
         self, text: str, at: tuple[float, float], colour: Colour, align_right: bool = False
     ) -> None:
-        """Text from its bottom-left corner (or right), in pixels of the canvas."""
+        """Write from the bottom-left (or right) corner of the text, in pixels of the canvas."""
         width = int(cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)[0][0])
         corner = (round(at[0]) - (width if align_right else 0), round(at[1]))
         cv2.putText(
@@ -173,7 +174,7 @@ def pen_on(image: ByteImage, fan: Fan) -> Pen:
 
 
 def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
-    """A drawn frame above its strip, both centred; sides even, as video codecs want them."""
+    """A drawn frame above its strip, both centred; even sides, as video codecs need them."""
     rows, columns = frame.shape[0] + strip.shape[0], max(frame.shape[1], strip.shape[1])
     picture = np.zeros((rows + rows % 2, columns + columns % 2, 3), np.uint8)
     at = 0
@@ -185,6 +186,6 @@ def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
 
 
 def write_png(path: Path, picture: ByteImage) -> None:
-    """Write (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
+    """Write (rows, columns, 3) uint8 BGR. Raises SonarrecError if it cannot be written."""
     with writing(path), replaced(path) as new:
         new.write_bytes(with_mark(cv2.imencode(".png", picture)[1].tobytes()))

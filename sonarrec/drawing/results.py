@@ -1,6 +1,6 @@
-"""Draws what a method says onto a fan image, and the probabilities below it.
+"""Draws the estimates of a method onto a fan image, and their probabilities below it.
 
-The counterparts of the paper's Figure 13 (frames) and Figure 14 (probabilities over time).
+These correspond to the paper's Figure 13 (frames) and Figure 14 (probabilities over time).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sonarrec.records import ByteImage, Estimate, Fan, FloatArray
 from sonarrec.times import is_date, time_text
 
 AROUND = 1.15
-"""Radius, in discs, at which truth is drawn: it must not hide under an estimate."""
+"""Radius, in discs, at which truth is drawn, so that estimates do not hide it."""
 TRAIL_FRAMES = 20
 STRIP_FRAMES = 120
 """How far back trails and the probability strip reach."""
@@ -38,7 +38,7 @@ Numbers = TypeVar("Numbers", float, FloatArray)
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A landmark that ground truth puts at (x_px, y_px) of the fan image."""
+    """A landmark of the ground truth, at (x_px, y_px) of the fan image."""
 
     landmark: int
     x_px: float
@@ -47,7 +47,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What one method says in one frame: its number, its time in ns and the estimates."""
+    """The estimates of one method in one frame, with the number and time (ns) of the frame."""
 
     index: int
     timestamp_ns: int
@@ -129,8 +129,9 @@ def draw_frame(
 def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) -> ByteImage:
     """The probability of each ID along every track, up to the newest frame (Figure 14).
 
-    history: one method's results, of which the last STRIP_FRAMES frames are shown. Thick where
-    declared; of methods that do not follow objects, points. Returns (rows, width, 3) uint8 BGR.
+    history: one method's results; the last STRIP_FRAMES frames are shown. Lines are thick where an
+    ID is declared; methods that do not follow objects give points.
+    Returns (rows, width, 3) uint8 BGR.
     """
     unit = pixel_unit(width)
     colours = landmark_colours(landmarks.ids)
@@ -161,11 +162,11 @@ class _StripAxes:
     unit: float
 
     def x(self, frames_ago: Numbers) -> Numbers:
-        """Where a frame is; the newest at the right edge."""
+        """The column of a frame; the newest is at the right edge."""
         return self.right - frames_ago * self.step
 
     def y(self, share: Numbers) -> Numbers:
-        """Where a probability is."""
+        """The row of a probability."""
         return self.bottom - share * (self.bottom - self.top)
 
     @property
@@ -216,7 +217,7 @@ def _draw_beliefs(
 
 
 def _clock(timestamp_ns: int, *, short: bool = False) -> str:
-    """The time of day where the time is a date, else seconds. short: for a tick of the axis."""
+    """The time of day if the time is a date, else seconds. short: for a tick of the axis."""
     if is_date(timestamp_ns):
         return time_text(timestamp_ns) if short else f"{time_text(timestamp_ns, 2)} UTC"
     return f"{timestamp_ns / 1e9:.{1 if short else 2}f} s"

@@ -230,22 +230,13 @@ def _table(
     first: index of the first row in the file. labels: those found so far; new ones are added.
     """
     values = {name: _values(column, kinds[name], labels) for name, column in columns.items()}
+    first_bad = {name: int(np.argmax(bad)) for name, (_, bad) in values.items() if bad.any()}
     end, fault = None, None
-    for name, (array, bad) in values.items():
-        row = int(np.argmax(bad)) if bad.any() else None
-        if row is not None and (end is None or row < end):
-            cell = columns[name].iloc[row]
-            found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell)[:40])
-            size, wide = np.abs(array[row]), ""
-            if kinds[name] == "whole" and size >= 2.0**63:
-                wide = " below 2^63"
-            elif kinds[name] in _PLACES and np.isfinite(size):
-                wide = " from -1e9 to 1e9"
-            line = line_number(path, first + row)
-            fault = SonarrecError(
-                f"{path} line {line}: {name} must be {_WORDS[kinds[name]]}{wide}, not {found}"
-            )
-            end = row
+    if first_bad:
+        name = min(first_bad, key=lambda name: first_bad[name])
+        end = first_bad[name]
+        wrong = _wrong_cell(columns[name].iloc[end], values[name][0][end], kinds[name])
+        fault = SonarrecError(f"{path} line {line_number(path, first + end)}: {name} {wrong}")
     types = {"whole": np.int64, "flag": np.bool_, "label": np.int64}
     table = {
         name: array[:end]
@@ -254,6 +245,17 @@ def _table(
         for name, (array, _) in values.items()
     }
     return table, fault
+
+
+def _wrong_cell(cell: object, value: Any, kind: Kind) -> str:
+    """What an invalid cell must be, and what it is. value: the cell as a number, else NaN."""
+    found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell)[:40])
+    size, bounds = np.abs(value), ""
+    if kind == "whole" and size >= 2.0**63:
+        bounds = " below 2^63"
+    elif kind in _PLACES and np.isfinite(size):
+        bounds = " from -1e9 to 1e9"
+    return f"must be {_WORDS[kind]}{bounds}, not {found}"
 
 
 def cut(table: Table, rows: int) -> Table:

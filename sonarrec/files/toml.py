@@ -232,7 +232,12 @@ def described(wanted: Any) -> str:
     }
     if (kind := get_origin(bare) or bare) in words:
         return words[kind]
-    noun = "a whole number" if bare is int else "a number"
+    return _number_in_words(wanted)
+
+
+def _number_in_words(wanted: Any) -> str:
+    is_whole = _without_meta(wanted) is int
+    noun = "a whole number" if is_whole else "a number"
     least = most = beyond = ""
     for meta in metas(wanted):
         if meta.gt is not None:
@@ -245,7 +250,7 @@ def described(wanted: Any) -> str:
         return f"{noun} from {least} to {most}"
     if least:
         return f"{noun}, {least} or more"
-    return noun + beyond if beyond or bare is int else "a finite number"
+    return noun + beyond if beyond or is_whole else "a finite number"
 
 
 _short = reprlib.Repr()
