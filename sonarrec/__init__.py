@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from sonarrec.results.data_frames import read_results
     from sonarrec.simulation.simulate import simulate
 
-# OpenCV reads it when it is loaded: an image file whose header states more than 4096 x 4096 pixels
-# is refused, before room is made for it.
+# OpenCV reads this when it is loaded: it refuses image files whose headers state more than
+# 4096 x 4096 pixels, before it allocates them.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
-# The same bytes whatever the user has set: numpy's BLAS splits a sum among its threads. It reads
-# this when it is loaded; products as small as ours gain nothing by threads.
+# numpy's BLAS reads this when it is loaded: with more threads it would split sums among them, which
+# changes the last digits. Products as small as ours gain nothing from threads.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
-# Stated here: to find it among what is installed takes longer than all of click.
+# Stated here, because looking it up in the installed package takes longer than loading click.
 __version__ = "0.1.0"
 
 _HOMES = {

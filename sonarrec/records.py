@@ -304,7 +304,7 @@ class Estimate:
     probabilities: (K + 1,) one per ID in the landmark set's order, then 'none of these'; sums to 1.
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
-    orientation_sigma_deg: standard errors, NaN where the method has none. sight_deg, in_view: as in
+    orientation_sigma_deg: standard errors, NaN if the method has none. sight_deg, in_view: as in
     Groups. chapter: as in Evidence. These three are not written.
     """
 

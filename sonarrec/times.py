@@ -1,4 +1,4 @@
-"""Times of frames as text: dates where they count from 1970, else seconds."""
+"""Times of frames as text: as dates if they count from 1970."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ YEAR_2000_NS = 946_684_800 * 10**9
 
 
 def is_date(timestamp_ns: int) -> bool:
-    """Whether a time counts from 1970, since it then lies after the year 2000.
+    """Whether a time counts from 1970: then it is after the year 2000.
 
-    The clock of a sonar that was never set counts from when the sonar was switched on.
+    A sonar's clock that was never set counts from when the sonar was switched on.
     """
     return timestamp_ns >= YEAR_2000_NS
 

@@ -112,17 +112,7 @@ class LogsTable:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
                 before, added = _read_rows(self._path) if is_filled(self._path) else ([], {})
-                usable = {row.log for row in before if row.status in USABLE}
-                own_keys = {
-                    _key(row): row
-                    for row in self._rows
-                    if row.log not in self._run_elsewhere & usable
-                }
-                # A log may be refused because another log of its name has results there. Then
-                # both keep a row, until this log has results too.
-                ended = {row.log for row in own_keys.values() if row.status in USABLE}
-                others = (row for row in before if row.log not in ended or _key(row) in own_keys)
-                rows = {_key(row): row for row in others} | own_keys
+                rows = self._merged(before)
                 text = io.StringIO()
                 writer = csv.writer(text, lineterminator="\n")
                 writer.writerow([*COLUMNS, *added])
@@ -134,10 +124,20 @@ class LogsTable:
         except SonarrecError as error:  # the file there is another kind of table
             self.fault = str(error)
 
+    def _merged(self, before: Sequence[Row]) -> dict[tuple[str, str], Row]:
+        """The rows of this call and those that other calls wrote before, by key."""
+        usable = {row.log for row in before if row.status in USABLE}
+        own = {_key(row): row for row in self._rows if row.log not in self._run_elsewhere & usable}
+        # A log may be refused because another log of its name has results there. Then both keep a
+        # row, until this log has results too.
+        ended = {row.log for row in own.values() if row.status in USABLE}
+        others = (row for row in before if row.log not in ended or _key(row) in own)
+        return {_key(row): row for row in others} | own
+
 
 def _exchange(path: Path, contents: bytes) -> None:
-    """Replace the file, on a full disk in the room that it has: else what failed by the disk would
-    stay as running."""
+    """Replace the file. On a full disk, write into the room of the old one; otherwise logs that
+    failed because the disk is full would remain listed as running."""
     try:
         with replaced(path) as new:
             new.write_bytes(contents)
@@ -158,14 +158,14 @@ def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
     rows = read_logs(out / NAME)
     of_path = {_key(row): row.status for row in rows}
     of_name = {row.log: row.status for row in rows}  # for paths that are written differently now
-    ended, unended = [], 0
+    chosen, unfinished = [], 0
     for task in tasks:
         state = of_path.get((task.name, task.path), of_name.get(task.name))
         if state in ("failed", "partial"):
             is_partial = of_path.get((task.name, task.path)) == "partial"
-            ended.append(replace(task, overwrite=task.overwrite or is_partial))
-        unended += state in ("waiting", "running")
-    return ended, unended
+            chosen.append(replace(task, overwrite=task.overwrite or is_partial))
+        unfinished += state in ("waiting", "running")
+    return chosen, unfinished
 
 
 def _key(row: Row) -> tuple[str, str]:

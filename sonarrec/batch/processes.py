@@ -170,8 +170,8 @@ class Watch:
     def frames(self, i: int, done: int, total: int | None) -> None:
         """`done` frames of task i are processed; called now and then."""
 
-    def fetching(self, i: int, came: int, total: int | None) -> None:
-        """`came` bytes of the log of task i are fetched; only for logs run in this process."""
+    def fetching(self, i: int, arrived: int, total: int | None) -> None:
+        """`arrived` bytes of the log of task i are fetched; only for logs run in this process."""
 
     def ended(self, i: int, outcome: Outcome) -> None:
         """Task i has ended."""

@@ -70,7 +70,7 @@ class Outcome:
 
     status: Status  # `partial`: part of the log could not be used
     seconds: float = 0.0  # duration
-    summary: Summary | None = None  # None where it failed
+    summary: Summary | None = None  # None if it failed
     folder: str = ""  # where its results are now: a path, or a URL
     error: SonarrecError | None = None  # if it failed
     fault: str = ""  # the traceback of a bug, if its process printed one

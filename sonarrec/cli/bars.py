@@ -71,7 +71,7 @@ def progress_of_logs(quiet: bool, logs: int) -> Iterator[Callable[[float, str], 
 def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], None]]:
     """A progress bar over the bytes of a log that is being fetched.
 
-    Yields a function to call as they arrive: step(came, total or None). The first call shows it.
+    Yields a function to call as they arrive: step(arrived, total or None). The first call shows it.
     """
     if _silent(quiet):
         yield _nothing
@@ -81,12 +81,12 @@ def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], Non
     with ExitStack() as stack:
         bar: Any = None
 
-        def step(came: int, of: int | None) -> None:
+        def step(arrived: int, of: int | None) -> None:
             nonlocal bar
             if bar is None:
                 look = {"desc": f"fetch {name}", "unit": "B", "unit_scale": True}
                 bar = stack.enter_context(tqdm(**look, leave=False))
             bar.total = of
-            bar.update(came - bar.n)
+            bar.update(arrived - bar.n)
 
         yield step

@@ -59,15 +59,16 @@ class RunWatch(Watch):
         self._frames = 0  # frames of logs that have ended
         self._start_time_s = monotonic()
         self._bars = ExitStack()
-        self._step: Callable[..., None] | None = None  # of the bar over frames
-        self._came: Callable[[int, int | None], None] | None = None  # of the bar over bytes
-        self._at: Callable[[float, str], None] | None = None  # of the bar over logs, if several run
+        self._show_frame: Callable[..., None] | None = None  # moves the bar of frames
+        self._show_bytes: Callable[[int, int | None], None] | None = None  # moves that of bytes
+        # Moves that of logs; None if one log runs at a time.
+        self._show_logs: Callable[[float, str], None] | None = None
 
     def __enter__(self) -> RunWatch:
         self._table.write()
         if self._jobs > 1:
             bar = progress_of_logs(self._quiet, len(self._tasks))
-            self._at = self._bars.enter_context(bar)
+            self._show_logs = self._bars.enter_context(bar)
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
@@ -101,40 +102,40 @@ class RunWatch(Watch):
     def started(self, i: int) -> None:
         self._table.started(i)
         self._running[i] = 0, None
-        if self._at is None:
+        if self._show_logs is None:
             self._bars.close()
-            self._step = self._came = None
+            self._show_frame = self._show_bytes = None
             remote = self._tasks[i].remote
             if remote is None or remote.log is None:
                 self._open_bar(i)
 
     def _open_bar(self, i: int) -> None:
         bar = progress(self._quiet, title=f"{self._tasks[i].name}{self._prefix(i)}")
-        self._step = self._bars.enter_context(bar)
+        self._show_frame = self._bars.enter_context(bar)
 
-    def fetching(self, i: int, came: int, total: int | None) -> None:
-        if self._came is None:
-            self._came = self._bars.enter_context(fetching(self._quiet, self._tasks[i].path))
-        self._came(came, total)
+    def fetching(self, i: int, arrived: int, total: int | None) -> None:
+        if self._show_bytes is None:
+            self._show_bytes = self._bars.enter_context(fetching(self._quiet, self._tasks[i].path))
+        self._show_bytes(arrived, total)
 
     def frames(self, i: int, done: int, total: int | None) -> None:
         self._running[i] = done, total
         self._table.frames(i, done)
-        if self._at is None and self._step is None:
-            self._bars.close()  # the bar over bytes
+        if self._show_logs is None and self._show_frame is None:
+            self._bars.close()  # the bar of bytes
             self._open_bar(i)
-        if self._step is not None:
-            self._step(total)
-        self._move()
+        if self._show_frame is not None:
+            self._show_frame(total)
+        self._move_bar_of_logs()
 
     def ended(self, i: int, outcome: Outcome) -> None:
         self._outcomes[i] = outcome
         self._running.pop(i, None)
         self._table.ended(i, outcome)
         task, summary = self._tasks[i], outcome.summary
-        if self._at is None:
+        if self._show_logs is None:
             self._bars.close()  # before printing
-        self._move()
+        self._move_bar_of_logs()
         with self._over_the_bar():
             if outcome.fault:
                 click.echo(outcome.fault.rstrip(), err=True)
@@ -145,9 +146,9 @@ class RunWatch(Watch):
                 tell([outcome.message])
             if self._verbose:
                 text = _counts(summary) if summary else outcome.message
-                how = f"{_how(outcome)}, {text}, {outcome.seconds:.1f} s"
+                how = f"{_in_words(outcome)}, {text}, {outcome.seconds:.1f} s"
                 tell([f"{task.path}{self._prefix(i)}: {how}"])
-            self._print()
+            self._print_ended()
 
     @property
     def error(self) -> SonarrecError | None:
@@ -167,7 +168,7 @@ class RunWatch(Watch):
         self._report_outdated()
         counts: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
         for i, outcome in sorted(self._outcomes.items()):
-            counts[_how(outcome)].append(self._tasks[i].path)
+            counts[_in_words(outcome)].append(self._tasks[i].path)
         failed = counts["failed"]
         if len(self._tasks) == 1 or (self._quiet and not failed):
             return
@@ -180,7 +181,7 @@ class RunWatch(Watch):
         click.echo(printable(line), err=bool(failed) or self._json)
 
     def _report_outdated(self) -> None:
-        """What was made of all results in OUT stays there when some of them are made anew."""
+        """Print a note on pages and folders in OUT that were made from results replaced now."""
         summaries = [outcome.summary for outcome in self._outcomes.values()]
         if self._box is not None or all(s is None or s.up_to_date for s in summaries):
             return
@@ -206,16 +207,17 @@ class RunWatch(Watch):
             return list(lines)
         return [x if task.path in x else f"{task.name}: {x}" for x in lines]
 
-    def _move(self) -> None:
-        """Move the bar over logs."""
-        if self._at is None:
+    def _move_bar_of_logs(self) -> None:
+        """Move the bar of logs that run in parallel, if there is one."""
+        if self._show_logs is None:
             return
         shares = [done / total for done, total in self._running.values() if total]
         frames = self._frames + sum(done for done, _ in self._running.values())
         failed = sum(outcome.status == "failed" for outcome in self._outcomes.values())
         note = f"{len(self._outcomes)}/{len(self._tasks)} logs, {frames} frames, "
         note += f"{frames / max(monotonic() - self._start_time_s, 1e-3):.0f} frames/s"
-        self._at(len(self._outcomes) + sum(shares), note + (f", {failed} failed" if failed else ""))
+        note += f", {failed} failed" if failed else ""
+        self._show_logs(len(self._outcomes) + sum(shares), note)
 
     @contextmanager
     def _over_the_bar(self) -> Iterator[None]:
@@ -228,7 +230,7 @@ class RunWatch(Watch):
         with tqdm.external_write_mode():
             yield
 
-    def _print(self) -> None:
+    def _print_ended(self) -> None:
         """Print the logs that have ended on stdout, in the order of the call."""
         while (outcome := self._outcomes.get(self._printed)) is not None:
             self._printed += 1
@@ -264,7 +266,8 @@ class RunWatch(Watch):
             (self._box.folder / hidden_name).unlink(missing_ok=True)
 
 
-def _how(outcome: Outcome) -> str:
+def _in_words(outcome: Outcome) -> str:
+    """The status of a log as the summary of a call counts it."""
     if outcome.summary is not None and outcome.summary.up_to_date:
         return "up to date" if outcome.status == "done" else "in part"
     return {"done": "done", "partial": "in part"}.get(outcome.status, "failed")

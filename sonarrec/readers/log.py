@@ -129,14 +129,7 @@ class Log:
         used = self.unusable = 0
         self._timed = 0, 0
         self.problems.clear()  # of an earlier pass
-        frames = _of_one_size(self._raw)
-        first = list(islice(frames, SETTLING_FRAMES))
-        self._make.settle(first)
-        stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
-        self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
-        frames = chain(first, frames)
-        del first  # frees its images
-        for index, raw in enumerate(frames):
+        for index, raw in enumerate(self._settled()):
             if span[1] is not None and index >= span[1]:
                 return
             if (raw.pixels is None and raw.problem is None) or (used and index < span[0]):
@@ -156,14 +149,21 @@ class Log:
                 self._raw.passed_over = range(span[0])
             else:
                 yield Frame(index, stamp, pixels, fan, raw.stamps, polar)
-        if self.unusable > MAX_PROBLEM_LINES:
-            self.problems.append(
-                f"{number_of(self.unusable - MAX_PROBLEM_LINES, 'more frame')} skipped"
-            )
+        if (more := self.unusable - MAX_PROBLEM_LINES) > 0:
+            self.problems.append(f"{number_of(more, 'more frame')} skipped")
         self.problems.extend(dict.fromkeys(self._raw.faults))  # some are repeated in each pass
         if not used:
             reason = f" ({self.problems[0]})" if self.problems else ""
             raise SonarrecError(f"{name_as_text(self.path)}: not one frame could be used{reason}")
+
+    def _settled(self) -> Iterator[RawFrame]:
+        """The raw frames, after the first few have decided how all are read."""
+        frames = _of_one_size(self._raw)
+        first = list(islice(frames, SETTLING_FRAMES))
+        self._make.settle(first)
+        stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
+        self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
+        return chain(first, frames)
 
     def _time_of(self, index: int, raw: RawFrame) -> int:
         """The time that names a frame, ns. Raises UnusableError if the frame has no such time."""

@@ -27,10 +27,10 @@ RESULTS = frozenset({"run.toml", *TABLES, *ESTIMATES})
 """The files of results that are fetched. Without run.toml, uploaded last, they are unfinished."""
 _LARGE = 2**20  # bytes; larger files are recorded as soon as they are there, in case of a kill
 Progress = Callable[[int, int | None], None]
-"""Called as bytes arrive with how many came and how many there are, None if not known."""
+"""Called as bytes arrive with how many have arrived, and how many there are, None if unknown."""
 
 
-def no_progress(_came: int, _all: int | None) -> None:
+def no_progress(_arrived: int, _all: int | None) -> None:
     pass
 
 
@@ -236,15 +236,15 @@ def _fill(entry: Entry, url: str, names: dict[str, Item], transfer: _Transfer) -
             path.unlink()
     lacks = [name for name in names if name not in have]
     total = None if None in sizes else sum(names[n].size or 0 for n in lacks)
-    came, lock, given_up = 0, threading.Lock(), threading.Event()
+    arrived, lock, given_up = 0, threading.Lock(), threading.Event()
 
     def count(more: int) -> None:
-        nonlocal came
+        nonlocal arrived
         if given_up.is_set():
             raise StoppedError(f"{url}: given up")
         with lock:
-            came += more
-            transfer.progress(came, total)
+            arrived += more
+            transfer.progress(arrived, total)
 
     def one(name: str) -> None:
         item = names[name]

@@ -122,7 +122,7 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     new_input = coming["input"]
     _check_same_input(folder, old_input, new_input)
-    # What only a finished run states, where it ran and what its log was called do not count.
+    # Not compared: what only a finished run states, where it ran and what its log was called.
     coming.pop("ran_on")
     before = {k: v for k, v in recorded.items() if k not in ("finished", "ran_on")} | {
         "input": {k: v for k, v in old_input.items() if k not in _OF_THE_END}
@@ -307,7 +307,7 @@ class RunFile:
         )
 
     def check_poses(self, log_options: LogOptions) -> None:
-        """Raise UsageError where the run had a table of poses that is not given again."""
+        """Raise UsageError if the run had a table of poses that is not given again."""
         if self.odometry and log_options.odometry is None and log_options.odometry_topic is None:
             raise UsageError(
                 f"{self.path}: that run used the odometry {self.odometry.get('name')}; "
