@@ -80,7 +80,8 @@ def info(
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
     landmark set onto the first usable frame, so that a wrong geometry is easy to see. --try-radii
-    is for logs in which `run` declares nothing: it tells whether discs of another size are.
+    is for logs in which `run` declares nothing: it shows whether it would with discs of another
+    size.
 
     \b
     Examples:
@@ -138,7 +139,7 @@ class _Wanted:
 
 @dataclass(slots=True)
 class _Shown:
-    """What came of one log.
+    """The outcome of one log.
 
     table: for JSON. is_useless: not one frame can be used. is_missing: there is no such log.
     is_faulty: a part cannot be used. undone: why the preview or the trial of radii failed.

@@ -79,8 +79,8 @@ _PIXELS = {
         "--colour-map",
         type=click.Choice(get_args(ColourMap)),
         metavar="NAME",
-        help="Colour map of pictures in false colour, as jet or viridis; luminance where they are "
-        "in none.  [default: found from the first frames; sonarrec help geometry]",
+        help="Colour map of pictures in false colour, such as jet or viridis; luminance if they "
+        "are in none.  [default: found from the first frames; sonarrec help geometry]",
     ),
     "pixel_scale": option(
         PIXELS,

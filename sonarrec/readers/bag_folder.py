@@ -7,6 +7,7 @@ with names as `ros2 bag record` gives them.
 from __future__ import annotations
 
 import heapq
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -278,12 +279,13 @@ class BagFolder(Recording):
         }
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
-        """The messages of some channels in log-time order, those at one time by their parts.
+        """The messages of some channels in log-time order; those of equal time by their parts.
 
-        Each lost one that metadata.yaml counts comes without data: so others keep their numbers.
+        A lost message that metadata.yaml counts is yielded without data, so that others keep their
+        numbers.
         """
         end = 0
-        for part in self._parts:  # one that cannot be read comes behind the one before it
+        for part in self._parts:  # one that cannot be read follows the one before it
             part.start = part.start or end
             end = part.end = max(part.end, part.start)
         order = sorted(range(len(self._parts)), key=lambda i: (self._parts[i].start, i))
@@ -293,13 +295,16 @@ class BagFolder(Recording):
             if (message := next(run, None)) is not None:
                 heapq.heappush(runs, (message.log_time, index, message, run))
 
-        for index in [*order, None]:
-            while runs and (index is None or runs[0][0] < self._parts[index].start):
-                _, at, message, run = heapq.heappop(runs)
+        def merged_before(time_ns: float) -> Iterator[Message]:
+            while runs and runs[0][0] < time_ns:
+                _, index, message, run = heapq.heappop(runs)
                 yield message
-                advanced(at, run)
-            if index is not None:
-                advanced(index, self._messages_of(self._parts[index], channels))
+                advanced(index, run)
+
+        for index in order:
+            yield from merged_before(self._parts[index].start)
+            advanced(index, self._messages_of(self._parts[index], channels))
+        yield from merged_before(math.inf)
 
     def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
         passed: Counter[int] = Counter()

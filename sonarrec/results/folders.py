@@ -144,7 +144,8 @@ def _aside(folder: Path) -> Path:
 def restore(folder: Path) -> None:
     """Clean up after a run that was killed in `exchange` or could not finish it.
 
-    Then old results lie aside whose place is free, or from which files were not moved yet.
+    Such a run leaves old results under another name: either nothing has replaced them yet, or not
+    all of the user's files in them were moved.
     Raises OSError if that fails, SonarrecError if a file is in both places.
     """
     place, old = _place(folder), _aside(folder)
@@ -170,17 +171,22 @@ def exchange(folder: Path) -> list[str]:
         place.rename(old)
     part_of(folder).rename(place)
     try:
-        if hasattr(os, "O_DIRECTORY"):
-            handle = os.open(place.parent, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
+        _sync(place.parent)
         if old.is_dir():
             _clear(old, place)
     except OSError as error:  # the new results are in place
         return [f"{folder}: other files of the old folder are left in {old} ({error.strerror})"]
     return []
+
+
+def _sync(folder: Path) -> None:
+    """Make the names in a folder permanent, if the system can. Raises OSError."""
+    if hasattr(os, "O_DIRECTORY"):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _clear(old: Path, place: Path) -> None:

@@ -124,10 +124,9 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
     _check_same_input(folder, old_input, new_input)
     # Not compared: what only a finished run states, where it ran and what its log was called.
     coming.pop("ran_on")
-    before = {k: v for k, v in recorded.items() if k not in ("finished", "ran_on")} | {
-        "input": {k: v for k, v in old_input.items() if k not in _OF_THE_END}
-        | {key: new_input[key] for key in ("path", "place")}
-    }
+    before = {k: v for k, v in recorded.items() if k not in ("finished", "ran_on")}
+    before["input"] = {k: v for k, v in old_input.items() if k not in _OF_THE_END}
+    before["input"] |= {key: new_input[key] for key in ("path", "place")}
     if before == coming:
         return _finished_results(path, old_input)
     if old_input.get("sha256") != new_input["sha256"]:

@@ -167,12 +167,10 @@ class _Layout:
         """
         self._types, self._ros1, self._narrow = types, ros1, narrow
         self._store: Any = Typestore()
-        self._registered: dict[
-            str, tuple[Any, int]
-        ] = {}  # name: (kind in the store, nesting depth)
-        self._vectors: dict[
-            str, tuple[Any, list[str]]
-        ] = {}  # messages whose fields are all of one kind of number
+        # By name of a message: (kind in the store, nesting depth).
+        self._registered: dict[str, tuple[Any, int]] = {}
+        # Messages whose fields are all of one kind of number: (that kind, names of the fields).
+        self._vectors: dict[str, tuple[Any, list[str]]] = {}
         self._field_count = self._items_left = 0
         self._register("string", [_OCTETS], lambda values: values[0])
         mark = ">" if narrow == "be" else "<"
