@@ -56,7 +56,7 @@ def open_log(
         elif not resolved.states_floor:
             raise SonarrecError(
                 f"{where}: the log states the sonar's geometry except for its tilt; give "
-                "--tilt-deg (downward) or --height-m (above the floor), or put tilt_deg or "
+                "--tilt-deg (downward, to within some 10 deg) or --height-m, or put tilt_deg or "
                 "height_m under [sonar] in a sonar.toml beside it "
                 "(in it, if it is a folder)"
             )
