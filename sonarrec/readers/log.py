@@ -129,6 +129,7 @@ class Log:
         used = self.unusable = 0
         self._timed = 0, 0
         self.problems.clear()  # of an earlier pass
+        self._raw.passed_over = range(0)  # likewise
         for index, raw in enumerate(self._settled()):
             if span[1] is not None and index >= span[1]:
                 return
@@ -160,7 +161,8 @@ class Log:
         """The raw frames, after the first few have decided how all are read."""
         frames = _of_one_size(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
-        self._make.settle(first)
+        if self.fan is None:  # else an earlier pass has settled it
+            self._make.settle(first)
         stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
         self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
         return chain(first, frames)

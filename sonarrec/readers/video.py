@@ -47,8 +47,12 @@ class VideoFrames(RawLog):
         rate = self._video.get(cv2.CAP_PROP_FPS)
         self.playback_hz = rate if 0 < rate < 1e6 else None
         self._path, self._name = path, name
+        self._at_begin = True
 
     def __iter__(self) -> Iterator[RawFrame]:
+        if not self._at_begin:  # of an earlier pass
+            self._video.open(self._name)
+        self._at_begin = False
         index, last_ns = 0, -1
         timestamp_ns: int | None
         while self._video.grab():

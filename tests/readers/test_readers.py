@@ -250,6 +250,38 @@ def test_of_frames_before_a_span_only_the_first_are_decoded(
         np.testing.assert_array_equal(frame.image, same.image)
 
 
+@pytest.mark.parametrize("make", OF_EACH_READER.values(), ids=OF_EACH_READER)
+def test_every_pass_gives_the_same(make: Maker, tmp_path: Path) -> None:
+    """Also after a pass that was left early, or over a span, and where the height is estimated."""
+    path = make(tmp_path, frames(8))
+    of_pings = path.suffix in (".aris", ".raw", ".glf")
+    without_height = tmp_path / "without_height.toml"
+    tilt = "[sonar]\ntilt_deg = 20.0\n"
+    without_height.write_text(tilt if of_pings else SONAR_TOML.replace("height_m = 0.68", ""))
+    with open_log(path, sonar_file=without_height) as log:
+
+        def seen() -> list[object]:
+            return [(f.index, f.timestamp_ns, f.fan, f.image.tobytes()) for f in log]
+
+        next(iter(log))
+        whole = seen()
+        assert len(whole) == 8
+        assert [f.index for f in log.within((5, 7))] == [5, 6]
+        assert seen() == whole
+        assert log.fan is not None
+        assert log.fan.height_m is not None
+        assert log.problems == []
+
+
+def test_what_was_found_out_is_noted_once(tmp_path: Path) -> None:
+    images = [cv2.applyColorMap(image, cv2.COLORMAP_JET) for image in frames(3)]
+    with open_log(image_folder(tmp_path / "log", images)) as log:
+        for _ in range(2):
+            assert len(list(log)) == 3
+            (note,) = log.notes
+            assert "levels of the colour map jet" in note
+
+
 def test_a_log_that_begins_with_faults_is_settled_before_a_span(tmp_path: Path) -> None:
     """Its first usable frame may come late; of what else lies before the span nothing is told."""
     log = image_folder(tmp_path / "log", frames(9))
