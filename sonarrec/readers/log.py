@@ -19,6 +19,7 @@ from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20
 SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
+SETTLING_WITHIN = 1000  # of a log's first frames; those of a whole chunk may be lost
 
 
 class Log:
@@ -160,7 +161,7 @@ class Log:
     def _settled(self) -> Iterator[RawFrame]:
         """The raw frames, after the first few have decided how all are read."""
         frames = _of_one_size(self._raw)
-        first = list(islice(frames, SETTLING_FRAMES))
+        first = _to_settle(frames)
         if self.fan is None:  # else an earlier pass has settled it
             self._make.settle(first)
         stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
@@ -224,7 +225,7 @@ def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
     settings, all others would be lost.
     """
     frames = iter(frames)
-    first = list(islice(frames, SETTLING_FRAMES))
+    first = _to_settle(frames)
     sizes = Counter(size for f in first if (size := _stored_size(f)) is not None)
     for frame in first:
         size = _stored_size(frame)
@@ -234,6 +235,17 @@ def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
             problem = f"{size[1]} x {size[0]} pixels in a log of {usual[1]} x {usual[0]}"
             yield replace(frame, pixels=None, problem=problem)
     yield from frames
+
+
+def _to_settle(frames: Iterator[RawFrame]) -> list[RawFrame]:
+    """The first frames, up to the SETTLING_FRAMES-th that has pixels."""
+    first, with_pixels = [], 0
+    for frame in islice(frames, SETTLING_WITHIN):
+        first.append(frame)
+        with_pixels += frame.pixels is not None
+        if with_pixels == SETTLING_FRAMES:
+            break
+    return first
 
 
 def _stored_size(frame: RawFrame) -> tuple[int, ...] | None:

@@ -293,6 +293,22 @@ def test_a_log_that_begins_with_faults_is_settled_before_a_span(tmp_path: Path) 
     assert told == ["frame0.png", "frame1.png", "frame2.png", "frame7.png"]
 
 
+def test_a_log_that_begins_with_faults_is_read_as_without_them(tmp_path: Path) -> None:
+    """Colour map and height are those that its first usable frames show."""
+    images = [cv2.applyColorMap(image, cv2.COLORMAP_JET) for image in frames(4)]
+    whole = image_folder(tmp_path / "whole", images)
+    broken = image_folder(tmp_path / "broken", images[:3] + images)
+    for k in range(3):
+        (broken / f"frame{k}.png").write_bytes(b"broken")
+    tilt = tmp_path / "tilt.toml"
+    tilt.write_text(SONAR_TOML.replace("height_m = 0.68", ""))
+    (found, _), (expected, _) = (read(log, sonar_file=tilt) for log in (broken, whole))
+    assert [f.index for f in found] == [3, 4, 5, 6]
+    for frame, same in zip(found, expected, strict=True):
+        assert frame.fan == same.fan
+        np.testing.assert_array_equal(frame.image, same.image)
+
+
 @pytest.mark.parametrize(("stated_hz", "noted"), [(4.0, False), (25.0, True), (None, False)])
 def test_a_stated_rate_that_a_video_overrides_is_noted(
     stated_hz: float | None, noted: bool, tmp_path: Path
