@@ -114,9 +114,11 @@ def info(
     if as_json:
         head = {"program": PROGRAM, "version": PROGRAM["version"]}
         click.echo(json.dumps({**head, "logs": [one.table for one in shown]}, indent=2))
-    for one in reversed(shown):
-        if one.undone is not None:
-            raise one.undone
+    undone = {str(one.undone): one.undone for one in shown if one.undone is not None}
+    if undone:
+        *others, last = undone.values()
+        tell(map(str, others))
+        raise last
     if all(one.is_useless for one in shown):
         leave(2 if all(one.is_missing for one in shown) else 1)
     if any(one.is_useless or one.is_faulty for one in shown):
@@ -172,15 +174,16 @@ def _show(log: NamedLog | RemoteLog, name: str, wanted: _Wanted, number: int) ->
         if not wanted.as_json:
             say(*([""] if number else []), *lines(log_info))
         try:
-            if wanted.preview is not None:
-                _draw_preview(path, wanted.preview, wanted.landmarks, reading)
-            if wanted.try_radii:
-                trials = _try_radii(path, log_info, wanted.landmarks, reading, wanted.quiet)
-                shown.table["radii"] = trials.as_table()
-                if not wanted.as_json:
-                    say(*radii_lines(trials))
+            with origin.translated() if origin else nullcontext():
+                if wanted.preview is not None:
+                    _draw_preview(path, wanted.preview, wanted.landmarks, reading)
+                if wanted.try_radii:
+                    trials = _try_radii(path, log_info, wanted.landmarks, reading, wanted.quiet)
+                    shown.table["radii"] = trials.as_table()
+                    if not wanted.as_json:
+                        say(*radii_lines(trials))
         except SonarrecError as error:
-            shown.undone = error  # raised after all logs
+            shown.undone = error  # told after all logs
     return shown
 
 

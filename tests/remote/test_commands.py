@@ -379,6 +379,18 @@ def test_info_tells_of_a_log_there(sonarrec: Sonarrec) -> None:
     assert told.stderr == "sonarrec: s3://dives/day/none.mcap: does not exist\n"
 
 
+def test_info_names_each_log_there_whose_radii_cannot_be_tried(
+    sonarrec: Sonarrec, s3: Any, day: Path
+) -> None:
+    logs = [f"s3://dives/bare/{name}.mcap" for name in "ab"]
+    for log in logs:
+        upload(s3, day / "a.mcap", log.removeprefix("s3://dives/"))
+    told = sonarrec("info", "--quick", "--try-radii", *logs)
+    assert told.exit_code == 1
+    for log in logs:
+        assert f"sonarrec: {log}: sonar geometry lacks range_min_m" in told.stderr
+
+
 @pytest.mark.usefixtures("s3")
 def test_the_path_of_the_sonar_by_results_there_is_that_by_local_ones(
     sonarrec: Sonarrec, day: Path
