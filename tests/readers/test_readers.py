@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.images import ImagePaths, natural_order
+from sonarrec.readers.info import describe
 from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size
 from sonarrec.readers.named_logs import NamedLog, find_logs
 from sonarrec.readers.raw import RawFrame
@@ -317,7 +318,10 @@ def test_a_stated_rate_that_a_video_overrides_is_noted(
     path = lossless_video(".avi")(tmp_path, frames(3))
     with open_log(path, sonar=Sonar(frame_rate_hz=stated_hz)) as log:
         assert [frame.timestamp_ns for frame in log] == [0, 250_000_000, 500_000_000]
-        assert any("frame_rate_hz = 25 is not used" in note for note in log.notes) == noted
+        notes = log.notes
+    (images,) = describe(path, sonar=Sonar(frame_rate_hz=stated_hz)).images
+    for told in (notes, images.notes):
+        assert any("frame_rate_hz = 25 is not used" in note for note in told) == noted
 
 
 @pytest.mark.parametrize(
