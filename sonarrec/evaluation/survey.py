@@ -172,6 +172,6 @@ def _in_order(starts: Iterable[Callable[[], Future[Counts]]], jobs: int) -> Iter
 def _bytes(reading: LogToRead) -> int:
     total = 0
     for folder in reading.folders:
-        with suppress(OSError):  # reported when it is read
+        with suppress(OSError, SonarrecError):  # reported when it is read
             total += estimates_of(folder).stat().st_size
     return total

@@ -81,10 +81,21 @@ class LockedError(SonarrecError):
     """Another run writes into the folder."""
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is such a file. Raises SonarrecError if its folder may not be looked into."""
+    try:
+        return path.is_file()
+    except PermissionError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+
+
 def estimates_of(folder: Path) -> Path:
-    """The table of estimates in a folder; the CSV if there are both or none."""
+    """The table of estimates in a folder; the CSV if there are both or none.
+
+    Raises SonarrecError if the folder may not be looked into.
+    """
     places = [folder / name for name in ESTIMATES]
-    return next((place for place in places if place.is_file()), places[0])
+    return next((place for place in places if is_file(place)), places[0])
 
 
 def part_of(folder: Path) -> Path:
@@ -136,7 +147,8 @@ def _lock_file(folder: Path) -> Path:
     return place.with_name(f".{place.name}.lock")
 
 
-def _aside(folder: Path) -> Path:
+def aside_of(folder: Path) -> Path:
+    """Where a run lays old results while it replaces them; one that fails there leaves them."""
     place = _place(folder)
     return place.with_name(f".{place.name}.old")
 
@@ -148,7 +160,7 @@ def restore(folder: Path) -> None:
     all of the user's files in them were moved.
     Raises OSError if that fails, SonarrecError if a file is in both places.
     """
-    place, old = _place(folder), _aside(folder)
+    place, old = _place(folder), aside_of(folder)
     if old.is_dir():
         if place.exists():
             try:
@@ -166,7 +178,7 @@ def exchange(folder: Path) -> list[str]:
 
     Returns a note if these could not be moved. Raises OSError if the part could not be moved.
     """
-    place, old = _place(folder), _aside(folder)
+    place, old = _place(folder), aside_of(folder)
     if place.exists():
         place.rename(old)
     part_of(folder).rename(place)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from sonarrec.files.tables import Table, cut, line_number, position_pair, read_t
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import (
+    PART,
     BoolArray,
     Fan,
     FloatArray,
@@ -31,7 +33,7 @@ from sonarrec.results.columns import (
     kinds,
     needed,
 )
-from sonarrec.results.folders import estimates_of, part_of
+from sonarrec.results.folders import aside_of, estimates_of, part_of
 from sonarrec.results.run_file import RunFile, cut_short, read_run
 from sonarrec.sonar import Sonar
 
@@ -94,18 +96,34 @@ def find_logs(results: Path) -> list[Path]:
         raise MissingError(
             f"{results}: no such results folder; `sonarrec run LOG` writes one{hint}"
         )
-    logs = {p.parent for p in results.glob("*/frames.csv")}
+    logs = {p for p in results.iterdir() if _holds_frames(p)}
     # If a results folder is a link, the part of a stopped run lies beside its target.
     linked = {part_of(p) for p in results.iterdir() if p.is_symlink() and p not in logs}
     logs |= {part for part in linked if (part / "frames.csv").is_file()}
     finished = {part_of(log) for log in logs}  # parts beside finished results are not needed
-    folders = sorted(logs - finished)
+    # A run that was killed, or failed, while it replaced results leaves them here and there.
+    named = logs | {log.with_name(log.name.removesuffix(PART)) for log in logs}
+    replaced = {aside_of(log) for log in named}
+    folders = sorted(logs - finished - replaced)
     if not folders:
         raise SonarrecError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "
             "give the folder that `sonarrec run` wrote"
         )
     return folders
+
+
+def _holds_frames(folder: Path) -> bool:
+    """Whether it is a folder with frames.csv, or one that only another user may read.
+
+    That is told where its tables are read: a log must not be missing from the figures unnoticed.
+    """
+    try:
+        return stat.S_ISREG((folder / "frames.csv").stat().st_mode)
+    except PermissionError:
+        return folder.name[0] != "." and folder.name != "lost+found"
+    except OSError:
+        return False
 
 
 def not_whole(log: LogResults, action: str) -> list[str]:

@@ -20,7 +20,7 @@ from sonarrec.files.toml import AtLeastOne, Count, Finite, checked, read_toml, t
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError, number_of
-from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of
+from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of, is_file
 from sonarrec.sonar import Sonar, sonar_from_table
 
 PROGRAM = {"name": "sonarrec", "version": __version__}
@@ -353,7 +353,7 @@ def read_run(path: Path | None) -> RunFile:
     Raises SonarrecError if it cannot be read or a key in use is invalid. Unknown keys are allowed:
     a later version may have written them.
     """
-    table = read_toml(path) if path is not None and path.is_file() else {}
+    table = read_toml(path) if path is not None and is_file(path) else {}
     path = path or Path("run.toml")
     for name in _SHAPES.keys() & table.keys():
         checked(table[name], _SHAPES[name], f"{path}: {name}")

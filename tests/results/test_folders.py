@@ -32,6 +32,7 @@ from sonarrec.results.folders import (
 from sonarrec.results.read import find_logs
 from tests.support.command import sonarrec
 from tests.support.kills import assert_readable, command, finished, frames, held, stop_at_random
+from tests.support.locked import locked
 from tests.support.logs import cdr_image, mcap_file
 from tests.support.logs import frames as images
 
@@ -433,6 +434,37 @@ def test_a_part_beside_finished_results_is_not_counted_with_them(tmp_path: Path)
         (tmp_path / name).mkdir()
         (tmp_path / name / "frames.csv").write_text("frame\n")
     assert [p.name for p in find_logs(tmp_path)] == ["dive", "other.part"]
+
+
+def test_results_that_a_run_laid_aside_are_not_counted_with_the_new_ones(tmp_path: Path) -> None:
+    """It was killed before the new ones were in their place, or could not delete the old ones."""
+    for name in ("dive.part", ".dive.old", "other", ".other.old", "third.part", ".third.part.old"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "frames.csv").write_text("frame\n")
+    assert [p.name for p in find_logs(tmp_path)] == ["dive.part", "other", "third.part"]
+
+
+def test_results_that_may_not_be_read_are_told(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = run(shorter(log, tmp_path / "dive", 3), tmp_path / "out").folder.parent
+    truth = tmp_path / "gt.csv"
+    truth.write_text("log,frame,landmark\ndive,1,1\n")
+    other = out / "of_another"
+    with locked(other):
+        for words in (
+            ("evaluate", out, "--ground-truth", truth),
+            ("evaluate", "--compare", out, out, "--ground-truth", truth),
+            ("report", out, "-o", tmp_path / "report.html"),
+            ("map", out, "-o", tmp_path / "map"),
+            ("truth", "propose", out, "-o", tmp_path / "proposed.csv"),
+        ):
+            stderr = sonarrec(*words, code=3).stderr
+            assert re.search(r"of_another.*: cannot be read \(Permission denied\)", stderr)
+    other.rmdir()
+    with locked(out / "lost+found"):  # of a file system
+        assert [p.name for p in find_logs(out)] == ["dive"]
 
 
 def test_a_log_named_as_a_part_keeps_its_results(log: Path, tmp_path: Path) -> None:
