@@ -23,7 +23,7 @@ from sonarrec.readers.grey import (
     to_grey8,
 )
 from sonarrec.readers.ping_geometry import agree, as_stated, as_wide, extent, shows
-from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.readers.raw import RawFrame, UnusableError, showing
 from sonarrec.records import ByteImage, Fan, SonarrecError
 from sonarrec.sonar import BeamOrder, Geometry, PingGeometry, Sonar
 
@@ -91,15 +91,16 @@ class FrameMaker:
         height that nobody states is estimated.
         first: the log's first frames. Raises SonarrecError if the geometry does not fit the log.
         """
+        first = showing(first)
         if self._stated.colour_map is None:
             self._find_colours(first)
         if self._stated.pixel_scale is None:
             self._find_amplitudes(first)
         pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]
         agreeing = [sum(agree(a, b) for _, b in pings) for _, a in pings]
-        if agreeing and (best := int(np.argmax(agreeing))):
+        if agreeing:
             with contextlib.suppress(UnusableError):
-                self(pings[best][0])
+                self(pings[int(np.argmax(agreeing))][0])
         if self._stated.height_m is None:
             self._find_height(first)
 

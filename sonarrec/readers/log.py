@@ -13,13 +13,15 @@ from typing import Any
 from sonarrec.readers.colour_maps import LUMINANCE
 from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
-from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
+from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, showing
 from sonarrec.records import Clock, Fan, Frame, SonarrecError, name_as_text, number_of
 from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20
 SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
-SETTLING_WITHIN = 1000  # of a log's first frames; those of a whole chunk may be lost
+# The three are looked for among so many frames and bytes: the frames of a whole chunk may be lost,
+# and a sonar may send blank ones until it has its settings.
+SETTLING_WITHIN, SETTLING_BYTES = 1000, 2**26
 
 
 class Log:
@@ -226,7 +228,9 @@ def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
     """
     frames = iter(frames)
     first = _to_settle(frames)
-    sizes = Counter(size for f in first if (size := _stored_size(f)) is not None)
+    sizes = Counter(size for f in showing(first) if (size := _stored_size(f)) is not None)
+    if not sizes:
+        sizes.update(size for f in first if (size := _stored_size(f)) is not None)
     for frame in first:
         size = _stored_size(frame)
         if size is None or size == (usual := sizes.most_common(1)[0][0]):
@@ -234,16 +238,19 @@ def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
         else:
             problem = f"{size[1]} x {size[0]} pixels in a log of {usual[1]} x {usual[0]}"
             yield replace(frame, pixels=None, problem=problem)
+    del first  # frees its images
     yield from frames
 
 
 def _to_settle(frames: Iterator[RawFrame]) -> list[RawFrame]:
-    """The first frames, up to the SETTLING_FRAMES-th that has pixels."""
-    first, with_pixels = [], 0
+    """The first frames, up to the SETTLING_FRAMES-th that shows something."""
+    first: list[RawFrame] = []
+    shown = held = 0
     for frame in islice(frames, SETTLING_WITHIN):
         first.append(frame)
-        with_pixels += frame.pixels is not None
-        if with_pixels == SETTLING_FRAMES:
+        shown += frame.shows
+        held += 0 if frame.pixels is None else frame.pixels.nbytes
+        if shown == SETTLING_FRAMES or (held > SETTLING_BYTES and len(first) >= SETTLING_FRAMES):
             break
     return first
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,6 +50,16 @@ class RawFrame:
     sonar: PingGeometry | None = None
     stamps: Stamps = NO_STAMPS
     white: int | None = None
+
+    @property
+    def shows(self) -> bool:
+        """Whether it could be read, and is not blank."""
+        return self.pixels is not None and bool(self.pixels.any())
+
+
+def showing(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
+    """Those of the frames that show something; all of them if none does."""
+    return [frame for frame in frames if frame.shows] or frames
 
 
 @dataclass(frozen=True, slots=True)

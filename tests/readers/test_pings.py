@@ -302,8 +302,11 @@ def test_beam_order(tmp_path: Path) -> None:
         assert not np.array_equal(frame.image, odd.image)
 
 
-def test_blank_pings_do_not_settle_the_beam_order(tmp_path: Path) -> None:
+def test_blank_pings_do_not_settle_the_beam_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """More than those that settle the fan, and than those read before run.toml is begun."""
+    monkeypatch.setattr("sonarrec.readers.log.SETTLING_WITHIN", 3)
     pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(9))]
     expected, _, _ = read(log_of(tmp_path / "usual.mcap", pings), sonar=TILT)
     blank = np.zeros(BINS * BEAMS, np.uint8)
@@ -321,6 +324,20 @@ def test_blank_pings_do_not_settle_the_beam_order(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(frame.image, same.image)
         assert log.reading()["beam_order"] == "beam-major"
         assert log.notes == [f"{other}: read as beam-major, found from its first ping with echoes"]
+
+
+def test_blank_pings_settle_nothing(tmp_path: Path) -> None:
+    """Neither the fan, where their window is another, nor the height."""
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(9))]
+    expected, _, _ = read(log_of(tmp_path / "usual.mcap", pings), sonar=TILT)
+    for fields in pings[:6]:
+        fields["image"] = fields["image"] | {"data": np.zeros(BINS * BEAMS, np.uint8)}
+        fields["ranges"] = fields["ranges"] * 0.95
+    found, _, _ = read(log_of(tmp_path / "other.mcap", pings), sonar=TILT)
+    assert [f.index for f in found] == list(range(9))
+    for frame, same in zip(found, expected, strict=True):
+        assert frame.fan == same.fan
+        assert frame.image.any() == (frame.index >= 6)
 
 
 def test_beam_order_of_images_with_rings() -> None:

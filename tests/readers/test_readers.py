@@ -23,7 +23,7 @@ from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.images import ImagePaths, natural_order
 from sonarrec.readers.info import describe
-from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size
+from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size, _to_settle
 from sonarrec.readers.named_logs import NamedLog, find_logs
 from sonarrec.readers.raw import RawFrame
 from sonarrec.records import Frame, SonarrecError, UsageError
@@ -294,20 +294,32 @@ def test_a_log_that_begins_with_faults_is_settled_before_a_span(tmp_path: Path) 
     assert told == ["frame0.png", "frame1.png", "frame2.png", "frame7.png"]
 
 
-def test_a_log_that_begins_with_faults_is_read_as_without_them(tmp_path: Path) -> None:
-    """Colour map and height are those that its first usable frames show."""
+@pytest.mark.parametrize("is_blank", [False, True], ids=["faults", "blank images of another size"])
+def test_a_log_that_begins_with_nothing_is_read_as_without_it(
+    is_blank: bool, tmp_path: Path
+) -> None:
+    """Size, colour map and height are those that the first images show that show something."""
     images = [cv2.applyColorMap(image, cv2.COLORMAP_JET) for image in frames(4)]
     whole = image_folder(tmp_path / "whole", images)
-    broken = image_folder(tmp_path / "broken", images[:3] + images)
-    for k in range(3):
-        (broken / f"frame{k}.png").write_bytes(b"broken")
+    late = image_folder(tmp_path / "late", [images[0][:20] * 0] * 5 + images)
+    for k in range(0 if is_blank else 5):
+        (late / f"frame{k}.png").write_bytes(b"broken")
     tilt = tmp_path / "tilt.toml"
     tilt.write_text(SONAR_TOML.replace("height_m = 0.68", ""))
-    (found, _), (expected, _) = (read(log, sonar_file=tilt) for log in (broken, whole))
-    assert [f.index for f in found] == [3, 4, 5, 6]
+    (found, problems), (expected, _) = (read(log, sonar_file=tilt) for log in (late, whole))
+    assert len(problems) == 5
+    assert [f.index for f in found] == [5, 6, 7, 8]
     for frame, same in zip(found, expected, strict=True):
         assert frame.fan == same.fan
         np.testing.assert_array_equal(frame.image, same.image)
+
+
+def test_few_blank_images_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    images = frames(9)
+    monkeypatch.setattr("sonarrec.readers.log.SETTLING_BYTES", 4 * images[0].nbytes)
+    begin = iter(RawFrame(str(k), None, image * (k > 6)) for k, image in enumerate(images))
+    assert len(_to_settle(begin)) == 5
+    assert len(list(begin)) == 4
 
 
 @pytest.mark.parametrize(("stated_hz", "noted"), [(4.0, False), (25.0, True), (None, False)])
