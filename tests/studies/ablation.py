@@ -17,6 +17,7 @@ from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.stage1_candidates import RingScore, ScoreMaps
+from sonarrec.recogniser.stage3_features.expected_symbol import expected_symbols
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.simulate import render
@@ -124,6 +125,7 @@ def recognise_trial(trial: Trial) -> None:
     frames = list(render(scene))
     for folder, ablation in trial.folders.items():
         config = with_assignments(preset(ablation.preset), ablation.settings)
+        expected_symbols.cache_clear()  # of code that may be replaced
         with ExitStack() as changed:
             changed.enter_context(patch("tests.support.simulated.render", lambda _: frames))
             for name, instead in ablation.code.items():
