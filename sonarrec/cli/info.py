@@ -118,6 +118,9 @@ def info(
     if undone:
         *others, last = undone.values()
         tell(map(str, others))
+        if any(one.undone is None and not one.is_useless for one in shown):
+            tell([str(last)])
+            leave(PARTLY)
         raise last
     if all(one.is_useless for one in shown):
         leave(2 if all(one.is_missing for one in shown) else 1)

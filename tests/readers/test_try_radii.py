@@ -140,6 +140,19 @@ def test_a_log_without_its_geometry_is_described_all_the_same(tmp_path: Path) ->
     assert "Traceback" not in result.output
 
 
+def test_of_several_logs_one_that_fails_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(radii, "MOST_FRAMES", 8)
+    monkeypatch.setattr(radii, "STEPS", 0)
+    folder = image_folder(tmp_path / "log", frames(3, 30, 24))
+    (folder / "sonar.toml").unlink()
+    for logs in ((folder, SAMPLE), (SAMPLE, folder)):
+        result = sonarrec("info", "--quick", *logs, "--try-radii", code=3)
+        assert result.stdout.count("  radii ") == 1
+        assert result.stderr.count("lacks range_min_m") == 1
+
+
 def test_a_run_that_declares_nothing_names_the_option(tmp_path: Path) -> None:
     stated = landmarks_file(tmp_path, 0.3)
     words = ("run", SAMPLE, "-o", tmp_path / "out", "--frames", "0:12")
