@@ -6,7 +6,6 @@ import json
 from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -255,8 +254,7 @@ def _try_radii(
     from sonarrec.readers import open_log
 
     landmark_set = load_landmarks(landmarks or "basin")
-    with open_log(path, **reading) as opened:
+    with open_log(path, **reading) as opened, progress(quiet, title="radii") as step:
         topic = opened.reading().get("topic")
-    frame_count = next((i.frames for i in log_info.images if i.topic == topic), None)
-    with progress(quiet, title="radii") as step:
-        return try_radii(partial(open_log, path, **reading), landmark_set, frame_count, step)
+        frame_count = next((i.frames for i in log_info.images if i.topic == topic), None)
+        return try_radii(opened, landmark_set, frame_count, step)

@@ -11,10 +11,9 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.pipeline.frames import Recogniser
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from sonarrec.records import Frame
 
-# With a radius that is 5 % off one landmark in twenty is lost, with 10 % most are (`make stated`):
-# steps of 10 % leave no gap.
+# With a radius that is 5 % off one landmark in twenty is lost, with 10 % half or more (`make
+# stated`): steps of 10 % leave no gap.
 STEP = 1.1
 STEPS = 7  # of radii above the stated one, and below: 0.51 to 1.95 times
 STRETCHES = 8  # landmarks may be in view in a part of the log alone
@@ -59,22 +58,20 @@ class RadiusTrials:
 
 
 def try_radii(
-    open_again: Callable[[], Log],
+    log: Log,
     landmarks: LandmarkSet,
     frame_count: int | None,
     observe: Callable[[int], None],
 ) -> RadiusTrials:
     """Recognise a part of a log with radii from half to twice that of the landmark set.
 
-    The preset is `default`. open_again: opens the log, which gives its frames once. frame_count: of
-    the log; None if unknown: then its first frames are used. observe: called after each frame of
-    each trial with the number of all these frames.
+    The preset is `default`. frame_count: of the log; None if unknown: then its first frames are
+    used. observe: called after each frame of each trial with the number of all these frames.
     Raises SonarrecError if no frame can be used.
     """
-    with open_again() as log:
-        first = next(iter(log))
-        most = max(min(MOST_FRAMES, MOST_BYTES // first.pixels.nbytes), STRETCHES)
-    frames = [f for span in _spans(most, frame_count) for f in _within(open_again(), span)]
+    first = next(iter(log))
+    most = max(min(MOST_FRAMES, MOST_BYTES // first.pixels.nbytes), STRETCHES)
+    frames = [frame for span in _spans(most, frame_count) for frame in log.within(span)]
     others = [float(f"{landmarks.radius_m * STEP**k:.3g}") for k in range(-STEPS, STEPS + 1) if k]
     visible = [radius_m for radius_m in others if radius_m <= first.fan.range_max_m]
     radii_m = sorted([*visible, landmarks.radius_m])
@@ -91,11 +88,6 @@ def try_radii(
             observe(len(radii_m) * len(frames))
         trials.append(RadiusTrial(radius_m, any_id, dict(sorted(ids.items()))))
     return RadiusTrials(landmarks.radius_m, len(frames), tuple(trials))
-
-
-def _within(log: Log, span: tuple[int, int]) -> list[Frame]:
-    with log:
-        return list(log.within(span))
 
 
 def _spans(most: int, frame_count: int | None) -> list[tuple[int, int]]:

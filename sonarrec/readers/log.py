@@ -25,7 +25,7 @@ SETTLING_WITHIN, SETTLING_BYTES = 1000, 2**26
 
 
 class Log:
-    """A recorded log: one pass of Frames, streamed. Use it as a context manager.
+    """A recorded log, whose Frames are streamed; each pass gives the same. A context manager.
 
     name: of its results folder. frame_count: None if unknown. stated: the geometry that file and
     flags state. unusable: number of frames so far that could not be used. problems: one line for

@@ -78,7 +78,9 @@ class HeaderInfo:
 
 
 class RawLog(ABC):
-    """One opened log: a single pass over its frames, in time order, one in memory at a time.
+    """One opened log: a pass over its frames, in time order, one in memory at a time.
+
+    A further pass begins anew.
 
     frame_count: number of frames; None if unknown before the end. topic: the channel read; None if
     the log has no channels. polar: whether frames state their own geometry. header_info: for a

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -45,7 +44,8 @@ def test_the_true_radius_is_found_where_nearly_the_diameter_is_stated(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(radii, "MOST_FRAMES", 32)
-    trials = try_radii(partial(open_log, SAMPLE), landmarks_of(0.29), 128, ignore)
+    with open_log(SAMPLE) as log:
+        trials = try_radii(log, landmarks_of(0.29), 128, ignore)
     assert trials.better is not None
     # The radii tried are a tenth apart, so one is within a twentieth of the truth.
     assert trials.better.radius_m == pytest.approx(TRUE_RADIUS_M, rel=0.05)
@@ -56,8 +56,8 @@ def test_the_true_radius_is_found_where_nearly_the_diameter_is_stated(
 
 def test_a_trial_declares_what_a_run_declares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(radii, "STEPS", 0)
-    trials = try_radii(partial(open_log, SAMPLE), landmarks_of(TRUE_RADIUS_M), 128, ignore)
     with open_log(SAMPLE) as log:
+        trials = try_radii(log, landmarks_of(TRUE_RADIUS_M), 128, ignore)
         results = list(Recogniser(log).recognise())
     (trial,) = trials.trials
     declared = [
@@ -89,15 +89,15 @@ def test_only_few_large_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(radii, "STEPS", 0)
     with open_log(SAMPLE) as log:
         monkeypatch.setattr(radii, "MOST_BYTES", 20 * next(iter(log)).pixels.nbytes)
-    assert try_radii(partial(open_log, SAMPLE), landmarks_of(0.15), 128, ignore).frames == 16
+        assert try_radii(log, landmarks_of(0.15), 128, ignore).frames == 16
 
 
 def test_no_disc_is_tried_that_the_sonar_cannot_see() -> None:
-    first = partial(open_log, str(SAMPLE / "00000*.png"))
-    trials = try_radii(first, landmarks_of(3.0), 10, ignore)
-    assert max(t.radius_m for t in trials.trials) == 3.63  # its window ends at 3.75 m
-    with pytest.raises(SonarrecError, match="larger than what this sonar sees"):
-        try_radii(first, landmarks_of(4.0), 10, ignore)
+    with open_log(str(SAMPLE / "00000*.png")) as log:
+        trials = try_radii(log, landmarks_of(3.0), 10, ignore)
+        assert max(t.radius_m for t in trials.trials) == 3.63  # its window ends at 3.75 m
+        with pytest.raises(SonarrecError, match="larger than what this sonar sees"):
+            try_radii(log, landmarks_of(4.0), 10, ignore)
 
 
 def test_only_a_clear_difference_counts() -> None:
