@@ -11,9 +11,11 @@ from typing import overload
 
 import numpy as np
 
+from sonarrec.readers.name_times import times_in_names
 from sonarrec.readers.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
 from sonarrec.records import IMAGE_SUFFIXES, name_as_text
+from sonarrec.times import date_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
 
@@ -115,28 +117,30 @@ def _not_as_numbered(files: Sequence[Path]) -> tuple[int, str] | None:
 class ImageFiles(RawLog):
     """One image file a frame, in natural order of the names.
 
-    Names of exactly 19 digits, where all are, are times in nanoseconds.
+    Times in the names, as `times_in_names` finds them, are the frames' times.
     """
 
     def __init__(self, files: Sequence[Path]) -> None:
         super().__init__()
         self.files = files if isinstance(files, ImagePaths) else ImagePaths(files)
         self.frame_count = len(self.files)
-        self._stamped = all(
-            re.fullmatch(r"[0-9]{19}", f.stem) and int(f.stem) < 2**63 for f in self.files
-        )
-        if not self._stamped and (uncounted := _not_as_numbered(self.files)) is not None:
+        self._times = times_in_names(file.stem for file in self.files)
+        if self._times is not None and not re.fullmatch("[0-9]{19}", self.files[0].stem):
+            first = date_text(int(self._times[0]), 3)
+            note = f"frames have the times in the names of its images, the first {first} UTC"
+            self.header_info = HeaderInfo(notes=(note,))
+        elif self._times is None and (uncounted := _not_as_numbered(self.files)) is not None:
             index, name = uncounted
-            self.header_info = HeaderInfo(
-                notes=(
-                    "the names of its images leave out or repeat numbers, but frames are counted: "
-                    f"{name_as_text(name)} is frame {index}",
-                )
+            note = (
+                "the names of its images leave out or repeat numbers, but frames are counted: "
+                f"{name_as_text(name)} is frame {index}"
             )
+            self.header_info = HeaderInfo(notes=(note,))
 
     def __iter__(self) -> Iterator[RawFrame]:
         for number, file in enumerate(self.files):
-            name, timestamp_ns = name_as_text(file.name), int(file.stem) if self._stamped else None
+            name = name_as_text(file.name)
+            timestamp_ns = None if self._times is None else int(self._times[number])
             if number in self.passed_over:
                 yield RawFrame(name, timestamp_ns, None)
                 continue

@@ -16,6 +16,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.find import find_log
 from sonarrec.readers.images import is_image, names_an_image, natural_order
 from sonarrec.readers.log import Log
+from sonarrec.readers.name_times import times_in_names
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, number_of
 from sonarrec.sonar import Sonar
 from sonarrec.truth.annotations import read_annotations
@@ -206,8 +207,8 @@ def _frames_of_images(
     """As `_frame_numbers`, for images that are named.
 
     An image is found by its name in the log, in any folder, or by its name without suffix if only
-    one image of the log has that. If the log has no names, names of 19 digits are times, as in a
-    log of images; else the number at the end of every name counts; else their natural order.
+    one image of the log has that. If the log has no names, times in the names count, as in a log
+    of images; else the number at the end of every name counts; else their natural order.
     Raises SonarrecError if the log has names, but none of these.
     """
     paths = {name: _path(name, log_names) for name in images}
@@ -224,17 +225,15 @@ def _frames_of_images(
             f"no image of the log is called as one that was annotated: {images[0]!r} and so on "
             f"here, {log_names[0]!r} there; give the log that was annotated"
         )
-    if all(re.fullmatch(r"[0-9]{19}", path.stem) for path in paths.values()):
-        times: FrameNumbers = {name: int(path.stem) for name, path in paths.items()}
-        latest = max(times.values(), default=0)
-        if latest >= 2**63:
-            raise SonarrecError(f"image name {latest} is no time in ns: it must lie below 2^63")
-        return "timestamp_ns", times, "image names of 19 digits are times in ns"
+    order = sorted(paths, key=lambda name: natural_order(paths[name]))
+    times = times_in_names(paths[name].stem for name in order)
+    if times is not None:
+        stamps: FrameNumbers = dict(zip(order, times.tolist(), strict=True))
+        return "timestamp_ns", stamps, "frames by the times in the images' names"
     ends = {name: _LAST_NUMBER.search(path.stem) for name, path in paths.items()}
     numbers: FrameNumbers = {name: int(end[0]) for name, end in ends.items() if end}
     if len(numbers) == len(ends):
         return "frame", numbers, _BY_NUMBER
-    order = sorted(paths, key=lambda name: natural_order(paths[name]))
     rule = "frames by the natural order of the images listed; give --log where it has more"
     return "frame", {name: n for n, name in enumerate(order)}, rule
 

@@ -536,7 +536,7 @@ def test_digits_that_are_no_number_of_a_frame(tmp_path: Path) -> None:
     names = ["img%2012.png", "a/img%203.jpg", "../b%2F7.png?c=%2F5", "/files/?d=a%2F9.png"]
     assert frames_of(tmp_path, names) == [3, 7, 9, 12]
     (tmp_path / "gt.csv").unlink()
-    assert frames_of(tmp_path, ["1714564801.125.png", "1714564800.375.png"]) == [0, 1]
+    assert frames_of(tmp_path, ["a_1714564801.125.png", "b_1714564800.375.png"]) == [0, 1]
     (tmp_path / "gt.csv").unlink()
     log = image_folder(tmp_path / "log", frames(3, 80, 100))
     (log / "frame0.png").rename(log / "b%2034.png")  # that very name
@@ -554,14 +554,16 @@ def test_frames_by_natural_order_of_all_images(tmp_path: Path) -> None:
     assert converted(tmp_path, coco(tmp_path, annotations, names)) == [(2, 1, 4, 0, 1.0)]
 
 
-def test_names_that_are_times_give_times(tmp_path: Path) -> None:
-    name = "1700000000123456789"
+@pytest.mark.parametrize(
+    "name", ["1700000000123456789", "ping_1700000000.123456789", "20231114-221320.123456789Z"]
+)
+def test_names_that_are_times_give_times(tmp_path: Path, name: str) -> None:
     source = coco(tmp_path, [BBOX | {"image_id": 7}], [f"{name}.png"])
     done = run(source, "--out", tmp_path / "gt.csv")
     assert done.exit_code == 0
     assert (tmp_path / "gt.csv").read_text().splitlines() == [
         "timestamp_ns,landmark,x_px,y_px,visible",
-        f"{name},1,0.00,0.00,1.000",
+        "1700000000123456789,1,0.00,0.00,1.000",
     ]
 
 
