@@ -57,6 +57,7 @@ MAY_IMPORT = {
         "recogniser",
         "readers.beam_order",
         "readers.colour_maps",
+        "readers.fan_outline",
         "readers.grey",
         "readers.pixels",
         "readers.video",

@@ -102,6 +102,7 @@ def _images_lines(images: Images) -> list[str]:
         out += _entry("images", [text])
     out += _entry("header", _header_lines(images))
     out += _entry("geometry", _geometry_lines(images))
+    out += _entry("outline", _outline_lines(images))
     out += _entry("notes", images.notes)
     return out + _entry("problems", images.problems)
 
@@ -129,6 +130,24 @@ def _geometry_lines(images: Images) -> list[str]:
         out.append(f"give {flags}, or put a sonar.toml beside the log, or into it if a folder:")
         out.append("`sonarrec help geometry` has one to copy")
     return [text for text in out if text]
+
+
+def _outline_lines(images: Images) -> list[str]:
+    """The fan in the images, if something of the geometry that it tells is not stated."""
+    found = images.outline
+    if found is None or not set(images.lacks) - {"tilt_deg"}:
+        return []
+    range_max_m = images.geometry.get("range_max_m")
+    if range_max_m is None:
+        ranges = f"range_min_m is about {found.near_px / found.far_px:.3f} of range_max_m"
+    else:
+        scale = range_max_m / found.far_px
+        ranges = f"range_min_m is about {found.near_px * scale:.3g}, metres_per_pixel {scale:.4g}"
+    return [
+        f"the images show a fan of {found.view_deg:.1f} deg with "
+        f"apex_px = [{found.apex_column:.1f}, {found.apex_row:.1f}]",
+        f"its ends are {found.near_px:.0f} and {found.far_px:.0f} px from there: {ranges}",
+    ]
 
 
 def _header_lines(images: Images) -> list[str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.geometry import floor_depth
+from sonarrec.readers.fan_outline import FanOutline
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
@@ -68,7 +69,8 @@ class Images:
     keys, as stated or from the first ping. origins: where each of these keys, and the layout, comes
     from: "flag", "message", "header", "default" or the name of a file; a beam_order that nobody
     stated is "found" or "assumed". assumed: values used for keys that nobody states, if the
-    geometry is complete. lacks: the missing keys. notes: contradictions and what is uncertain.
+    geometry is complete. lacks: the missing keys. outline: of the fan in fan images; None if they
+    do not show it. notes: contradictions and what is uncertain.
     problems: one line for each frame that cannot be used (at most 20, then a count).
     """
 
@@ -89,6 +91,7 @@ class Images:
     origins: dict[str, str]
     assumed: dict[str, Any]
     lacks: list[str]
+    outline: FanOutline | None
     notes: list[str]
     problems: list[str]
 
@@ -343,6 +346,7 @@ def _images(
         origins=origins,
         assumed={} if lacks or log.fan is None else _assumed(log.sonar, log.fan, polar, raw.timed),
         lacks=lacks,
+        outline=None if polar else plausibility.outline(),
         notes=[*log.notes, *doubts],
         problems=[p for p in problems if p not in raw.faults],
     )

@@ -72,9 +72,9 @@ def test_right_geometry_is_not_doubted(log: str) -> None:
     ("log", "stated", "told"),
     [
         ("pan", {"height_m": 3.0}, r"as bright as a floor.* begins at 3 m"),
-        ("pan", {"range_max_m": 30.0}, r"outside of the stated fan holds echoes \(look at range"),
-        ("pan", {"range_max_m": 31.25}, r"outside of the stated fan holds echoes \(look at range"),
-        ("pan", {"field_of_view_deg": 18.0}, r"outside of the stated fan holds echoes \(look at"),
+        ("pan", {"range_max_m": 30.0}, r"its ends 128 and 384 px from there.* 11 and 267 px \(if"),
+        ("pan", {"range_max_m": 31.25}, r"its ends 128 and 384 px from there.* 11 and 267 px \(if"),
+        ("pan", {"field_of_view_deg": 18.0}, r"right, give --field-of-view-deg 28.8\)$"),
         ("pan", {"layout": "polar"}, r"outline of a fan \(--layout fan\)"),
         ("polar", {"layout": "fan"}, r"outside of the picture, 96 x 256 .*--layout polar"),
         ("polar", {"height_m": 2.2}, r"as bright as a floor.* begins at 2.2 m"),

@@ -3,12 +3,14 @@
 Every recording is rendered once, and recognised as it is and after each change to its pictures.
 `python -m tests.studies.pictures --as-they-are --seeds 2730:2738` tells instead in how many
 recordings of every kind, none of their pictures changed, a pixel is taken for drawn or dead, or a
-picture for saturated or equalised.
+picture for saturated or equalised. `--outlines --seeds 7100:7102` tells how well the outline of the
+fan is found in pictures of every kind after each change.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -22,7 +24,9 @@ from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import fan_mask
 from sonarrec.readers.colour_maps import LUMINANCE, find_map
+from sonarrec.readers.fan_outline import find_outline
 from sonarrec.readers.grey import single_channel
+from sonarrec.readers.plausible import FRAMES as LOOKED_AT
 from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.recogniser.unchanging import Unchanging
@@ -224,6 +228,39 @@ def restored(recording: Recording) -> tuple[float, int]:
     return most, levels.saturated + levels.equalised
 
 
+def outlines(recording: Recording) -> dict[str, tuple[float, float] | None]:
+    """By change, of the fan's outline in the mean of the first frames: how far its apex and its far
+    end are from where they are, in lengths of the fan; None if none is found."""
+    scene = random_scene(recording.seed, recording.kind, frames=LOOKED_AT)
+    fan, pictures = scene_fan(scene), [f.image for f in render(scene)]
+    far_px = fan.range_max_m / fan.metres_per_pixel
+    off: dict[str, tuple[float, float] | None] = {}
+    for name, change in CHANGES.items():
+        found = find_outline(np.mean(change(pictures, fan), axis=0))
+        off[name] = None
+        if found is not None:
+            across, along = found.apex_column - fan.apex_column, found.apex_row - fan.apex_row
+            off[name] = math.hypot(across, along) / far_px, found.far_px / far_px - 1
+    return off
+
+
+def show_outlines(found: Sequence[dict[str, tuple[float, float] | None]]) -> None:
+    """A row for each change: how many outlines were found, and how far off they are at most."""
+    lines: list[dict[str, str]] = []
+    for name in CHANGES:
+        off = np.array([one[name] for one in found if one[name] is not None]).reshape(-1, 2)
+        most = off.max(axis=0) if len(off) else (math.nan, math.nan)
+        lines.append(
+            {
+                "pictures": name,
+                "outline found": f"{len(off)} of {len(found)}",
+                "apex off by at most": told(most[0], ".3f"),
+                "far end too far by at most": told(most[1], ".3f"),
+            }
+        )
+    show("The fan's outline, lengths in those of the fan", lines)
+
+
 def rates(recordings: Sequence[Recording], change: str, part: str) -> str:
     """TPR / FPR, strict, and how many false claims."""
     found = score([r.place(change, part) for r in recordings])
@@ -239,9 +276,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
     parser.add_argument("--out", type=Path, default=Path("build/pictures"))
     parser.add_argument("--as-they-are", action="store_true", help="what is filled of these")
+    parser.add_argument("--outlines", action="store_true", help="how well the fan is found")
     given = parser.parse_args(arguments)
+    recordings = [Recording(k, s, given.out) for k, s in product(ALL_KINDS, given.seeds)]
+    if given.outlines:
+        show_outlines(in_processes(outlines, recordings))
+        return
     if given.as_they_are:
-        recordings = [Recording(k, s, given.out) for k, s in product(ALL_KINDS, given.seeds)]
         found = in_processes(restored, recordings)
         for recording, (share, pictures) in zip(recordings, found, strict=True):
             if share or pictures:
