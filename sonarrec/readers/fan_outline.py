@@ -17,6 +17,7 @@ from sonarrec.records import BoolArray, FloatArray, IntArray
 
 MOST_SIDE = 1024  # px; of larger pictures every second pixel is used, or every third, ...
 BACKGROUND = 6.0  # grey levels about the background that hold no echo
+SMEARED = 0.2  # of the fan's median level above the background: less may be an edge's
 CLOSED = 7  # px; gaps in the fan up to this wide are speckle
 LEAST_AREA = 0.1  # of the picture
 LEAST_EDGE = 0.35  # length of either edge, in heights of the fan; of a disc less looks straight
@@ -81,9 +82,14 @@ def find_outline(picture: FloatArray) -> FanOutline | None:
 def _lit(picture: np.ndarray) -> BoolArray:
     """(rows, columns) what differs from the background, without specks beside the fan."""
     background = np.bincount(np.rint(picture).astype(int).ravel(), minlength=256).argmax()
+    above = np.abs(picture - background)
+    echoes = above > BACKGROUND
+    # Codecs smear the edges: the brighter the fan, the farther.
+    if echoes.any():
+        echoes &= above > SMEARED * np.median(above[echoes])
     # Padded: else what lies near the picture's border would grow to it.
-    echoes = np.pad(np.abs(picture - background) > BACKGROUND, CLOSED).astype(np.uint8)
-    lit = cv2.morphologyEx(echoes, cv2.MORPH_CLOSE, np.ones((CLOSED, CLOSED), np.uint8))
+    padded = np.pad(echoes, CLOSED).astype(np.uint8)
+    lit = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((CLOSED, CLOSED), np.uint8))
     count, labels, of_each, _ = cv2.connectedComponentsWithStats(lit)
     largest = 1 + int(of_each[1:, cv2.CC_STAT_AREA].argmax()) if count > 1 else -1
     return np.asarray(labels == largest)[CLOSED:-CLOSED, CLOSED:-CLOSED]

@@ -84,6 +84,19 @@ def test_what_is_dark_or_lit_beside_does_not_shift_it() -> None:
     assert is_close(find_outline(picture), APEX, FAR)
 
 
+@pytest.mark.parametrize("quality", [95, 75, 50])
+def test_in_jpegs(quality: int) -> None:
+    """Blocks across the edges hold faint echoes on both sides of them."""
+    total = np.zeros(INSIDE.shape)
+    for seed in range(5):
+        picture = floor(INSIDE, seed).astype(np.uint8)
+        _, coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        read = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
+        assert read is not None
+        total += read
+    assert is_close(find_outline(total / 5), APEX, FAR)
+
+
 @pytest.mark.parametrize("background", [30, 255])
 def test_on_another_background_than_black(background: int) -> None:
     assert is_close(find_outline(np.where(INSIDE, floor(INSIDE), background)), APEX, FAR)
