@@ -226,10 +226,14 @@ def _frames_of_images(
             f"here, {log_names[0]!r} there; give the log that was annotated"
         )
     order = sorted(paths, key=lambda name: natural_order(paths[name]))
-    times = times_in_names(paths[name].stem for name in order)
+    in_order = [paths[name].stem for name in order]
+    times = times_in_names(in_order)
     if times is not None:
         stamps: FrameNumbers = dict(zip(order, times.tolist(), strict=True))
         return "timestamp_ns", stamps, "frames by the times in the images' names"
+    latest = max((int(stem) for stem in in_order if re.fullmatch(r"[0-9]{19}", stem)), default=0)
+    if latest >= 2**63:
+        raise SonarrecError(f"image name {latest} is no time in ns: it must lie below 2^63")
     ends = {name: _LAST_NUMBER.search(path.stem) for name, path in paths.items()}
     numbers: FrameNumbers = {name: int(end[0]) for name, end in ends.items() if end}
     if len(numbers) == len(ends):
