@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sonarrec.evaluation.counting.curves import macro_curve
@@ -24,19 +23,12 @@ from sonarrec.records import FloatArray
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("-", "--", "-.", ":")
 MARKERS = ("s", "D")
-
-
-def _figure(
-    width: float, height: float, layout: Literal["constrained"] | None = "constrained"
-) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=120, layout=layout)
-    FigureCanvasAgg(figure)
-    return figure
+DPI = 120
 
 
 def _laid_out(width: float, height: float, *, left: float, bottom: float, hspace: float) -> Figure:
     """A figure with fixed margins in inches: computing them takes longer than drawing."""
-    figure = _figure(width, height, layout=None)
+    figure = Figure(figsize=(width, height), dpi=DPI)
     figure.subplots_adjust(
         left=left / width,
         right=1 - 0.15 / width,
@@ -79,7 +71,7 @@ def draw_roc(path: Path, scored: Sequence[PooledScored]) -> None:
     looks = _looks(scored)
     charts = {p: roc([s for s in scored if s.protocol == p]) for p in _protocols(scored)}
     right = max(one.fpr_end for one in charts.values())
-    figure = _figure(5.2 * len(charts), 5.6)
+    figure = Figure(figsize=(5.2 * len(charts), 5.6), dpi=DPI, layout="constrained")
     panels = figure.subplots(1, len(charts), sharey=True, squeeze=False)[0]
     for axes, (protocol, one) in zip(panels, charts.items(), strict=True):
         for line in one.lines:
@@ -144,7 +136,7 @@ def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
     """Draw the detection error trade-off: misses against false positives, on a probit scale."""
     protocols, looks = _protocols(scored), _looks(scored)
     ticks = (0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95)
-    figure = _figure(5.2 * len(protocols), 5.6)
+    figure = Figure(figsize=(5.2 * len(protocols), 5.6), dpi=DPI, layout="constrained")
     panels = figure.subplots(1, len(protocols), squeeze=False)[0]
     for axes, protocol in zip(panels, protocols, strict=True):
         chart = roc([s for s in scored if s.protocol == protocol], corners=400)

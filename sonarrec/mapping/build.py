@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.mapping.join import Landmark, LogPasses, join
+from sonarrec.mapping.join import Landmark, MappedLog, join
 from sonarrec.mapping.measured import measured_motion_path, read_frames
-from sonarrec.mapping.passes import DeclaredEstimates, find_passes, read_declared
+from sonarrec.mapping.passes import find_passes, read_declared
 from sonarrec.mapping.path import Drift, SonarPath, path_from_poses
 from sonarrec.mapping.poses_of_run import poses_of_run
 from sonarrec.poses import PoseTable
-from sonarrec.records import Fan, SonarrecError, UsageError
+from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
@@ -23,21 +23,6 @@ from sonarrec.results.run_file import RunFile, cut_short, read_run
 from sonarrec.results.sightings import check_follows
 from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar
-
-
-@dataclass(frozen=True, slots=True)
-class MappedLog:
-    """One log of a map.
-
-    declared: its declared estimates, to which its passes refer. ros_axes: as in SiteMap.
-    """
-
-    name: str
-    path: SonarPath
-    declared: DeclaredEstimates
-    on_floor: LogPasses
-    fan: Fan
-    ros_axes: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +45,7 @@ class SiteMap:
 
     def frames_of(self, passes: Iterable[tuple[int, int]]) -> int:
         """The number of frames with a declaration in some passes. passes: as Landmark.members."""
-        return sum(int(self.logs[g].on_floor.passes.frames[k]) for g, k in passes)
+        return sum(int(self.logs[g].passes.frames[k]) for g, k in passes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +102,7 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
         )
     site = SiteMap(
         landmark_set=landmark_set,
-        landmarks=join([log.on_floor for log in logs], landmark_set),
+        landmarks=join(logs, landmark_set),
         left_out=0,
         logs=logs,
         problems=[*problems, *(line for read in counted for line in read.problems), *once.unused],
@@ -176,7 +161,7 @@ def _read_log(folder: Path, run: RunFile, landmarks: LandmarkSet, options: MapOp
     passes = find_passes(declared, path, landmarks, fan)
     name = folder.resolve().name
     ros_axes = poses is not None and "topic" in poses.source
-    log = MappedLog(name, path, declared, LogPasses(name, path, passes), fan, ros_axes)
+    log = MappedLog(name, path, declared, passes, fan, ros_axes)
     problems = [] if run.finished else [cut_short(str(folder), len(path.frame), "used")]
     problems += _left_out(folder, log)
     return _ReadLog(folder, recording(folder, run, len(declared.row)), log, notes, problems)
@@ -187,7 +172,7 @@ def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:
     listed, strays = len(log.declared.row), log.declared.strays
     whole = listed + strays
     without = int((~np.isfinite(log.path.pose[log.declared.row]).all(axis=1)).sum())
-    near = listed - without - len(log.on_floor.passes.order)
+    near = listed - without - len(log.passes.order)
     for count, why in (
         (strays, "frames.csv does not list their frames"),
         (without, "no pose is known in their frames"),

@@ -11,7 +11,8 @@ import numpy as np
 
 from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.geometry import floor_depth, ground_range
-from sonarrec.mapping.build import MappedLog, SiteMap
+from sonarrec.mapping.build import SiteMap
+from sonarrec.mapping.join import MappedLog
 from sonarrec.mapping.passes import (
     COMMON_SHARE,
     HEIGHT_SIGMA_M,
@@ -72,7 +73,7 @@ def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
     The columns are log, row, number, slant range, three of `measured` and three of `sigma`.
     """
     log, landmark = site.logs[g], site.landmarks[number]
-    passes, declared = log.on_floor.passes, log.declared
+    passes, declared = log.passes, log.declared
     length = int(passes.frames[k])
     take = np.unique(np.linspace(0, length - 1, min(length, PER_PASS)).round().astype(int))
     estimates = passes.order[passes.begin[k] + take]

@@ -8,9 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.mapping.passes import HEIGHT_SIGMA_M, TURN_SIGMA_DEG, Passes, periods_of
+from sonarrec.mapping.passes import (
+    HEIGHT_SIGMA_M,
+    TURN_SIGMA_DEG,
+    DeclaredEstimates,
+    Passes,
+    periods_of,
+)
 from sonarrec.mapping.path import SonarPath
-from sonarrec.records import BoolArray, FloatArray, IntArray
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray
 
 GATE = 16.27
 """Squared Mahalanobis distance of place and orientation that 99.9 % of the passes of one landmark
@@ -22,12 +28,19 @@ ONE_DISC = 0.75
 
 
 @dataclass(frozen=True, slots=True)
-class LogPasses:
-    """The passes of one log of a map. name: of its results folder."""
+class MappedLog:
+    """One log of a map.
+
+    name: of its results folder. declared: its declared estimates, to which its passes refer.
+    ros_axes: whether its poses have x ahead and y to the left.
+    """
 
     name: str
     path: SonarPath
+    declared: DeclaredEstimates
     passes: Passes
+    fan: Fan
+    ros_axes: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +69,7 @@ class _Pool:
     log, index: which pass of which log it is. period: deg, after which the symbol looks the same.
     """
 
-    logs: Sequence[LogPasses]
+    logs: Sequence[MappedLog]
     log: IntArray
     index: IntArray
     landmark: IntArray
@@ -107,7 +120,7 @@ class _Pool:
         )
 
 
-def join(logs: Sequence[LogPasses], landmark_set: LandmarkSet) -> list[Landmark]:
+def join(logs: Sequence[MappedLog], landmark_set: LandmarkSet) -> list[Landmark]:
     """The landmarks of a map, in the order of the IDs in the set."""
     pool = _pool(logs, landmark_set)
     if not len(pool.log):
@@ -119,7 +132,7 @@ def join(logs: Sequence[LogPasses], landmark_set: LandmarkSet) -> list[Landmark]
     return _one_at_a_place(logs, landmarks, ONE_DISC * 2 * landmark_set.radius_m)
 
 
-def _pool(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> _Pool:
+def _pool(logs: Sequence[MappedLog], landmarks: LandmarkSet) -> _Pool:
     def row(name: str) -> np.ndarray:
         return np.concatenate([getattr(log.passes, name) for log in logs])
 
@@ -233,7 +246,7 @@ def _fused_turn(
 
 
 def _one_at_a_place(
-    logs: Sequence[LogPasses], landmarks: list[Landmark], disc_m: float
+    logs: Sequence[MappedLog], landmarks: list[Landmark], disc_m: float
 ) -> list[Landmark]:
     """Keep one landmark where several overlap: the one claimed most. The rest are its `others`.
 

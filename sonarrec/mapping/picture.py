@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.files.outputs import plain, write_figure
 from sonarrec.geometry import floor_depth, ground_range
-from sonarrec.mapping.build import MappedLog, SiteMap
-from sonarrec.mapping.join import Landmark
+from sonarrec.mapping.build import SiteMap
+from sonarrec.mapping.join import Landmark, MappedLog
 from sonarrec.mapping.tables import Axes, ellipse
 from sonarrec.records import FloatArray, number_of
 
@@ -33,7 +32,6 @@ def draw_map(path: Path, site: SiteMap) -> None:
     """Write the map as a PNG."""
     axes_of = Axes(site.ros_axes)
     figure = Figure(figsize=(8, 8), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     for log in site.logs:
         fans = [axes_of.place(fan) for fan in _floor_seen(log)]

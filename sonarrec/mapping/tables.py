@@ -150,7 +150,7 @@ def write_map(path: Path, site: SiteMap) -> None:
     axes, periods = Axes(site.ros_axes), _periods(site)
     rows: list[list[object]] = []
     for number, landmark in enumerate(site.landmarks, 1):
-        passes = [(site.logs[g], site.logs[g].on_floor.passes, k) for g, k in landmark.members]
+        passes = [(site.logs[g], site.logs[g].passes, k) for g, k in landmark.members]
         frames = [int(p.frames[k]) for _, p, k in passes]
         scores = [float(p.score[k]) for _, p, k in passes]
         rows.append(
@@ -183,7 +183,7 @@ def write_passes(path: Path, site: SiteMap) -> None:
     }
     rows: list[list[object]] = []
     for g, log in enumerate(site.logs):
-        p = log.on_floor.passes
+        p = log.passes
         for k in range(len(p.landmark)):
             yaw, x, y = log.path.pose[p.middle[k]].tolist()
             rows.append(

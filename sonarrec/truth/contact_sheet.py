@@ -134,14 +134,12 @@ def _draw(
     truth: CheckedTruth, strips: list[_Strip], tiles: dict[int, ByteImage], out: Path
 ) -> None:
     """Lay the tiles out and write the PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     step = SIDE + _CAPTION + _GAP
     width = _LEFT + TILES * (SIDE + _GAP)
     height = _TOP + len(strips) * step
     figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=_GROUND)
-    FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.axis("off")
     faults: dict[int, list[str]] = {}

@@ -323,7 +323,7 @@ def test_each_pass_asks_the_paths_the_same_number_of_times_however_many_logs(
         SonarPath, "place_covariance", lambda *args: asked.append(0) or added(*args)
     )
     site = make_map([tmp_path / "logs"])
-    passes = sum(len(log.on_floor.passes.frames) for log in site.logs)
+    passes = sum(len(log.passes.frames) for log in site.logs)
     assert len(site.landmarks) == len(SITE)
     assert len(asked) <= 2 * passes + 8 * (2 * len(SITE) + 1)
 
@@ -535,7 +535,7 @@ def test_without_poses_the_map_is_relative_to_the_first_frame(tmp_path: Path) ->
         at = (x + right * cos + ahead * sin, y + ahead * cos - right * sin)
         disc = min(SITE, key=lambda d: math.dist(at, (d.x, d.y)))
         assert math.dist(at, (disc.x, disc.y)) < 0.05
-        first = min(site.logs[0].on_floor.passes.first[k] for _, k in one.members)
+        first = min(site.logs[0].passes.first[k] for _, k in one.members)
         # What is first seen later is placed less surely.
         assert np.sqrt(one.covariance[0, 0]) >= sigma[0] * math.sqrt(first)
     told = sonarrec("map", folder, folder, code=0)  # the same one twice is one

@@ -110,7 +110,7 @@ def placed(run: VehicleRun, site: SiteMap) -> Placed:
     truth = truth_of(run) if exact else from_first(run.path, truth_of(run))
     near = NEAR_M if exact else NEAR_DRIFTED_M
     periods = dict(zip(site.landmark_set.ids, site.landmark_set.periods_deg(), strict=True))
-    passes = site.logs[0].on_floor.passes
+    passes = site.logs[0].passes
     rows, of, joined, false = [], [], 0, 0
     for one in site.landmarks:
         # Where the path strays only those of its ID can be meant.
