@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -117,13 +117,7 @@ def evaluate_whole(
     positives = np.bincount(
         joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
     )
-    notes = _notes(
-        logs,
-        selection.names,
-        joined.placed,
-        dict(zip(joined.methods, estimates.tolist(), strict=True)),
-        dict(zip(joined.ids, positives.tolist(), strict=True)),
-    )
+    notes = _notes(logs, selection.names, joined, estimates, positives)
     return Evaluation(
         joined=joined,
         folders=tuple(log.folder for log in logs),
@@ -174,13 +168,7 @@ def evaluate_many(
     )
     logs = [selection.logs[i] for i in selection.scored]
     _check_methods(logs, selection.names)
-    notes = _notes(
-        logs,
-        selection.names,
-        result.placed,
-        dict(zip(result.methods, result.estimates.tolist(), strict=True)),
-        dict(zip(result.ids, result.positives.tolist(), strict=True)),
-    )
+    notes = _notes(logs, selection.names, result, result.estimates, result.positives)
     return replace(
         result,
         folders=tuple(log.folder for log in logs),
@@ -344,16 +332,17 @@ def _check_methods(logs: Sequence[SurveyedLog], names: Sequence[str]) -> None:
 def _notes(
     logs: Sequence[SurveyedLog],
     names: Sequence[str],
-    placed: bool,
-    estimates: Mapping[str, int],
-    positives: Mapping[int, int],
+    scored: Joined | Pooled,
+    estimates: IntArray,
+    positives: IntArray,
 ) -> list[str]:
     """Notes on what was scored, a line each.
 
-    names: of the logs. estimates: how many each method has. positives: how many each ID has.
+    names: of the logs. scored: all of them. estimates: how many each method has. positives: how
+    many each ID has.
     """
     notes = []
-    if not placed:
+    if not scored.placed:
         notes.append(
             "the strict protocol is not scored: truth or estimates have no positions, or they are "
             "in pixels and the geometry is not known (give --sonar FILE)"
@@ -366,15 +355,19 @@ def _notes(
                 f"{name}: {log.between} ground-truth rows lie between frames and are ignored "
                 "because others are nearer in time"
             )
-        missing = [method for method in estimates if method not in log.methods]
+        missing = [method for method in scored.methods if method not in log.methods]
         if missing:
             notes.append(
                 f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
             )
-    notes += [f"{method}: no estimate at all" for method, count in estimates.items() if not count]
+    notes += [
+        f"{method}: no estimate at all"
+        for method, count in zip(scored.methods, estimates, strict=True)
+        if not count
+    ]
     notes += [
         f"ID.{landmark} is never in view: its TPR is 0/0 and says nothing"
-        for landmark, count in positives.items()
+        for landmark, count in zip(scored.ids, positives, strict=True)
         if not count
     ]
     return notes

@@ -46,8 +46,9 @@ def _looks(scored: Sequence[PooledScored]) -> dict[str, tuple[str, str]]:
     return dict(zip(methods, zip(cycle(COLOURS), cycle(STYLES), strict=False), strict=False))
 
 
-def _protocols(scored: Sequence[PooledScored]) -> list[str]:
-    return [p for p in PROTOCOLS if any(s.protocol == p for s in scored)]
+def _by_protocol(scored: Sequence[PooledScored]) -> dict[str, list[PooledScored]]:
+    groups = {p: [s for s in scored if s.protocol == p] for p in PROTOCOLS}
+    return {protocol: some for protocol, some in groups.items() if some}
 
 
 def _legend_below(axes: Any, title: str) -> None:
@@ -69,7 +70,7 @@ def draw_roc(path: Path, scored: Sequence[PooledScored]) -> None:
     The FPR axis ends a little beyond the worst operating point; roc.csv has the whole curve.
     """
     looks = _looks(scored)
-    charts = {p: roc([s for s in scored if s.protocol == p]) for p in _protocols(scored)}
+    charts = {protocol: roc(some) for protocol, some in _by_protocol(scored).items()}
     right = max(one.fpr_end for one in charts.values())
     figure = Figure(figsize=(5.2 * len(charts), 5.6), dpi=DPI, layout="constrained")
     panels = figure.subplots(1, len(charts), sharey=True, squeeze=False)[0]
@@ -100,12 +101,11 @@ def _dot(axes: Any, point: Point, marker: str, **look: Any) -> None:
 
 def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
     """Draw the ROC of every ID that is ever in view, and their macro average, as a PNG."""
-    protocols, looks = _protocols(scored), _looks(scored)
+    by_protocol, looks = _by_protocol(scored), _looks(scored)
     ids_in_view = [k for k in range(len(scored[0].ids)) if not np.isnan(scored[0].count(k).tpr)]
-    by_protocol = {p: [s for s in scored if s.protocol == p] for p in protocols}
     charts = {(p, k): roc(some, k) for p, some in by_protocol.items() for k in ids_in_view}
     right = max((one.fpr_end for one in charts.values()), default=fpr_end(()))
-    rows, columns = len(protocols), len(ids_in_view) + 1
+    rows, columns = len(by_protocol), len(ids_in_view) + 1
     width, height = max(2.6 * columns, 5.2), 2.7 * rows + 0.5
     figure = _laid_out(width, height, left=0.75, bottom=0.65, hspace=0.22)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -134,12 +134,12 @@ def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
 
 def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
     """Draw the detection error trade-off: misses against false positives, on a probit scale."""
-    protocols, looks = _protocols(scored), _looks(scored)
+    by_protocol, looks = _by_protocol(scored), _looks(scored)
     ticks = (0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95)
-    figure = Figure(figsize=(5.2 * len(protocols), 5.6), dpi=DPI, layout="constrained")
-    panels = figure.subplots(1, len(protocols), squeeze=False)[0]
-    for axes, protocol in zip(panels, protocols, strict=True):
-        chart = roc([s for s in scored if s.protocol == protocol], corners=400)
+    figure = Figure(figsize=(5.2 * len(by_protocol), 5.6), dpi=DPI, layout="constrained")
+    panels = figure.subplots(1, len(by_protocol), squeeze=False)[0]
+    for axes, (protocol, some) in zip(panels, by_protocol.items(), strict=True):
+        chart = roc(some, corners=400)
         for line in chart.lines:
             colour, style = looks[line.method]
             x, y = _deviates(line.fpr), _deviates(1 - line.tpr)

@@ -9,8 +9,6 @@ from itertools import combinations
 import numpy as np
 
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.counting.behaviour import PassOutcomes, Switches
-from sonarrec.evaluation.counting.parts import PassTable
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Pooled, PooledUnits
 from sonarrec.evaluation.counting.reliability import Reliability, reliability
@@ -38,18 +36,13 @@ SEED = 0
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Figures with intervals, differences between methods, passes and calibration."""
+    """Figures with intervals, differences between methods, and calibration."""
 
     units: PooledUnits
-    passes: PassTable
     figures: tuple[Figure, ...]
     """Per protocol, method and landmark_text, by metric."""
     differences: tuple[Difference, ...]
     """Of each two methods, in total."""
-    outcomes: tuple[PassOutcomes, ...]
-    """Per protocol and method."""
-    switches: tuple[Switches, ...]
-    """Per method; empty if positions are not known."""
     reliability: tuple[Reliability, ...]
     """Per method and landmark_text; empty if positions or probabilities are not known."""
     notes: tuple[str, ...]
@@ -95,7 +88,6 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
             alike[tally.protocol, kind].append(tally)
     return Summary(
         units=units,
-        passes=pooled.passes,
         figures=tuple(figures),
         differences=tuple(
             difference
@@ -103,8 +95,6 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
             for a, b in combinations(group, 2)
             for difference in differences(a, b, weights, tosses)
         ),
-        outcomes=pooled.outcomes,
-        switches=pooled.switches,
         reliability=tuple(curves),
         notes=_notes(pooled, units, figures),
     )

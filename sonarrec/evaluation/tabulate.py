@@ -60,14 +60,13 @@ def _title(scored: PooledScored, evaluation: Pooled) -> str:
 
 def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) -> str:
     """The figures in total with intervals and tests; details: also per ID and per log."""
-    main = "strict" if evaluation.placed else "paper"
+    main, *others = cells.protocols(evaluation)
     over = over_units(summary)
     lines = []
-    for protocol in ("strict", "paper") if details else (main,):
-        if any(s.protocol == protocol for s in evaluation.scored):
-            lines.append(f"protocol {protocol}, all IDs{over}")
-            lines += _figure_table(summary, protocol, evaluation.methods)
-            lines.append("")
+    for protocol in (main, *others) if details else (main,):
+        lines.append(f"protocol {protocol}, all IDs{over}")
+        lines += _figure_table(summary, protocol, evaluation.methods)
+        lines.append("")
     tested = cells.tested_differences(summary, main)
     if any(not math.isnan(d.p) for d in tested):
         units = units_text(summary.units)

@@ -54,7 +54,7 @@ def write_evaluation(
         "roc.csv": (ROC, _roc(evaluation)),
         "figures.csv": (FIGURES, _figures(summary)),
         "tests.csv": (TESTS, _tests(summary)),
-        "passes.csv": (PASSES, _passes(evaluation, summary)),
+        "passes.csv": (PASSES, _passes(evaluation)),
         "reliability.csv": (RELIABILITY, _reliability(summary)),
     }
     pictures = ["roc.png", "roc_by_id.png"]
@@ -144,10 +144,10 @@ def _tests(summary: Summary) -> Iterable[tuple[Any, ...]]:
         )
 
 
-def _passes(evaluation: Pooled, summary: Summary) -> Iterable[tuple[Any, ...]]:
-    passes = summary.passes
-    changed = {s.method: s for s in summary.switches}
-    for outcome in summary.outcomes:
+def _passes(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
+    passes = evaluation.passes
+    changed = {s.method: s for s in evaluation.switches}
+    for outcome in evaluation.outcomes:
         switches = changed.get(outcome.method)
         for i in range(len(passes.first_frame)):
             yield (

@@ -61,15 +61,15 @@ def test_wait_for_a_lasting_id(right: str, wait: float) -> None:
     claims = [claim(f) for f in range(5)] + [
         claim(5 + i, declared=r == "1") for i, r in enumerate(right)
     ]
-    summary = summary_of(40, truth, claims)
-    assert [f.wait.tolist() for f in summary.outcomes if f.method == "a"] == [[wait], [wait]]
-    assert [f.wait.tolist() for f in summary.outcomes if f.method == "b"] == [[math.inf]] * 2
+    outcomes = evaluated(joined(40, truth, claims)).pooled().outcomes
+    assert [f.wait.tolist() for f in outcomes if f.method == "a"] == [[wait], [wait]]
+    assert [f.wait.tolist() for f in outcomes if f.method == "b"] == [[math.inf]] * 2
 
 
 def test_wait_passes_over_frames_not_whole_in_view() -> None:
     truth = [(f, 1, 0, 0, f not in (4, 5)) for f in range(10)]
-    summary = summary_of(10, truth, [claim(f) for f in range(2, 10) if f != 4])
-    assert summary.outcomes[0].wait.tolist() == [2]
+    case = joined(10, truth, [claim(f) for f in range(2, 10) if f != 4])
+    assert evaluated(case).pooled().outcomes[0].wait.tolist() == [2]
 
 
 def test_median_and_90_percent_over_passes() -> None:

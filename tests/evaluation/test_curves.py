@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.evaluation import plots
-from sonarrec.evaluation.counting.curves import Curve, macro_curve
+from sonarrec.evaluation.counting.curves import Curve, area, macro_curve, tpr_at
 from sonarrec.evaluation.counting.scoring import score
 from tests.evaluation.test_evaluation import paper_case
 from tests.support.claims import IDS, evaluated, joined
@@ -52,13 +52,13 @@ def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> 
     for k, truth, value in [*cells, (None, positive.ravel(), points.ravel())]:
         curve = scored.curve(k)
         auc = metrics.roc_auc_score(truth, value)
-        assert curve.area() == pytest.approx(auc, abs=1e-12)
+        assert area(curve.fpr, curve.tpr) == pytest.approx(auc, abs=1e-12)
         assert curve.threshold[0] == math.inf
         # McClish: rescaled so that chance is .5, between the areas of chance and of perfection.
         rescaled = metrics.roc_auc_score(truth, value, max_fpr=0.05)
         least, most = 0.05**2 / 2, 0.05
         plain = least + (2 * rescaled - 1) * (most - least)
-        assert curve.area(0.05) == pytest.approx(plain / 0.05, abs=1e-12)
+        assert area(curve.fpr, curve.tpr, 0.05) == pytest.approx(plain / 0.05, abs=1e-12)
     macro = metrics.roc_auc_score(positive, points, average="macro")
     fpr, tpr = macro_curve([scored.curve(k) for k in range(len(IDS))])
     assert metrics.auc(fpr, tpr) == pytest.approx(macro, abs=1e-12)
@@ -76,7 +76,7 @@ def test_tpr_at_an_fpr_is_the_best_that_a_threshold_gives(seed: int, most: float
         for t in [*np.unique(value[value >= 0]), math.inf]
         if np.mean(value[~truth] >= t) <= most
     ]
-    assert curve.tpr_at(most) == pytest.approx(max(reached), abs=1e-12)
+    assert tpr_at(curve.fpr, curve.tpr, most) == pytest.approx(max(reached), abs=1e-12)
 
 
 def curve_of(tp: list[int], fp: list[int], positives: int, negatives: int) -> Curve:
@@ -86,17 +86,22 @@ def curve_of(tp: list[int], fp: list[int], positives: int, negatives: int) -> Cu
 
 def test_areas_by_hand() -> None:
     perfect = curve_of([0, 10, 10], [0, 0, 50], 10, 50)
-    assert perfect.area() == perfect.area(0.05) == perfect.tpr_at(0) == 1
+    assert (
+        area(perfect.fpr, perfect.tpr)
+        == area(perfect.fpr, perfect.tpr, 0.05)
+        == tpr_at(perfect.fpr, perfect.tpr, 0)
+        == 1
+    )
     # Nothing is ever claimed: a guess.
     silent = curve_of([0], [0], 10, 50)
-    assert silent.area() == 0.5
-    assert silent.area(0.05) == pytest.approx(0.025)
-    assert silent.tpr_at(0.05) == 0
+    assert area(silent.fpr, silent.tpr) == 0.5
+    assert area(silent.fpr, silent.tpr, 0.05) == pytest.approx(0.025)
+    assert tpr_at(silent.fpr, silent.tpr, 0.05) == 0
     # Half of the positives for nothing, then no more: a straight line from (0, .5) to (1, 1).
     half = curve_of([0, 5], [0, 0], 10, 50)
-    assert half.area() == 0.75
-    assert half.area(0.05) == pytest.approx((0.5 + 0.525) / 2)
-    assert half.tpr_at(0.05) == 0.5
+    assert area(half.fpr, half.tpr) == 0.75
+    assert area(half.fpr, half.tpr, 0.05) == pytest.approx((0.5 + 0.525) / 2)
+    assert tpr_at(half.fpr, half.tpr, 0.05) == 0.5
 
 
 def test_macro_curve_at_equal_fpr() -> None:

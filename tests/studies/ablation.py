@@ -13,6 +13,7 @@ from unittest.mock import patch
 import numpy as np
 
 from sonarrec.config import preset, with_assignments
+from sonarrec.evaluation.counting.curves import tpr_at
 from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.recogniser.plane import FloorPlane
@@ -171,7 +172,7 @@ def _figures(found: Evaluation, folders: Sequence[Path]) -> dict[str, str]:
     off = np.abs(errors(found, one, folders).orientation_deg)
     return (
         {"TPR": told(count.tpr, ".3f"), "FPR": told(count.fpr, ".4f")}
-        | {f"at FPR {fpr:g}": told(curve.tpr_at(fpr), ".3f") for fpr in EQUAL_FPR}
+        | {f"at FPR {fpr:g}": told(tpr_at(curve.fpr, curve.tpr, fpr), ".3f") for fpr in EQUAL_FPR}
         | {"deg": told(float(np.median(off)) if len(off) else np.nan, ".1f")}
     )
 

@@ -158,11 +158,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     in_processes(recognise, jobs)
     found = score([job.folder for job in jobs])
-    summary = summarise(found, "log")
-    files = write_evaluation(asked.out, found.pooled(), summary)
+    pooled = found.pooled()
+    summary = summarise(pooled, "log")
+    files = write_evaluation(asked.out, pooled, summary)
     print(
         f"{len(jobs)} sequences of {asked.frames} frames (seeds {asked.seeds.start} to "
-        f"{asked.seeds.stop - 1}), {len(summary.passes.first_frame)} passes of landmarks"
+        f"{asked.seeds.stop - 1}), {len(pooled.passes.first_frame)} passes of landmarks"
     )
     for protocol in ("strict", "paper"):
         show_figures(summary, protocol)

@@ -68,14 +68,6 @@ class Curve:
         """False positive rate at every threshold."""
         return ratio(self.fp, self.fp + self.tn)
 
-    def area(self, end: float = 1.0) -> float:
-        """As the function `area`; NaN if a rate is 0/0."""
-        return float(area(self.fpr, self.tpr, end))
-
-    def tpr_at(self, fpr: float) -> float:
-        """As the function `tpr_at`; NaN if a rate is 0/0."""
-        return float(tpr_at(self.fpr, self.tpr, fpr))
-
     def turns(self, most: int = 2000) -> IntArray:
         """Indices of the points needed to draw the curve: its corners and both ends.
 

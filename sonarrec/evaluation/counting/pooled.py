@@ -17,12 +17,12 @@ import numpy.typing as npt
 
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, Switches
 from sonarrec.evaluation.counting.curves import Count, Curve
-from sonarrec.evaluation.counting.parts import Part, PassTable, ScoredPart, Totals
+from sonarrec.evaluation.counting.parts import Part, ScoredPart, Totals
 from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, merged_units
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.counting.store import Store, sum_by_value
 from sonarrec.evaluation.counting.unit_sums import Claims, Values
-from sonarrec.records import FloatArray, IntArray
+from sonarrec.records import FloatArray, IntArray, joined
 from sonarrec.results.read import in_order
 
 
@@ -217,7 +217,7 @@ def pool(parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible
         unit_log=np.concatenate(
             [part.unit_log + log for part, log in zip(selected, first_log, strict=False)]
         ),
-        passes=PassTable(*(np.concatenate([getattr(p, n) for p in passes]) for n in _PASSES)),
+        passes=joined(passes),
         scored=tuple(scored),
         outcomes=tuple(outcomes),
         switches=tuple(_switches(selected, method) for method in methods) if placed else (),
@@ -228,7 +228,6 @@ def pool(parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible
 
 _COUNTS = ("base", "declared")
 _OUTCOMES = ("frames", "right", "wait")
-_PASSES = tuple(PassTable.__slots__)
 
 
 def _scored_part(part: Part, protocol: str, method: str) -> ScoredPart:
