@@ -44,6 +44,8 @@ _HALF_POWER = 2 * math.sqrt(2 * math.log(2))  # full width at half maximum of a 
 _TAIL = 2.0  # sigmas at which the smear ends; pixels beyond stay unchanged
 _SAMPLES_PER_RADIUS = 40  # of the pattern, at least
 
+DiscKind = Literal["landmark", "blank", "filled"]
+
 
 @dataclass(frozen=True, slots=True)
 class LaidDisc:
@@ -54,7 +56,7 @@ class LaidDisc:
     from above.
     """
 
-    kind: Literal["landmark", "blank", "filled"]
+    kind: DiscKind
     landmark: int
     x_m: float
     y_m: float

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.records import FloatArray
-from sonarrec.simulation.grid import FloorArea
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.plane import Plane, within_a_turn
 from sonarrec.simulation.scene import Scene
@@ -36,10 +35,11 @@ class Fishes:
 class Shoal:
     """All fish of a scene. Each swims straight on with a slow weave; schools stay together.
 
-    area: the floor that the sonar may see. A fish that leaves it comes in again on the other side.
+    low, high: (2,) the corners (x, y) of the floor that the sonar may see, m. A fish that leaves it
+    comes in again on the other side.
     """
 
-    def __init__(self, scene: Scene, area: FloorArea) -> None:
+    def __init__(self, scene: Scene, low: FloatArray, high: FloatArray) -> None:
         self._scene, fish = scene, scene.fish
         self._plane = Plane.of(scene)
         rng = np.random.default_rng([scene.seed, 11])
@@ -54,8 +54,8 @@ class Shoal:
         size = np.bincount(self._group, minlength=groups)[self._group]
         spread = np.where(size > 1, 0.6 * fish.length_m * np.sqrt(size), 0.0)
         outside = OUTSIDE_M + 2 * spread.max(initial=0)
-        self._low = np.array([area.x_min_m, area.y_min_m]) - outside
-        self._span = np.array([area.x_max_m, area.y_max_m]) + outside - self._low
+        self._low = low - outside
+        self._span = high + outside - self._low
         self._start = rng.uniform(0, 1, (groups, 2)) * self._span
         self._heading = rng.uniform(0, 2 * np.pi, groups)
         self._speed = fish.speed_m_s * rng.gamma(4.0, 0.25, groups)
@@ -95,7 +95,7 @@ class Shoal:
         seen = (slant > range_m[0] - 0.5) & (slant < range_m[-1] + 0.5)
         seen &= (azimuth > first - 5) & (azimuth < last + 5) & (now.up_m < pose.height_m)
         dark = 1 - 10 ** (self._scene.noise.shadow_db / 20)
-        fishes = []
+        bodies = []
         for n in np.flatnonzero(seen):
             away = pose.height_m - now.up_m[n]
             ground = math.sqrt(max(slant[n] ** 2 - away**2, 1e-4))
@@ -116,8 +116,8 @@ class Shoal:
             for box, mask in shade.on(view.azimuth_deg, range_m):
                 view.echoes[box] *= 1 - dark * mask
                 view.power[box] *= (1 - dark * mask) ** 2
-            fishes.append(body)
-        for body in fishes:
+            bodies.append(body)
+        for body in bodies:
             side = abs(math.sin(math.radians(body.across_deg))) - 0.5
             level = self._scene.fish.bright_db + BROADSIDE_DB * side
             for box, mask in body.on(view.azimuth_deg, range_m):

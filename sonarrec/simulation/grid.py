@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -37,19 +36,10 @@ def smooth_noise(
     return np.asarray(full / max(float(full.std()), 1e-6))
 
 
-class FloorArea(NamedTuple):
-    """A rectangle on the floor, m."""
-
-    x_min_m: float
-    x_max_m: float
-    y_min_m: float
-    y_max_m: float
-
-
-def area(grid: PolarGrid | SquareGrid) -> FloorArea:
-    """The rectangle around a grid's cells."""
-    ends = (end(values) for values in (grid.x_m, grid.y_m) for end in (np.min, np.max))
-    return FloorArea(*map(float, ends))
+def corners(grid: PolarGrid | SquareGrid) -> tuple[FloatArray, FloatArray]:
+    """(2,) least and (2,) largest x and y of a grid's cells, m."""
+    low, high = (np.array([end(grid.x_m), end(grid.y_m)], float) for end in (np.min, np.max))
+    return low, high
 
 
 class PolarGrid:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from sonarrec.geometry import (
 )
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import BoolArray, Fan, SonarrecError
-from sonarrec.simulation.composite import LaidDisc
+from sonarrec.simulation.composite import DiscKind, LaidDisc
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.simulate import visible_share
 
@@ -32,8 +31,6 @@ LIT = 0.9  # share of the disc that must lie where the recording shows echoes
 MOST_IN_VIEW = 6  # discs in view at once, if the user gives no number
 MOST_DISCS = 200
 TRIES = 400  # places tried for one disc
-
-Kind = Literal["landmark", "blank", "filled"]
 
 
 def check_room(fan: Fan, landmarks: LandmarkSet, where: str) -> None:
@@ -106,7 +103,7 @@ def lay_out(
 
 def _rounds(
     ids: Sequence[int], rng: np.random.Generator, count: int | None
-) -> Iterator[tuple[Kind, int]]:
+) -> Iterator[tuple[DiscKind, int]]:
     """The (kind, ID) of discs in order: every ID in random order, a blank, a filled one; again."""
     left = MOST_DISCS if count is None else count
     while left > 0:

@@ -30,32 +30,27 @@ _COMPRESSIONS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class _Type:
-    """A message type: the function that makes its fields, and whether it holds polar pings."""
-
-    fields: MakeFields
-    polar: bool = False
-
-
-# To add a message type, write one function and add one row here, and its definition to
-# readers/mcap/sonars.msg.
-_TYPES = {
-    "sensor_msgs/Image": _Type(fields.ros_image),
-    "sensor_msgs/CompressedImage": _Type(fields.ros_compressed_image),
-    "foxglove_msgs/RawImage": _Type(fields.foxglove_image),
-    "foxglove_msgs/CompressedImage": _Type(fields.foxglove_compressed_image),
-    "marine_acoustic_msgs/ProjectedSonarImage": _Type(fields.projected_sonar_image, polar=True),
-    "marine_acoustic_msgs/RawSonarImage": _Type(fields.raw_sonar_image, polar=True),
-    "sonar_oculus/OculusPing": _Type(fields.oculus_ping, polar=True),
-    "oculus_interfaces/Ping": _Type(fields.oculus_interfaces_ping, polar=True),
+# To add a message type, write one function that makes its fields and add one row here, and its
+# definition to readers/mcap/sonars.msg.
+_IMAGE_TYPES: dict[str, MakeFields] = {
+    "sensor_msgs/Image": fields.ros_image,
+    "sensor_msgs/CompressedImage": fields.ros_compressed_image,
+    "foxglove_msgs/RawImage": fields.foxglove_image,
+    "foxglove_msgs/CompressedImage": fields.foxglove_compressed_image,
 }
+_PING_TYPES: dict[str, MakeFields] = {
+    "marine_acoustic_msgs/ProjectedSonarImage": fields.projected_sonar_image,
+    "marine_acoustic_msgs/RawSonarImage": fields.raw_sonar_image,
+    "sonar_oculus/OculusPing": fields.oculus_ping,
+    "oculus_interfaces/Ping": fields.oculus_interfaces_ping,
+}
+_ROS_TYPES = _IMAGE_TYPES | _PING_TYPES
 _FOXGLOVE_TYPES = {
     "foxglove.RawImage": fields.foxglove_image,
     "foxglove.CompressedImage": fields.foxglove_compressed_image,
 }
 SCHEMAS = (
-    *(n.replace("/", "/msg/") + suffix for n in _TYPES for suffix in ("", "+ros1", "+json")),
+    *(n.replace("/", "/msg/") + suffix for n in _ROS_TYPES for suffix in ("", "+ros1", "+json")),
     *(name + suffix for name in _FOXGLOVE_TYPES for suffix in ("", "+json")),
 )
 """What can be written: the name of a schema, with the encoding of the messages if it is not CDR
@@ -79,7 +74,7 @@ class _Family:
 
 
 def _ros_family(name: str, encoding: str) -> _Family:
-    ros1, make, full = encoding == "ros1", _TYPES[name].fields, name.replace("/", "/msg/")
+    ros1, make, full = encoding == "ros1", _ROS_TYPES[name], name.replace("/", "/msg/")
     store = known_messages(ros1)
     text = store.generate_msgdef(full, ros_version=1 if ros1 else 2)[0].encode()
     if ros1:
@@ -160,8 +155,7 @@ def _foxglove_family(name: str, encoding: str) -> _Family:
 
 def is_polar(schema: str) -> bool:
     """Whether a schema of SCHEMAS holds polar pings, which state their own geometry."""
-    kind = _TYPES.get(schema.partition("+")[0].replace("/msg/", "/"))
-    return kind is not None and kind.polar
+    return schema.partition("+")[0].replace("/msg/", "/") in _PING_TYPES
 
 
 def check_schema(schema: str, compression: str, polar: bool) -> None:

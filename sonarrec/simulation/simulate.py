@@ -25,7 +25,7 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.remote.urls import local
 from sonarrec.simulation.fish import Fishes, Shoal
-from sonarrec.simulation.grid import PolarGrid, SquareGrid, area
+from sonarrec.simulation.grid import PolarGrid, SquareGrid, corners
 from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose, ar1, poses
 from sonarrec.simulation.multipath import Multipath, shifted
@@ -346,7 +346,7 @@ def render(
     reception = _Reception(scene, receiver, range_m)
     picture = Picture(scene, fan)
     fading = _Fading.of(scene)
-    shoal = Shoal(scene, area(grid)) if scene.fish.number else None
+    shoal = Shoal(scene, *corners(grid)) if scene.fish.number else None
     for index, pose in enumerate(path):
         time_s = fading.time_s[index]
         world.fade(fading.object_db[index], fading.patches[index], fading.afterglow_db[index])

@@ -212,7 +212,7 @@ def vehicle_motion(rng: np.random.Generator) -> MotionSection:
 
 def _lit(scene: Scene, light_db: float, rng: np.random.Generator) -> Scene:
     light_m = round(rng.uniform(0.15, 0.8), 3)
-    return replace(scene, floor=replace(scene.floor, light_db=round(light_db, 2), light_m=light_m))
+    return _on_floor(scene, light_db=round(light_db, 2), light_m=light_m)
 
 
 def _with_levels(

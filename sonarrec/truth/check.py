@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.files.tables import line_numbers
-from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
+from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
@@ -146,10 +146,8 @@ def _places(table: TruthTable, row: IntArray, frame: IntArray, fan: Fan) -> _Pla
     range_m, bearing_deg = first, second
     if kind != "polar":
         range_m, bearing_deg = polar_from_pixel(fan, first, second)
-    bearing = np.radians(bearing_deg)
     # Nearer than the floor counts as straight below.
-    ground = np.nan_to_num(ground_range(fan, range_m))
-    floor = np.column_stack([ground * np.sin(bearing), ground * np.cos(bearing)])
+    floor = plane_from_polar(np.nan_to_num(ground_range(fan, range_m)), bearing_deg)
     pixels = pixel_from_polar(fan, range_m, bearing_deg)
     return _Places(frame, table.landmark[row], range_m, bearing_deg, *pixels, floor)
 

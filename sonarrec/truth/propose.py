@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
+from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_plane
 from sonarrec.records import (
     Fan,
     FloatArray,
@@ -206,8 +206,7 @@ def _rows(
     bearing_deg = np.interp(at, track.frame_index, track.bearing_deg)
     x, y = pixel_from_polar(fan, range_m, bearing_deg)
     visible = share_in_image(fan, range_m, bearing_deg, log.landmarks.radius_m)
-    floor, turn = ground_range(fan, range_m), np.radians(bearing_deg)
-    place = np.column_stack([floor * np.sin(turn), floor * np.cos(turn)])
+    place = plane_from_polar(ground_range(fan, range_m), bearing_deg)
     source = np.where(np.isin(at, track.frame_index), TRACKED, FILLED_IN)
     rows: list[tuple[object, ...]] = []
     for n, frame in enumerate(log.frame[at].tolist()):

@@ -30,7 +30,7 @@ from sonarrec.readers.mcap.messages import decoder_for, message_type
 from sonarrec.readers.mcap.salvage import MAGIC
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Frame, SonarrecError, UsageError
-from sonarrec.simulation.mcap_writer import _TYPES, SCHEMAS, McapImageWriter
+from sonarrec.simulation.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.logs import (
     PERIOD_NS,
@@ -502,7 +502,7 @@ def test_others_read_what_the_writer_writes(schema: str, dtype: type, tmp_path: 
     assert channel.topic == "/x"
     key = message_type(schema.partition("+")[0])
     assert message_type(record.name) == key
-    make = _TYPES[key.replace("foxglove/", "foxglove_msgs/")].fields
+    make = _ROS_TYPES[key.replace("foxglove/", "foxglove_msgs/")]
     assert agrees(make(stamp + 1, image, POLAR), read_by_others(record, channel, message.data))
 
 

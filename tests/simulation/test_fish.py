@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from sonarrec.simulation.fish import Shoal
-from sonarrec.simulation.grid import FloorArea
 from sonarrec.simulation.scene import FishSection, Scene
 from sonarrec.simulation.simulate import render
 from tests.support.bare import POLAR, power
@@ -16,7 +15,7 @@ from tests.support.bare import POLAR, power
 BIN_M = 2.5 / 512
 RANGE_M = 1.25 + (np.arange(512) + 0.5) * BIN_M
 
-AREA = FloorArea(-1.5, 1.5, 0.5, 3.5)
+AREA = np.array([-1.5, 0.5]), np.array([1.5, 3.5])
 SEEN = (5, 17, 27)  # seeds whose fish swims through the fan
 
 
@@ -46,7 +45,7 @@ def test_the_echo_moves_as_the_truth_says(seed: int) -> None:
 
 
 def test_fish_swim_as_fast_as_stated_in_the_mean() -> None:
-    shoal = Shoal(shoal_scene(1, number=400), AREA)
+    shoal = Shoal(shoal_scene(1, number=400), *AREA)
     before, after = shoal.at(7.0), shoal.at(7.1)
     steps = np.hypot(after.x_m - before.x_m, after.y_m - before.y_m) / 0.1
     # Those that came in again at the other side went nowhere near as far.
@@ -64,7 +63,7 @@ def test_a_shadow_lies_where_the_ray_past_the_fish_meets_the_floor() -> None:
         if not frame.distractors:
             continue
         row = frame.distractors[0]
-        now = Shoal(scene, AREA).at(0.0)
+        now = Shoal(scene, *AREA).at(0.0)
         floor_m = row.range_m * 0.68 / (0.68 - float(now.up_m[0]))
         if abs(row.bearing_deg) < 10 and floor_m < 3.4:
             image = power(frame.image, scene)
@@ -77,7 +76,7 @@ def test_a_shadow_lies_where_the_ray_past_the_fish_meets_the_floor() -> None:
 
 def test_a_school_stays_together_and_single_fish_do_not() -> None:
     scene = shoal_scene(3, number=24, schools=2, schooling=0.5, speed_m_s=0.3)
-    shoal = Shoal(scene, AREA)
+    shoal = Shoal(scene, *AREA)
     for school in (slice(0, 12, 2), slice(1, 12, 2)):
         for time in (0.0, 3.0, 20.0):
             now = shoal.at(time)
