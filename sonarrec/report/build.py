@@ -194,23 +194,17 @@ def _draw_all(
         *_mistake_requests(evaluation, mistakes, sources),
     ]
     frames_held = frames.choose(recorded, _named_frames(passes, mistakes, requests))
+    most_bytes = frames.MOST_BYTES // max(1, sum(map(len, frames_held.values())))  # for each frame
     pictures: dict[PictureRequest, Picture] = {}
     shown_logs: list[frames.ShownLog] = []
     for log in recorded:
         name = log.results.name
         requested = [w for w in requests if w.log == name]
         with open_recording(sources[name], log, sonar, topic) as recording:
-            taken, shown_log = frames.take(
-                recording, log, requested, frames_held[name], _bytes_per_frame(frames_held)
-            )
+            taken, shown_log = frames.take(recording, log, requested, frames_held[name], most_bytes)
         pictures |= taken
         shown_logs.append(shown_log)
     return RecordingImages([pictures[w] for w in requests], shown_logs), missing
-
-
-def _bytes_per_frame(frames_held: Mapping[str, Sequence[int]]) -> int:
-    """Bytes for each frame that the page holds."""
-    return frames.MOST_BYTES // max(1, sum(map(len, frames_held.values())))
 
 
 def _named_frames(

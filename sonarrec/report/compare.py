@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sonarrec import __version__
 from sonarrec.evaluation import cells
+from sonarrec.evaluation.compare.changes import FrameRun
 from sonarrec.evaluation.compare.compare import Comparison, PassChange
 from sonarrec.evaluation.compare.screen import outcome, settings_lines
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS, Difference
@@ -46,26 +47,13 @@ class Rates:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
-    """Neighbouring frames that changed in the same way."""
-
-    log: str
-    frames: str
-    method: str
-    landmark: int
-    was: str
-    now: str
-    count: int
-
-
-@dataclass(frozen=True, slots=True)
 class Ranked:
     """The passes and runs that got better, or worse, most, and how many more there are."""
 
     verdict: str
     passes: list[PassChange]
     passes_left: int
-    runs: list[Run]
+    runs: list[FrameRun]
     runs_left: int
 
 
@@ -92,6 +80,7 @@ def render(comparison: Comparison) -> str:
         rates=_in_total(comparison),
         per_id=_per_id(comparison, protocol),
         same_settings=not comparison.settings and any(settings_lines(comparison)),
+        outcome=outcome,
         ranked=[_ranked(comparison, protocol, verdict) for verdict in ("worse", "better")],
     )
 
@@ -138,21 +127,7 @@ def _ranked(comparison: Comparison, protocol: str, verdict: str) -> Ranked:
             passes = _most_changed(passes)
     passes = _most_changed(passes)
     runs, count = comparison.frames.runs(MOST, protocol, verdict)
-    shown_runs = [
-        Run(
-            log=run.first.log,
-            frames=f"{run.first.frame}"
-            if run.count == 1
-            else f"{run.first.frame} to {run.last_frame}",
-            method=run.first.method,
-            landmark=run.first.landmark,
-            was=outcome(run.first.old),
-            now=outcome(run.first.new),
-            count=run.count,
-        )
-        for run in runs
-    ]
-    return Ranked(verdict, passes, more - len(passes), shown_runs, count - len(shown_runs))
+    return Ranked(verdict, passes, more - len(passes), runs, count - len(runs))
 
 
 def _most_changed(passes: Sequence[PassChange]) -> list[PassChange]:

@@ -21,19 +21,6 @@ from sonarrec.report.templates import filled
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """A contrast's row of the table."""
-
-    contrast: str
-    tpr: Cell
-    frames: str
-    passes: int
-    far: str
-    false: Cell
-    by_range: list[Cell]
-
-
-@dataclass(frozen=True, slots=True)
 class Picture:
     """A frame of one contrast."""
 
@@ -56,7 +43,7 @@ def render(site: Site) -> str:
         colours=[COLOURS[n % len(COLOURS)] for n in range(len(site.contrasts))],
         styles=STYLES,
         steps=[f"{r.near_m:.1f} to {r.far_m:.1f} m" for r in site.contrasts[0].rates.by_range],
-        rows=[_row(one) for one in site.contrasts],
+        rate_cell=_cell,
         over_contrast=_over_contrast(site.contrasts),
         over_range=_over_range(site.contrasts),
         false_claims=_false_claims(site.contrasts),
@@ -68,19 +55,6 @@ def render(site: Site) -> str:
 
 def _cell(rate: Rate, digits: int) -> Cell:
     return cells.cell(rate.value, rate.low, rate.high, digits)
-
-
-def _row(one: ContrastResults) -> Row:
-    rates = one.rates
-    return Row(
-        f"{one.contrast_db:g} dB",
-        _cell(rates.tpr, 3),
-        f"{rates.tpr.count:,} of {rates.tpr.cases:,}",
-        rates.tpr.units,
-        one.span,
-        _cell(rates.false_per_100, 2),
-        [_cell(r.tpr, 2) for r in rates.by_range],
-    )
 
 
 def _contrast_axis(results: Sequence[ContrastResults]) -> Axis:
