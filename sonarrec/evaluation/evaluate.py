@@ -148,7 +148,8 @@ def evaluate_many(
     def surveyed_logs() -> Iterable[SurveyedLog | UnreadableLog]:
         ids: tuple[int, ...] = ()
         count = 0
-        surveyed = map_logs(survey, inputs.readings, jobs)
+        folders = (reading.folder for reading in inputs.readings)
+        surveyed = map_logs(survey, inputs.readings, folders, jobs)
         for reading, log in zip(inputs.readings, surveyed, strict=True):
             if isinstance(log, SurveyedLog):
                 ids = ids or log.ids

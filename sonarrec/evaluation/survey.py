@@ -11,16 +11,16 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from sonarrec.batch.cores import cores
 from sonarrec.evaluation.counting.parts import Part, part_of
 from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit, match_log
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import SonarrecError, name_as_text
+from sonarrec.records import SonarrecError
 from sonarrec.results.counted_once import Recording, TruthOf, recording
-from sonarrec.results.folders import estimates_of
+from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import read_log
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -39,10 +39,6 @@ class LogToScore:
     """The log's name; None: the name of the folder."""
     ids: tuple[int, ...] | None = None
     """Its IDs in the wanted order; None: the order of its landmark set."""
-
-    @property
-    def folders(self) -> tuple[Path, ...]:
-        return (self.folder,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +81,7 @@ def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | Unreada
         table = truth_table(reading.ground_truth)
         log = read_log(reading.folder, options.landmarks, options.sonar)
     except SonarrecError as fault:  # the other logs can be scored
-        return UnreadableLog(reading.log or name_as_text(reading.folder.resolve().name), fault)
+        return UnreadableLog(reading.log or log_of(reading.folder), fault)
     log = log if reading.log is None else replace(log, name=reading.log)
     case: MatchedLog | None = None
     truth_check: TruthCheck | None = None
@@ -120,28 +116,25 @@ def truth_table(path: Path) -> TruthTable:
     return read_truth(path)
 
 
-class LogToRead(Protocol):
-    """What `map_logs` needs of a log: the folders of its results, to know their size."""
-
-    @property
-    def folders(self) -> tuple[Path, ...]: ...
-
-
-Log = TypeVar("Log", bound=LogToRead)
+Log = TypeVar("Log")
 Counts = TypeVar("Counts")
 
 
 def map_logs(
-    work: Callable[[Log], Counts], readings: Sequence[Log], jobs: int | None
+    work: Callable[[Log], Counts],
+    readings: Sequence[Log],
+    folders: Iterable[Path],
+    jobs: int | None,
 ) -> Iterator[Counts]:
     """Yield the result of `work`, such as `survey`, for each log, in order.
 
-    jobs: number of processes; default: the number of cores, or fewer if the logs are small.
+    folders: the results that are read. jobs: number of processes; default: the number of cores, or
+    fewer if the results are small.
     Raises the first error that `work` raises.
     """
     truth_table.cache_clear()  # the files may have changed since the last call
     if jobs is None:
-        jobs = min(cores(), sum(map(_bytes, readings)) // WORTH_BYTES)
+        jobs = min(cores(), sum(map(_bytes, folders)) // WORTH_BYTES)
     if min(jobs, len(readings)) < 2:
         yield from map(work, readings)
         return
@@ -169,9 +162,7 @@ def _in_order(starts: Iterable[Callable[[], Future[Counts]]], jobs: int) -> Iter
         yield ahead.popleft().result()
 
 
-def _bytes(reading: LogToRead) -> int:
-    total = 0
-    for folder in reading.folders:
-        with suppress(OSError, SonarrecError):  # reported when it is read
-            total += estimates_of(folder).stat().st_size
-    return total
+def _bytes(folder: Path) -> int:
+    with suppress(OSError, SonarrecError):  # reported when it is read
+        return estimates_of(folder).stat().st_size
+    return 0

@@ -97,7 +97,10 @@ def write_overlay(
     method = choose_method(table, method)
     with open_log(source, **log_options.arguments()) as log:
         check_same_log(log, folder, run)
-        problems = [] if run.finished else [_cut_short_line(folder)]
+        problems = []
+        if not run.finished:
+            last = last_frame(folder)
+            problems.append(f"{folder}: the run was cut short; frames after {last} have no results")
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
         truth, unlike = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
@@ -168,10 +171,6 @@ def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> N
             check_output(target, kind, [path, ground_truth], header=LAYOUT_BEGIN)
         elif target is not None:
             check_output(target / "000000.png", kind, [path])
-
-
-def _cut_short_line(folder: Path) -> str:
-    return f"{folder}: the run was cut short; frames after {last_frame(folder)} have no results"
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from sonarrec.records import (
     SonarrecError,
     UsageError,
     follows,
-    name_as_text,
 )
+from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.sightings import Sighting
@@ -116,7 +116,7 @@ def read_logs(
             results = read_log(one.folder, options.landmarks, options.sonar)
             sightings = list(read_sightings(one.folder, options.landmarks, options.sonar))
         except SonarrecError as error:
-            unread.append((one.name or name_as_text(one.folder.resolve().name), error))
+            unread.append((one.name or log_of(one.folder), error))
             continue
         results = results if one.name is None else replace(results, name=one.name)
         truth = None

@@ -13,8 +13,9 @@ from sonarrec.batch import logs_table
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import SonarrecError, UsageError, name_as_text, number_of
+from sonarrec.records import SonarrecError, UsageError, number_of
 from sonarrec.report.logs import follows_by_default
+from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings_file import read_sightings
 
@@ -47,7 +48,7 @@ def outliers(
     Raises UsageError if no scored log has the method.
     """
     reasons: dict[str, list[str]] = {}
-    folder_of = {name_as_text(folder.resolve().name): folder for folder in folders}
+    folder_of = {log_of(folder): folder for folder in folders}
     if pooled is not None:
         folder_of = dict(zip(pooled.logs, pooled.folders, strict=True))
         remarks = [*_unfinished(folder_of, place), *_most_mistaken(pooled, method)]

@@ -81,6 +81,11 @@ class LockedError(SonarrecError):
     """Another run writes into the folder."""
 
 
+def log_of(folder: Path) -> str:
+    """The name of the log that a results folder is of."""
+    return name_as_text(folder.resolve().name)
+
+
 def is_file(path: Path) -> bool:
     """Whether there is such a file. Raises SonarrecError if its folder may not be looked into."""
     try:

@@ -21,7 +21,6 @@ from sonarrec.records import (
     IntArray,
     MissingError,
     SonarrecError,
-    name_as_text,
     printable,
 )
 from sonarrec.results.columns import (
@@ -33,7 +32,7 @@ from sonarrec.results.columns import (
     kinds,
     needed,
 )
-from sonarrec.results.folders import aside_of, estimates_of, part_of
+from sonarrec.results.folders import aside_of, estimates_of, log_of, part_of
 from sonarrec.results.run_file import RunFile, cut_short, read_run
 from sonarrec.sonar import Sonar
 
@@ -160,7 +159,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     methods = _methods(run, names)
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
     return LogResults(
-        name=name_as_text(folder.resolve().name),
+        name=log_of(folder),
         landmarks=landmark_set,
         fan=fan,
         frame=frame,

@@ -17,10 +17,9 @@ from sonarrec.records import (
     SonarrecError,
     UsageError,
     follows,
-    name_as_text,
     number_of,
 )
-from sonarrec.results.folders import estimates_of
+from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
 from sonarrec.truth.in_view import share_in_image
@@ -94,7 +93,7 @@ def _proposed(
             unread.append(error)
             if len(unread) == len(folders):
                 raise unread[0] from None
-            proposal.problems.append(f"{error}; {name_as_text(folder.resolve().name)} is not used")
+            proposal.problems.append(f"{error}; {log_of(folder)} is not used")
             continue
         if log.fan is None:
             raise SonarrecError(

@@ -232,7 +232,8 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float)
     unread: list[UnreadableLog] = []
     numbers: dict[int, int] = {}  # of a log, by its index in `logs`, the number of its parts
     ids: tuple[int, ...] | None = None
-    for pair, log in zip(pairs, map_logs(count_pair, pairs, jobs), strict=True):
+    folders = (folder for pair in pairs for folder in pair.folders)
+    for pair, log in zip(pairs, map_logs(count_pair, pairs, folders, jobs), strict=True):
         counted = log
         if isinstance(counted, CountedPair) and counted.parts is not None:
             ids = ids or counted.ids

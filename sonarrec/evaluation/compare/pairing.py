@@ -19,9 +19,9 @@ from sonarrec.evaluation.matching.pairs import (
     truth_note,
 )
 from sonarrec.files.tables import read_header
-from sonarrec.records import IntArray, SonarrecError, name_as_text, number_of
+from sonarrec.records import IntArray, SonarrecError, number_of
 from sonarrec.results.counted_once import Recording, counted_once, recording
-from sonarrec.results.folders import estimates_of
+from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import find_logs, read_frames, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.same_log import check_one_log
@@ -62,7 +62,7 @@ def pair_logs(
             recordings.append(_recording(folders[1], options.landmarks))
         except SonarrecError as fault:  # the other logs can be compared
             faults.append(fault)
-            unused.append(f"{fault}; {_name(folders[1])} is not compared")
+            unused.append(f"{fault}; {log_of(folders[1])} is not compared")
         else:
             pairs.append(folders)
             notes += remarks
@@ -79,7 +79,7 @@ def pair_logs(
     counted = [pairs[i] for i in once.kept]
     truths, truth_notes, without = _truths(counted, len(faults), ground_truth, find_beside)
     logs = [
-        LogPair(*folders, truth.ground_truth, truth.log or _name(folders[1]), options)
+        LogPair(*folders, truth.ground_truth, truth.log or log_of(folders[1]), options)
         for folders, truth in zip(counted, truths, strict=True)
         if truth is not None
     ]
@@ -98,10 +98,6 @@ def _recording_of(folder: Path) -> tuple[str, str | None] | None:
     with suppress(SonarrecError):
         return _run(folder).input.recording
     return None
-
-
-def _name(folder: Path) -> str:
-    return name_as_text(folder.resolve().name)
 
 
 def _recording(folder: Path, landmarks: str | None) -> Recording:
@@ -144,7 +140,7 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Folders], list[str]]:
     of_name: dict[str, list[Path]] = {}
     of_digest: dict[tuple[str, str | None], list[Path]] = {}
     for folder in before:
-        of_name.setdefault(_name(folder), []).append(folder)
+        of_name.setdefault(log_of(folder), []).append(folder)
         if (digest := _recording_of(folder)) is not None:
             of_digest.setdefault(digest, []).append(folder)
     pairs = []
@@ -152,7 +148,7 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Folders], list[str]]:
         digest = _recording_of(folder)
         same = [] if digest is None else of_digest.get(digest, [])
         # Links that lead to folders of one name are paired by the names of the links.
-        named = sorted(of_name.get(_name(folder), []), key=lambda f: f.name != folder.name)
+        named = sorted(of_name.get(log_of(folder), []), key=lambda f: f.name != folder.name)
         chosen = next((f for f in named if f in same), None)
         chosen = chosen or next(iter([*same, *named]), None)
         if chosen is not None:
@@ -161,7 +157,7 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Folders], list[str]]:
         raise SonarrecError(f"{old} and {new} have no log in common, by name or by SHA-256")
     used = {folder for pair in pairs for folder in pair}
     alone = [
-        f"{_name(folder)}: is in {side} only; not compared"
+        f"{log_of(folder)}: is in {side} only; not compared"
         for side, folders in ((old, before), (new, after))
         for folder in folders
         if folder not in used
