@@ -80,7 +80,7 @@ def recognition_rates(
 
 def _false_claims(evaluation: Evaluation, scored: Scored) -> Rate:
     joined = evaluation.joined
-    units = find_units(joined, find_passes(joined), "pass")
+    units = find_units(joined, find_passes(joined))
     wrong = scored.frame_index[scored.declared_claim[scored.declared_effect[:, 2] > 0]]
     per_frame = np.bincount(wrong, minlength=len(joined.frame)).astype(float)
     return _rate(100 * per_frame, units.of_frame, units.count, int(per_frame.sum()))

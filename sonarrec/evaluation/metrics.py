@@ -43,11 +43,6 @@ class Case:
     pooled: Pooled
     units: PooledUnits
 
-    @property
-    def unit_of_pass(self) -> IntArray:
-        """(P,) the unit of each pass."""
-        return self.units.of_pass_unit[self.pooled.passes.unit]
-
 
 # The kinds of records, per ID and in total. Without positions only the first two are counted.
 
@@ -76,8 +71,9 @@ def waits(case: Case) -> Iterable[UnitSums]:
 
 
 def _passes(case: Case) -> tuple[tuple[int, ...], IntArray, IntArray, int]:
-    landmark_index = case.pooled.passes.landmark_index
-    return case.pooled.ids, landmark_index, case.unit_of_pass, case.units.count
+    """The arguments of `wait_counts` that say of which ID and unit each pass is."""
+    passes, units = case.pooled.passes, case.units
+    return case.pooled.ids, passes.landmark_index, units.of_pass_unit[passes.unit], units.count
 
 
 def false_claims(case: Case) -> Iterable[UnitSums]:

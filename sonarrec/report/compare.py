@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from heapq import nlargest
 from pathlib import Path
 
 from sonarrec import __version__
@@ -117,18 +118,15 @@ def _row(d: Difference, label: str) -> Row:
 
 def _ranked(comparison: Comparison, protocol: str, verdict: str) -> Ranked:
     sign = -1 if verdict == "worse" else 1
-    passes: list[PassChange] = []
-    more = 0
-    for change in comparison.passes:
-        if change.protocol == protocol and sign * (change.new - change.old) > 0:
-            passes.append(change)
-            more += 1
-        if len(passes) > 2 * MOST:
-            passes = _most_changed(passes)
-    passes = _most_changed(passes)
+    changed = 0
+
+    def changes() -> Iterator[PassChange]:
+        nonlocal changed
+        for change in comparison.passes:
+            if change.protocol == protocol and sign * (change.new - change.old) > 0:
+                changed += 1
+                yield change
+
+    passes = nlargest(MOST, changes(), key=lambda p: abs(p.new - p.old))
     runs, count = comparison.frames.runs(MOST, protocol, verdict)
-    return Ranked(verdict, passes, more - len(passes), runs, count - len(runs))
-
-
-def _most_changed(passes: Sequence[PassChange]) -> list[PassChange]:
-    return sorted(passes, key=lambda p: -abs(p.new - p.old))[:MOST]
+    return Ranked(verdict, passes, changed - len(passes), runs, count - len(runs))

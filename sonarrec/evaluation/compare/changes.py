@@ -20,7 +20,8 @@ from sonarrec.evaluation.matching.joined import Joined
 from sonarrec.records import IntArray
 
 CHANGE = np.dtype([("frame", "i8"), ("landmark", "i8"), ("old", "i4", 3), ("new", "i4", 3)])
-VERDICTS = ("better", "worse", "other")
+VERDICTS = {"better": -1, "worse": 1, "other": 0}
+"""The sign of the number of errors that came."""
 GAP = 2
 """Largest step in frames between equal changes of one run."""
 
@@ -77,13 +78,11 @@ class FrameChanges:
 
     def verdicts(self) -> dict[str, int]:
         """How many changes are better, worse and other."""
-        counts: Counter[str] = Counter()
+        counts: Counter[int] = Counter()
         for of in self.methods:
             for number, _ in self.logs:
-                more = _more_errors(self._rows(*of, number))
-                worse, better = int((more > 0).sum()), int((more < 0).sum())
-                counts.update(worse=worse, better=better, other=len(more) - worse - better)
-        return {name: counts[name] for name in VERDICTS}
+                counts.update(np.sign(_more_errors(self._rows(*of, number))).tolist())
+        return {name: counts[sign] for name, sign in VERDICTS.items()}
 
     def runs(
         self, most: int, protocol: str | None = None, verdict: str | None = None
@@ -101,7 +100,7 @@ class FrameChanges:
             for log in sorted(numbers):
                 rows = np.concatenate([self._rows(*of, number) for number in numbers[log]])
                 if verdict is not None:
-                    rows = rows[np.sign(_more_errors(rows)) == _SIGN[verdict]]
+                    rows = rows[np.sign(_more_errors(rows)) == VERDICTS[verdict]]
                 rows, start, length = _runs(rows)
                 count += len(start)
                 for i in np.argsort(-length, kind="stable")[:most].tolist():
@@ -116,9 +115,6 @@ class FrameChanges:
         for _, rows in self.store.get((protocol, method, number)):
             return rows
         return np.empty(0, dtype=CHANGE)
-
-
-_SIGN = {"worse": 1, "better": -1, "other": 0}
 
 
 def store_changes(store: Store, number: int, changes: ByMethod) -> None:

@@ -22,10 +22,9 @@ from sonarrec.evaluation.counting.behaviour import (
     switches,
 )
 from sonarrec.evaluation.counting.passes import (
-    Passes,
     Units,
     find_passes,
-    find_units,
+    log_units,
     pass_units,
     unit_of_pass,
 )
@@ -153,7 +152,7 @@ def part_of(
             for s in scored
         ),
         switches=() if nearest is None else tuple(switches(joined, nearest, passes)),
-        blocks=_blocks(joined, scored, nearest, passes, units),
+        blocks=_blocks(joined, scored, nearest, units),
     )
 
 
@@ -171,7 +170,6 @@ def _blocks(
     joined: Joined,
     scored: Sequence[Scored],
     nearest: IntArray | None,
-    passes: Passes,
     units: Units,
 ) -> dict[Hashable, npt.NDArray[Any]]:
     """Arrays by key.
@@ -201,7 +199,7 @@ def _blocks(
         if s.protocol == "strict" and nearest is not None:
             blocks |= _errors(s, joined, units.of_truth)
     if nearest is not None:
-        by_kind = {"pass": units, "log": find_units(joined, passes, "log")}
+        by_kind = {"pass": units, "log": log_units(joined)}
         for kind, units_of_kind in by_kind.items():
             blocks["minutes", kind] = minutes(joined, units_of_kind)
         for m, method in enumerate(joined.methods):

@@ -6,7 +6,7 @@ independent, every difference would look significant. So the independent unit is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -43,7 +43,6 @@ class Passes:
 class Units:
     """The clusters that the bootstrap draws and tests swap as a whole."""
 
-    kind: UnitKind
     count: int
     of_frame: IntArray
     """(F,) the unit of a frame's negatives and false claims."""
@@ -74,8 +73,13 @@ def find_passes(joined: Joined) -> Passes:
     return Passes(log[start], landmark[start], frame[start], frame[end], of_truth)
 
 
-def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> Units:
-    """The units of an evaluation: by default passes, or logs if there are LOGS_ENOUGH.
+def log_units(joined: Joined) -> Units:
+    """The logs as units."""
+    return Units(len(joined.logs), joined.log_index, joined.log_index[joined.truth_frame_index])
+
+
+def find_units(joined: Joined, passes: Passes) -> Units:
+    """The passes as units, at most MOST_UNITS of them.
 
     Passes that overlap by more than half of the shorter one are one unit, since landmarks seen
     together are seen equally well. A truth and its right claims belong to its pass. Everything
@@ -83,17 +87,11 @@ def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> 
     with the border half-way between neighbours, since a distractor also lasts over many frames.
     A log without any landmark is one unit.
     """
-    kind = kind or ("log" if len(joined.logs) >= LOGS_ENOUGH else "pass")
-    if kind == "log":
-        return Units(
-            kind, len(joined.logs), joined.log_index, joined.log_index[joined.truth_frame_index]
-        )
     units = pass_units(joined, passes)
-    return replace(
-        units,
-        count=min(units.count, MOST_UNITS),
-        of_frame=merged_units(units.of_frame, units.count),
-        of_truth=merged_units(units.of_truth, units.count),
+    return Units(
+        min(units.count, MOST_UNITS),
+        merged_units(units.of_frame, units.count),
+        merged_units(units.of_truth, units.count),
     )
 
 
@@ -128,7 +126,7 @@ def pass_units(joined: Joined, passes: Passes) -> Units:
     of_truth = of_frame[joined.truth_frame_index]
     positive = passes.of_truth >= 0
     of_truth[positive] = of_pass[passes.of_truth[positive]]
-    return Units("pass", count, of_frame, of_truth)
+    return Units(count, of_frame, of_truth)
 
 
 def unit_of_pass(passes: Passes, units: Units) -> IntArray:

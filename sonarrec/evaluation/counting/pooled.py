@@ -135,7 +135,7 @@ class Pooled(Totals):
     """Input that could not be used, one line each."""
 
     def units(self, kind: UnitKind | None = None) -> PooledUnits:
-        """The independent units of a kind; see `passes.find_units`."""
+        """The independent units of a kind: by default passes, or logs if there are LOGS_ENOUGH."""
         kind = kind or ("log" if len(self.logs) >= LOGS_ENOUGH else "pass")
         if kind == "log":
             return PooledUnits(kind, len(self.logs), self.unit_log)
