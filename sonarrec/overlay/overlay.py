@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -106,51 +105,29 @@ def write_overlay(
         truth, unlike = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
         problems += unlike
         rows = read_estimates(table, method, landmark_set, first.fan)
+        history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
+        outputs: _Outputs | None = None
+        written = 0
         with ExitStack() as stack:
-            written, unwritten = _write_frames(
-                _with_estimates(chain([first], frames), rows, span[1]),
-                span[0],
-                truth,
-                partial(_open_outputs, targets, stack, log, first, landmark_set, folder),
-                lambda: observe and observe(log.frame_count),
-                grid=grid,
-            )
-        problems += [*log.problems, *unwritten]
-    if not written:
+            for frame, estimates in _with_estimates(chain([first], frames), rows, span[1]):
+                # Frames before the span only show in the first strips.
+                history.append(Moment(frame.index, frame.timestamp_ns, estimates))
+                if observe:
+                    observe(log.frame_count)
+                if frame.index < span[0]:
+                    continue
+                if outputs is None:  # an older overlay stays if there is nothing to write
+                    outputs = _open_outputs(targets, stack, log, first, landmark_set, folder)
+                outputs.write(frame, history, truth.get(frame.index, []), grid=grid)
+                written += 1
+        problems += log.problems
+    if outputs is None:
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
+    problems += outputs.problems()
     notes = []
     if topic and run.input.topic not in (None, topic):
         notes.append(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
     return OverlayReport(method, written, problems, notes)
-
-
-def _write_frames(
-    frames: Iterable[tuple[Frame, tuple[Estimate, ...]]],
-    begin: int,
-    truth: Mapping[int, Sequence[Mark]],
-    open_outputs: Callable[[], _Outputs],
-    step: Callable[[], object],
-    *,
-    grid: bool,
-) -> tuple[int, list[str]]:
-    """Write the frames from number `begin` on; those before it only show in the first strips.
-
-    truth: by frame. step: called after each frame. grid: as in `write_overlay`.
-    Returns how many were written, and a line for each thing that was not.
-    """
-    history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
-    written = 0
-    outputs: _Outputs | None = None
-    for frame, estimates in frames:
-        history.append(Moment(frame.index, frame.timestamp_ns, estimates))
-        step()
-        if frame.index < begin:
-            continue
-        if outputs is None:  # an older overlay stays if there is nothing to write
-            outputs = open_outputs()
-        outputs.write(frame, history, truth.get(frame.index, []), grid=grid)
-        written += 1
-    return written, [] if outputs is None else outputs.problems()
 
 
 def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> None:
