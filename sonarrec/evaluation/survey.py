@@ -15,13 +15,14 @@ from typing import TypeVar
 
 from sonarrec.batch.cores import cores
 from sonarrec.evaluation.counting.parts import Part, part_of
-from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit, match_log
+from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.records import SonarrecError
 from sonarrec.results.counted_once import Recording, TruthOf, recording
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import read_log
+from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
 WORTH_BYTES = 4_000_000
@@ -87,7 +88,7 @@ def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | Unreada
     truth_check: TruthCheck | None = None
     error: SonarrecError | None = None
     try:
-        case = match_log(reading.folder, table, log, options.tolerance_s)
+        case = MatchedLog(log, table, match_truth(table, log, options.tolerance_s))
         truth_check = check_fit(case)
     except SonarrecError as fault:  # raised later, unless the log is a copy of another
         error = fault

@@ -22,7 +22,6 @@ from tqdm import tqdm
 from sonarrec.config import Config
 from sonarrec.evaluation.counting.parts import score_all
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.matching.fit import match_log
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
@@ -34,6 +33,7 @@ from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.simulate import LandmarkTruth, SimulatedFrame, render
+from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
 
@@ -117,11 +117,12 @@ def score(folders: Sequence[Path]) -> Evaluation:
 
     Also of recordings without a landmark alone, which the command takes for a wrong truth.
     """
-    cases = [
-        match_log(folder, read_truth(folder / "gt.csv"), read_log(folder), None)
-        for folder in folders
+    logs = [read_log(folder) for folder in folders]
+    truths = [
+        match_truth(read_truth(folder / "gt.csv"), log)
+        for folder, log in zip(folders, logs, strict=True)
     ]
-    joined = join([case.log for case in cases], [case.truth for case in cases], WHOLE)
+    joined = join(logs, truths, WHOLE)
     scored = score_all(joined)
     return Evaluation(joined, tuple(folders), scored, min_visible=WHOLE, notes=(), unused=())
 

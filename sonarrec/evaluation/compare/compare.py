@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -186,12 +185,35 @@ def compare(
     counted = _count_pairs(pairing.pairs, jobs, options.min_visible)
     notes = [*dict.fromkeys(pairing.notes), *counted.notes]
     unused = [*dict.fromkeys([*pairing.unused, *counted.cut]), *counted.unused]
-    return _comparison(
-        counted,
-        unit,
+    settings = changed_settings(map(_runs, counted.used))
+    before, after = counted.before, counted.after
+    units = after.units(unit)
+    changes = _method_changes(before, after, units)
+    if not changes.methods:
+        has = (f"{side} has {', '.join(p.methods)}" for side, p in ((old, before), (new, after)))
+        raise SonarrecError(
+            printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
+        )
+    if before.placed != after.placed:
+        without = new if before.placed else old
+        notes.append(
+            f"protocol strict is not compared: {without} has no positions that can be used"
+        )
+    return Comparison(
         old=str(old),
         new=str(new),
-        settings=tuple(changed_settings(map(_runs, counted.used))),
+        logs=after.logs,
+        frames_compared=after.frames,
+        units=units_text(units),
+        landmarks=after.ids,
+        settings=tuple(settings),
+        rates=tuple(changes.rates),
+        frames=counted.frames(tuple(changes.methods)),
+        passes=PassChanges(tuple(changes.outcomes), after),
+        differences=tuple(changes.tests),
+        lost=tuple(m for m in before.methods if m not in after.methods),
+        gained=tuple(m for m in after.methods if m not in before.methods),
+        unplaced=before.placed and not after.placed,
         notes=tuple(map(printable, notes)),
         unused=tuple(map(printable, unused)),
     )
@@ -302,39 +324,6 @@ def _method_changes(before: Pooled, after: Pooled, units: PooledUnits) -> _Metho
             old_tally, new_tally = (metrics.tally(metrics.rates, rate) for rate in (old, new))
             changes.tests.extend(differences(old_tally, new_tally, weights, tosses))
     return changes
-
-
-def _comparison(counted: _CountedPairs, unit: UnitKind | None, **fields_known: Any) -> Comparison:
-    """fields_known: the fields of Comparison that are known already."""
-    before, after = counted.before, counted.after
-    units = after.units(unit)
-    changes = _method_changes(before, after, units)
-    if not changes.methods:
-        has = (
-            f"{fields_known[k]} has {', '.join(p.methods)}"
-            for k, p in zip(("old", "new"), (before, after), strict=True)
-        )
-        raise SonarrecError(
-            printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
-        )
-    if before.placed != after.placed:
-        without = fields_known["new"] if before.placed else fields_known["old"]
-        note = f"protocol strict is not compared: {without} has no positions that can be used"
-        fields_known["notes"] = (*fields_known["notes"], printable(note))
-    return Comparison(
-        logs=after.logs,
-        frames_compared=after.frames,
-        units=units_text(units),
-        landmarks=after.ids,
-        rates=tuple(changes.rates),
-        frames=counted.frames(tuple(changes.methods)),
-        passes=PassChanges(tuple(changes.outcomes), after),
-        differences=tuple(changes.tests),
-        lost=tuple(m for m in before.methods if m not in after.methods),
-        gained=tuple(m for m in after.methods if m not in before.methods),
-        unplaced=before.placed and not after.placed,
-        **fields_known,
-    )
 
 
 def _rate_changes(old: UnitSums, new: UnitSums) -> Iterable[RateChange]:

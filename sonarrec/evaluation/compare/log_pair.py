@@ -10,12 +10,13 @@ import numpy as np
 
 from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
 from sonarrec.evaluation.counting.parts import Part, part_of, score_all
-from sonarrec.evaluation.matching.fit import TruthCheck, check_fit, match_log
+from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.survey import UnreadableLog, truth_table
 from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole, read_log
+from sonarrec.truth.match import match_truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,7 @@ def _count_pair(pair: LogPair) -> CountedPair:
             unused.append(f"{log.name}: {frames} in {folder} only; not compared")
         unused += not_whole(log, "scored")
     old, new = (_only(replace(log, name=pair.name), common) for log in (old, new))
-    case = match_log(pair.new, table, new, options.tolerance_s)
+    case = MatchedLog(new, table, match_truth(table, new, options.tolerance_s))
     truth_check = check_fit(case)
     labels = pair.name, new.landmarks.ids, truth_check, unused
     if truth_check.fault is not None:

@@ -18,7 +18,7 @@ from sonarrec.truth.fits import (
     pixels_elsewhere,
     without_rows,
 )
-from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.match import Truth
 from sonarrec.truth.table import TruthTable
 
 
@@ -26,8 +26,6 @@ from sonarrec.truth.table import TruthTable
 class MatchedLog:
     """One log's results and its truth."""
 
-    folder: Path
-    """The results folder."""
     log: LogResults
     table: TruthTable
     truth: Truth
@@ -62,13 +60,6 @@ class ScorableLogs:
     usable: list[int]
     notes: list[str]
     unused: list[str]
-
-
-def match_log(
-    folder: Path, table: TruthTable, log: LogResults, tolerance_s: float | None
-) -> MatchedLog:
-    """A log's results with its truth, matched as in `truth.match.match_truth`."""
-    return MatchedLog(folder, log, table, match_truth(table, log, tolerance_s))
 
 
 def check_fit(case: MatchedLog) -> TruthCheck:
