@@ -12,7 +12,7 @@ from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, 
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError, number_of
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError, number_of
 from sonarrec.results.folders import possible_names
 from sonarrec.truth.fits import columns_not_read, in_other_unit, unit_of_times
 from sonarrec.truth.in_view import share_in_image
@@ -106,8 +106,10 @@ def check_truth(
         faults += _contradictions(line, pixels_apart(table, row, log.fan))
         faults += _outside(line, places, visible, log.fan, landmarks.radius_m)
         faults += _overlaps(line, places, landmarks.radius_m)
-        faults += _changes(line, places, landmarks.radius_m)
-        faults += _jumps(line, places, landmarks.radius_m, max_pan_deg)
+        changes = _changes(line, places, landmarks.radius_m)
+        changed = {fault.line for fault in changes}
+        jumps = _jumps(line, places, log.fan, landmarks.radius_m, max_pan_deg)
+        faults += [*changes, *(jump for jump in jumps if jump.line not in changed)]
     return CheckedTruth(
         path=path,
         fan=log.fan,
@@ -284,18 +286,24 @@ def _changes(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
         apart = np.hypot(*(floor - floor[before]).T)
         for n in np.flatnonzero((k < count) & (apart < radius_m) & (landmark != landmark[before])):
             old, new, at = int(landmark[before[n]]), int(landmark[n]), int(frame[n])
-            if (at, old) in present or (at - 1, new) in present or before[n] in wrong:
+            earlier = slice(first[n], first[n] + count[n])
+            own = floor[earlier][landmark[earlier] == new] - floor[n]
+            followed = (np.hypot(*own.T) < 3 * radius_m).any()  # it moved here, its neighbour left
+            if (at, old) in present or followed or before[n] in wrong:
                 continue
             text = f"ID.{new} where frame {at - 1} has ID.{old} (line {line[order[before[n]]]})"
             wrong[int(n)] = Fault(int(line[order[n]]), "changed", text)
     return list(wrong.values())
 
 
-def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float) -> list[Fault]:
+def _jumps(
+    line: IntArray, places: _Places, fan: Fan, radius_m: float, max_pan_deg: float
+) -> list[Fault]:
     """Rows too far from every row of the same ID in the last frame that has one.
 
     A pan turns everything about the sonar and leaves ranges as they are; a disc radius a frame is
-    allowed for heave and drift. The step back after a wrong row is not a second fault.
+    allowed for heave and drift. The step back after a wrong row is not a second fault. Nor is a
+    second landmark of the ID that enters at an edge of the fan while the first stays in view.
     """
     order = np.lexsort((places.frame, places.landmark))
     order = order[places.frame[order] >= 0]
@@ -328,8 +336,14 @@ def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float)
         return least, nearest
 
     (once, before), (twice, _) = nearest_in(1), nearest_in(2)
+    far = np.flatnonzero((before >= 0) & (once > 1))
+    stays = set(zip(group[once <= 1].tolist(), before[once <= 1].tolist(), strict=True))
+    another = np.array([(int(group[b]), int(before[b])) in stays for b in far], dtype=bool)
+    frames = np.maximum(frame[far] - frame[before[far]], 1)
+    steps = (range_m[far], bearing_deg[far], radius_m * frames, max_pan_deg * frames)
+    enters = another & _near_an_edge(fan, *steps, radius_m)
     wrong: dict[int, Fault] = {}
-    for b in np.flatnonzero((before >= 0) & (once > 1)):
+    for b in far[~enters]:
         a = int(before[b])
         if a in wrong and twice[b] <= 1:
             continue
@@ -340,3 +354,18 @@ def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float)
         )
         wrong[int(b)] = Fault(int(line[order[b]]), "jump", text)
     return list(wrong.values())
+
+
+def _near_an_edge(
+    fan: Fan,
+    range_m: FloatArray,
+    bearing_deg: FloatArray,
+    moved_m: FloatArray,
+    turned_deg: FloatArray,
+    radius_m: float,
+) -> BoolArray:
+    """(N,) whether discs, after such a turn or move, may lie partly outside the fan image."""
+    still = np.zeros(len(range_m))
+    moves = ((moved_m, still), (-moved_m, still), (still, turned_deg), (still, -turned_deg))
+    shares = [share_in_image(fan, range_m + m, bearing_deg + t, radius_m) for m, t in moves]
+    return np.asarray(np.min(shares, axis=0) < 1)

@@ -113,6 +113,25 @@ def test_one_id_may_be_in_view_twice(tmp_path: Path, log: Path) -> None:
     assert kinds(truth(tmp_path, rows), log) == []
 
 
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_second_landmark_of_an_id_may_enter_at_an_edge(
+    tmp_path: Path, log: Path, way: int
+) -> None:
+    """It was a jump of the first, though that one stays in view."""
+    first = [f"{k},1,2.0,{way * (-4 - k)}" for k in range(8)]
+    side = [f"{k},1,2.0,{way * (18 - k)},0.2" for k in range(2, 8)]
+    rows = [*(f"{row},1" for row in first), *side]
+    assert kinds(truth(tmp_path, rows, HEADER), log) == []
+    far = [f"{k},1,{3.8 - 0.05 * k:.2f},8,0.2" for k in range(2, 6)]
+    assert kinds(truth(tmp_path, [*(f"{row},1" for row in first), *far], HEADER), log) == []
+    # In the middle of the fan, or if the first one is gone, it is a jump still.
+    middle = [f"{k},1,2.5,2,1" for k in range(2, 6)]
+    rows = [*(f"{row},1" for row in first), *middle]
+    assert kinds(truth(tmp_path, rows, HEADER), log) == [(10, "jump")]
+    gone = [*(f"{row},1" for row in first[:2]), *side]
+    assert kinds(truth(tmp_path, gone, HEADER), log) == [(4, "jump")]
+
+
 def test_truth_by_time_denser_than_the_frames(tmp_path: Path, log: Path) -> None:
     """Frames are 250 ms apart; of stamps in between only the nearest belongs to a frame."""
     rows = [f"{n * 50_000_000},1,2.0,{-5 + n / 5:.2f}" for n in range(40)]
@@ -199,6 +218,15 @@ def test_a_range_of_nothing_or_less_is_outside(tmp_path: Path, log: Path) -> Non
         ([f"{k},{1 + 3 * (k > 1)},2,{k},1" for k in range(5)], [(4, "changed")]),
         # One leaves while another enters elsewhere.
         (["0,1,2,-14,0.5", "1,2,2,14,0.5"], []),
+        # A mistyped ID near an edge, while another landmark of that ID is in view.
+        (
+            [f"{k},1,2,{k - 6},1" for k in range(4)]
+            + [f"{k},{2 - (k == 2)},2,{k + 7},1" for k in range(4)],
+            [(8, "changed")],
+        ),
+        # Neighbours that pan by more than a radius; the outer one leaves.
+        (["0,1,2,9,1", "0,2,2,-14,0.5", "1,1,2,4.5,1", "1,2,2,-18,0.1", "2,1,2,0,1"], []),
+        (["0,1,2,-5,1", "0,2,2,-14,0.5", "1,1,2,-10,1"], []),
         # Two landmarks named the other way round from frame 2 on.
         (
             [f"{k},{1 + (k > 1)},2,{k},1" for k in range(4)]
