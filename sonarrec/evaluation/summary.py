@@ -114,16 +114,16 @@ def over_units(summary: Summary) -> str:
 
 def _notes(pooled: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
     """Notes on missing intervals and figures, a line each."""
+    notes = []
     if units.count < MIN_UNITS:
         kind = {"pass": "pass of a landmark", "log": "log"}[units.kind]
-        return (
+        notes.append(
             f"no intervals and no tests: only {number_of(units.count, 'independent unit')} "
             f"(each a {kind}), and "
-            f"with fewer than {MIN_UNITS} no difference can be distinguished from chance",
+            f"with fewer than {MIN_UNITS} no difference can be distinguished from chance"
         )
-    notes = []
     protocol = "strict" if pooled.placed else "paper"
-    for figure in figures:
+    for figure in figures if units.count >= MIN_UNITS else ():
         facts = (figure.protocol, figure.landmark_text, figure.name, figure.value)
         if facts == (protocol, "total", "fpr", 0):
             most = f"{100 * unseen_share(figure.units):.2g}%"
@@ -131,6 +131,14 @@ def _notes(pooled: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[s
                 f"{figure.method}: no false claim in {units_text(units, figure.units)}, so with "
                 f"{LEVEL:.0%} confidence fewer than {most} of them have one"
             )
-    if pooled.placed and not pooled.timed:
-        notes.append("claims per minute are not given: frames.csv has no timestamp_ns")
+    if pooled.placed and not pooled.timed.all():
+        notes.append(_without_minutes(pooled))
     return tuple(map(printable, notes))
+
+
+def _without_minutes(pooled: Pooled) -> str:
+    """A note on the logs that have no minutes."""
+    untimed = [name for name, timed in zip(pooled.logs, pooled.timed, strict=True) if not timed]
+    listed = ", ".join(untimed[:5]) + f" and {len(untimed) - 5} more" * (len(untimed) > 5)
+    lack = f"leave out {listed}" if pooled.timed.any() else "are not given"
+    return f"claims per minute {lack}: frames.csv has no timestamp_ns, or a single frame"

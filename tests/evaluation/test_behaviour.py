@@ -106,6 +106,23 @@ def test_claims_on_nothing_and_of_another_id() -> None:
     assert value(summary, "wrong_ids_per_min", landmark="2") == 2
     silent = summary_of(240, truth, claims, seconds=math.nan)
     assert math.isnan(value(silent, "false_claims_per_min"))
+    assert silent.notes[-1].startswith("claims per minute are not given: ")
+
+
+def test_a_log_without_duration_is_left_out_of_claims_per_minute() -> None:
+    """A log of a single frame took them from all logs, and with few passes no note said so."""
+    both = joined(
+        241,
+        [(f, 1, 0, 0, True) for f in range(20)],
+        [claim(f, 3, x=1.0) for f in (0, 1, 240)],
+        logs=[0] * 240 + [1],
+    )
+    seconds = np.where(both.log_index == 0, 0.25, np.nan)
+    summary = summarise(evaluated(replace(both, seconds=seconds)))
+    assert value(summary, "false_claims_per_min") == 2
+    assert [note for note in summary.notes if "minute" in note] == [
+        "claims per minute leave out log1: frames.csv has no timestamp_ns, or a single frame"
+    ]
 
 
 def test_switches_of_id_and_track() -> None:
@@ -244,7 +261,7 @@ def test_a_probability_beyond_1_is_one_line(tmp_path: Path) -> None:
 
 def test_a_share_below_a_hundredth_is_not_told_as_none() -> None:
     """Of 1,000 logs without a false claim fewer than 0.3 % may have one, not fewer than 0 %."""
-    found: Any = SimpleNamespace(placed=True, timed=True)
+    found: Any = SimpleNamespace(placed=True, timed=np.array([True]))
     units: Any = SimpleNamespace(count=1000, kind="log")
     fpr = Figure("strict", "a", "total", "fpr", 0.0, math.nan, math.nan, 1000, "")
     (note,) = _notes(found, units, [fpr])

@@ -40,7 +40,10 @@ class PassOutcomes:
 
 @dataclass(frozen=True, slots=True)
 class FalseClaims:
-    """Declared claims that are not on a landmark of the claimed ID, (R,) each."""
+    """Declared claims that are not on a landmark of the claimed ID, (R,) each.
+
+    Only frames of known duration count.
+    """
 
     nowhere: FloatArray
     """On no landmark at all."""
@@ -119,10 +122,12 @@ def on_truth(joined: Joined) -> IntArray:
 def false_claims(joined: Joined, nearest: IntArray, units: Units, method: int) -> IntArray:
     """(U, K, 2) declared claims of a method on no landmark, and on a landmark of another ID.
 
-    K: the claimed ID. nearest: from `on_truth`.
+    Those in frames of unknown duration are left out, as in `minutes`. K: the claimed ID. nearest:
+    from `on_truth`.
     """
     k = len(joined.ids)
-    declared = np.flatnonzero(joined.declared & (joined.method_index == method))
+    timed = ~np.isnan(joined.seconds)[joined.claim_frame_index]
+    declared = np.flatnonzero(joined.declared & timed & (joined.method_index == method))
     truth, claimed = nearest[declared], joined.claim_landmark_index[declared]
     nowhere = truth < 0
     on_other, unit = ~nowhere, units.of_frame[joined.claim_frame_index[declared]]
@@ -135,8 +140,9 @@ def false_claims(joined: Joined, nearest: IntArray, units: Units, method: int) -
 
 
 def minutes(joined: Joined, units: Units) -> FloatArray:
-    """(U,) duration of the units' frames, NaN if the log has no times."""
-    return np.bincount(units.of_frame, joined.seconds, minlength=units.count) / 60
+    """(U,) duration of the units' frames, without those of which it is not known."""
+    seconds = np.nan_to_num(joined.seconds)
+    return np.bincount(units.of_frame, seconds, minlength=units.count) / 60
 
 
 def false_claim_counts(

@@ -31,7 +31,7 @@ from sonarrec.evaluation.counting.passes import (
 from sonarrec.evaluation.counting.reliability import calibration
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, Scored, score
 from sonarrec.evaluation.matching.joined import Joined
-from sonarrec.records import FloatArray, IntArray
+from sonarrec.records import BoolArray, FloatArray, IntArray
 
 CLAIM = np.dtype([("score", "f8"), ("unit", "i4"), ("effect", "i1", 4)])
 ERROR = np.dtype([("error", "f8"), ("unit", "i4")])
@@ -72,8 +72,8 @@ class Totals:
     methods: tuple[str, ...]
     placed: bool
     """Whether positions are known wherever the strict protocol needs them."""
-    timed: bool
-    """Whether the duration of every frame is known."""
+    timed: BoolArray
+    """(L,) whether the duration of a frame is known."""
     frames: int
     positives: IntArray
     """(K,) how many truths count as positives."""
@@ -127,7 +127,7 @@ def part_of(
         ids=joined.ids,
         methods=joined.methods,
         placed=joined.placed,
-        timed=not np.isnan(joined.seconds).any(),
+        timed=np.bincount(joined.log_index, np.isnan(joined.seconds), minlength=logs) == 0,
         frames=len(joined.frame),
         positives=np.bincount(joined.truth_landmark_index[positive], minlength=len(joined.ids)),
         ignored=int((~positive).sum()),

@@ -208,7 +208,7 @@ def pool(parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible
         ids=ids,
         methods=methods,
         placed=placed,
-        timed=all(part.timed for part in selected),
+        timed=np.concatenate([part.timed for part in selected]),
         frames=sum(part.frames for part in selected),
         positives=np.sum([part.positives for part in selected], axis=0),
         ignored=sum(part.ignored for part in selected),

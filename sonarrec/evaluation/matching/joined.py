@@ -31,7 +31,7 @@ class Joined:
     frame: IntArray
     """(F,) frame number in its log."""
     seconds: FloatArray
-    """(F,) duration of a frame, NaN if the log has no times."""
+    """(F,) duration of a frame, NaN if the log has no times or only one."""
     truth_frame_index: IntArray
     """(T,) into frame."""
     truth_landmark_index: IntArray
