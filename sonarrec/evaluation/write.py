@@ -19,6 +19,7 @@ from sonarrec.files.outputs import (
     check_output,
     check_tables,
     is_filled,
+    is_output,
     write_csv,
     write_text,
     writing,
@@ -44,8 +45,9 @@ def write_evaluation(
 ) -> tuple[str, ...]:
     """Write all tables and pictures into `folder`, created if needed; returns the file names.
 
-    evaluation.json is written last, so if it exists the others are complete. Raises SonarrecError
-    if they cannot be written; UsageError, before the first one, if a file of another kind exists.
+    evaluation.json is written last, so if it exists the others are complete. Pictures that only an
+    earlier scoring drew are deleted. Raises SonarrecError if they cannot be written; UsageError,
+    before the first one, if a file of another kind exists.
     """
     text = json_text(as_json(evaluation, summary))
     tables = {
@@ -70,6 +72,9 @@ def write_evaluation(
     check_no_recording(folder, tables)
     with writing(folder):
         (folder / "evaluation.json").unlink(missing_ok=True)
+        for name in {"det.png", "reliability.png"}.difference(pictures):
+            if is_output(folder / name, "picture"):  # of an earlier scoring
+                (folder / name).unlink()
         for name, (header, rows) in tables.items():
             write_table(folder / name, header, rows)
         draw_roc(folder / "roc.png", evaluation.scored)

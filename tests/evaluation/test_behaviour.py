@@ -19,6 +19,7 @@ from sonarrec.cli import main
 from sonarrec.evaluation.counting.uncertainty import Figure
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.summary import Summary, _notes, summarise
+from sonarrec.evaluation.write import write_evaluation
 from sonarrec.landmarks import load_landmarks
 from tests.support.claims import evaluated, joined
 
@@ -318,3 +319,19 @@ def test_files_tell_what_the_summary_holds(tmp_path: Path) -> None:
     assert sum(int(r["count"]) for r in top) == 80
     assert {r["right"] for r in top if r["count"] != "0"} == {"1.0"}
     assert (tmp_path / "evaluation" / "reliability.png").is_file()
+
+
+def test_no_picture_of_an_earlier_scoring_remains(tmp_path: Path) -> None:
+    """Beside new tables they would show other figures."""
+    truth = [(f, 1, 0, 0, True) for f in range(4)]
+    claims = [claim(f, p=(0.9, 0.1, 0, 0, 0)) for f in range(4)]
+    optional = [tmp_path / "det.png", tmp_path / "reliability.png"]
+    first = evaluated(joined(4, truth, claims))
+    write_evaluation(tmp_path, first.pooled(), summarise(first), det=True)
+    assert all(picture.is_file() for picture in optional)
+    second = evaluated(joined(4, truth, [claim(f) for f in range(4)]))
+    write_evaluation(tmp_path, second.pooled(), summarise(second))
+    assert not any(picture.exists() for picture in optional)
+    optional[0].write_bytes(b"of somebody else")
+    write_evaluation(tmp_path, second.pooled(), summarise(second))
+    assert optional[0].exists()
