@@ -13,9 +13,9 @@ from sonarrec.evaluation.by_range import Rate
 from sonarrec.evaluation.cells import Cell
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.records import FloatArray
+from sonarrec.records import FloatArray, number_of
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
-from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site
+from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site, span_text
 from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.report.templates import filled
 
@@ -42,7 +42,7 @@ def render(site: Site) -> str:
         enough=f"{ENOUGH:.0%}",
         colours=[COLOURS[n % len(COLOURS)] for n in range(len(site.contrasts))],
         styles=STYLES,
-        steps=[f"{r.near_m:.1f} to {r.far_m:.1f} m" for r in site.contrasts[0].rates.by_range],
+        steps=[span_text(r.near_m, r.far_m) for r in site.contrasts[0].rates.by_range],
         rate_cell=_cell,
         over_contrast=_over_contrast(site.contrasts),
         over_range=_over_range(site.contrasts),
@@ -124,7 +124,7 @@ def _over_range(results: Sequence[ContrastResults]) -> Chart:
         shapes.append(Shape(polyline(x, value), n, f"line style-{n % STYLES}", label))
         for at, rate in zip(x, one.rates.by_range, strict=True):
             if rate.tpr.cases:
-                text = f"{label}, {rate.near_m:.1f} to {rate.far_m:.1f} m: {rate.tpr.value:.2f}"
+                text = f"{label}, {span_text(rate.near_m, rate.far_m)}: {rate.tpr.value:.2f}"
                 texts.append(text)
                 dots.append(Dot(100 * float(at), 100 * rate.tpr.value, text, n))
     return Chart(
@@ -142,7 +142,7 @@ def _picture(example: ExampleFrame) -> Picture:
     return Picture(
         f"{example.contrast_db:g} dB, frame {example.frame}: {declared}.",
         f"Sonar image at {example.contrast_db:g} dB, frame {example.frame}, "
-        f"with {example.truth} landmarks",
+        f"with {number_of(example.truth, 'landmark')}",
         as_webp(image, QUALITY),
         image.shape[1],
         image.shape[0],

@@ -19,6 +19,11 @@ ENOUGH = 0.9
 """Landmarks count as recognised at a contrast if they are in this share of their frames."""
 
 
+def span_text(near_m: float, far_m: float) -> str:
+    """Slant ranges in words; to the centimetre, so that no span ends outside the window."""
+    return f"{near_m:.2f} to {far_m:.2f} m"
+
+
 @dataclass(frozen=True, slots=True)
 class ExampleFrame:
     """A frame at one contrast, drawn on: truth dashed, declared landmarks in colour."""
@@ -51,7 +56,7 @@ class ContrastResults:
     @property
     def span(self) -> str:
         """The range in words."""
-        return f"{self.near_m:.1f} to {self.far_m:.1f} m" if self.reaches else "-"
+        return span_text(self.near_m, self.far_m) if self.reaches else "-"
 
 
 @dataclass(frozen=True, slots=True)

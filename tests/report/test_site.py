@@ -177,9 +177,17 @@ def test_the_sentence_names_the_least_contrast_that_holds_from_there_on() -> Non
         sentences([at(0, [0.95, 0.95]), at(3, [0.5, 0.4]), at(6, [1.0, 0.94]), at(9, [1, 1])], 0, 9)
     )
     assert "At 6 dB or more over the floor" in told
-    assert "1.0 to 3.0 m away" in told
+    assert "1.00 to 3.00 m away" in told
     assert "interval of 0.970 is 0.950 to 0.980" in told
     assert "No false claim" in told
+
+
+def test_no_span_of_range_ends_outside_the_window() -> None:
+    """3.75 m was 3.8, and five equal steps from 1.25 m on looked unequal."""
+    spans = [ContrastResults(6, at(6, [1]).rates, 1.25 + n / 2, 1.75 + n / 2) for n in range(5)]
+    assert [one.span for one in spans] == [
+        *("1.25 to 1.75 m", "1.75 to 2.25 m", "2.25 to 2.75 m", "2.75 to 3.25 m", "3.25 to 3.75 m")
+    ]
 
 
 def test_the_sentence_admits_what_so_few_passes_cannot_show() -> None:
@@ -197,7 +205,7 @@ def test_the_sentence_says_where_nothing_reaches() -> None:
     told = " ".join(sentences([at(0, [0.1, 0.0]), at(6, [0.95, 0.3], false=4)], 0, 9))
     assert "At none of these contrasts" in told
     assert "at best in 62.5%, at 6 dB" in told
-    assert "From 1.0 to 2.0 m they would be, at 6 dB." in told
+    assert "From 1.00 to 2.00 m they would be, at 6 dB." in told
     assert "at most 4.0 in 100 frames, at 6 dB" in told
     assert "in 90% of the frames" in (near := sentences([at(0, [0.8971])], 0, 9)[0])
     assert "at best in 89.7%" in near
