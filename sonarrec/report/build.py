@@ -26,7 +26,7 @@ from sonarrec.report.logs import (
     read_logs,
 )
 from sonarrec.report.mistakes import Episode, episodes, in_words
-from sonarrec.report.outliers import Outlier, outliers, outliers_first
+from sonarrec.report.outliers import Outlier, failed_logs, outliers, outliers_first
 from sonarrec.report.page import MOST_MISTAKES, LogsOverview, RecordingImages, render
 from sonarrec.report.pictures import Picture, PictureRequest
 from sonarrec.report.recordings import match_recordings, open_recording
@@ -103,6 +103,7 @@ class _ChosenLogs:
     rows: list[Pair]
     """Their truth, if it is known."""
     outliers: list[Outlier]
+    """If there are so few logs that all have panels, only those that failed."""
     evaluation: Evaluation | None
     """Of the logs with panels."""
     pooled: Pooled | None
@@ -133,9 +134,8 @@ def _choose(
             evaluation = evaluate_whole(rows, None, options)
         elif ground_truth is not None and results is not None:
             evaluation = evaluate_whole(results, ground_truth, options)
-        return _ChosenLogs(
-            folders, truth, [], evaluation, None if evaluation is None else evaluation.pooled()
-        )
+        pooled = None if evaluation is None else evaluation.pooled()
+        return _ChosenLogs(folders, truth, failed_logs(results), evaluation, pooled)
     if not truth:
         outlier_logs = outliers(folders, None, results, options, method)
         return _ChosenLogs(outliers_first(folders, outlier_logs), [], outlier_logs, None, None)

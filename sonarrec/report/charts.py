@@ -70,7 +70,7 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
 
 def _truth_lane(log: ReportedLog, k: int, in_view: BoolArray) -> Lane:
     """The row of truth of the k-th ID. in_view: (F,)."""
-    frames = f"{int(in_view.sum())} of {len(in_view)} frames"
+    frames = f"{int(in_view.sum())} of {number_of(len(in_view), 'frame')}"
     axis, period = time_axis(log)
     path = bars(axis, log.time, period, in_view.astype(float))
     chart = Chart(f"ID.{log.ids[k]} is in view in {frames}", [Shape(path, None, "bar")])
@@ -88,7 +88,8 @@ def _method_lane(log: ReportedLog, k: int, method: str, declared: BoolArray) -> 
     if frames_a_bar(len(log.time)) > 1:
         mean = bars(axis, log.time, period, surest, mean=True)
         shapes = [replace(shapes[0], kind="bar faint"), Shape(mean, k, "bar")]
-    text = f"{method} declares ID.{log.ids[k]} in {claims} of {len(surest)} frames"
+    frames = number_of(len(surest), "frame")
+    text = f"{method} declares ID.{log.ids[k]} in {claims} of {frames}"
     return Lane(method, Chart(text, shapes), False)
 
 

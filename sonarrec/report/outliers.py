@@ -65,6 +65,20 @@ def outliers(
     return [Outlier(name, folder_of.get(name), tuple(why)) for name, why in reasons.items()]
 
 
+def failed_logs(place: Path | None) -> list[Outlier]:
+    """The logs that failed, by logs.csv in `place`, if there is one."""
+    rows = []
+    if place is not None:
+        try:
+            rows = logs_table.read_logs(place / logs_table.NAME)
+        except SonarrecError:  # not a logs.csv of sonarrec
+            rows = []
+    usable = {row.log for row in rows if row.status in logs_table.USABLE}
+    # If the name has usable results too, they belong to another log of that name.
+    failed = (row for row in rows if row.status == "failed" and row.log not in usable)
+    return [Outlier(row.log, None, (f"failed: {row.message}",)) for row in failed]
+
+
 def outliers_first(folders: Sequence[Path], outlying: Sequence[Outlier]) -> list[Path]:
     """The folders, those of outliers first."""
     listed = set(folders)
@@ -78,18 +92,10 @@ def outliers_first(folders: Sequence[Path], outlying: Sequence[Outlier]) -> list
 
 def _unfinished(folder_of: dict[str, Path], place: Path | None) -> Iterator[tuple[str, str]]:
     """(log, reason) of logs that failed or could not be used completely."""
-    rows = []
-    if place is not None:
-        try:
-            rows = logs_table.read_logs(place / logs_table.NAME)
-        except SonarrecError:  # not a logs.csv of sonarrec
-            rows = []
-    usable = {row.log for row in rows if row.status in logs_table.USABLE}
-    # If the name has usable results too, they belong to another log of that name.
-    failed = [row for row in rows if row.status == "failed" and row.log not in usable]
-    for row in failed:
-        yield row.log, f"failed: {row.message}"
-    failed_names = {row.log for row in failed}
+    failed = failed_logs(place)
+    for log in failed:
+        yield log.name, log.reasons[0]
+    failed_names = {log.name for log in failed}
     for name, folder in folder_of.items():
         run = read_run(folder / "run.toml")
         if name not in failed_names and not run.finished:

@@ -381,7 +381,7 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
     for k in range(len(ids)):
         count = int((results.declared[track.at] & (results.landmark_index[track.at] == k)).sum())
         if count:
-            claims.append(f"ID.{ids[k]} in {count} of {len(track.at)} frames")
+            claims.append(f"ID.{ids[k]} in {count} of {number_of(len(track.at), 'frame')}")
     first, last = int(track.frame_index[0]), int(track.frame_index[-1])
     return TrackView(
         track=track,
