@@ -166,7 +166,7 @@ class RunWatch(Watch):
     def count(self) -> None:
         """Print how many logs are done, up to date, partial and failed, if there are several."""
         self._report_outdated()
-        counts: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
+        counts: dict[str, list[str]] = {"done": [], "up to date": [], "partial": [], "failed": []}
         for i, outcome in sorted(self._outcomes.items()):
             counts[_in_words(outcome)].append(self._tasks[i].path)
         failed = counts["failed"]
@@ -269,8 +269,8 @@ class RunWatch(Watch):
 def _in_words(outcome: Outcome) -> str:
     """The status of a log as the summary of a call counts it."""
     if outcome.summary is not None and outcome.summary.up_to_date:
-        return "up to date" if outcome.status == "done" else "in part"
-    return {"done": "done", "partial": "in part"}.get(outcome.status, "failed")
+        return "up to date" if outcome.status == "done" else "partial"
+    return outcome.status if outcome.status in ("done", "partial") else "failed"
 
 
 def _counts(summary: Summary) -> str:

@@ -76,11 +76,14 @@ def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
     rows, proposed = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
     say(f"{out}: {number_of(rows, 'row')} from {number_of(proposed, 'track')}")
     longest = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
+    wide = max((len(t.log) for t in longest), default=0)
+    ids = max((len(f"ID.{t.landmark}") for t in longest), default=0)
     for t in sorted(longest, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"
         rest = t.left_out and f"left out: {t.left_out}"
         rest = rest or f"{number_of(t.rows, 'row')}, {t.interpolated} of them filled in"
         score = f"best score {t.best_score:.3f}"
-        say(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {rest}")
+        named = f"{t.log:<{wide}}  {f'ID.{t.landmark}':<{ids}}"
+        say(f"  {named}  track {t.track:<4} {span:<15} {score}  {rest}")
     if more := len(tracks) - len(longest):
         say(f"  these have the most rows; {number_of(more, 'more track')}")

@@ -23,7 +23,7 @@ from sonarrec.evaluation.matching.pairs import (
     usable_pairs,
 )
 from sonarrec.evaluation.survey import LogToScore, SurveyedLog, UnreadableLog, map_logs, survey
-from sonarrec.records import IntArray, SonarrecError, printable
+from sonarrec.records import IntArray, SonarrecError, number_of, printable
 from sonarrec.results.counted_once import counted_once
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.sonar import Sonar
@@ -353,7 +353,7 @@ def _notes(
             notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
         if log.between:
             notes.append(
-                f"{name}: {log.between} ground-truth rows lie between frames and are ignored "
+                f"{name}: {number_of(log.between, 'ground-truth row')} between frames ignored, "
                 "because others are nearer in time"
             )
         missing = [method for method in scored.methods if method not in log.methods]

@@ -29,7 +29,7 @@ from sonarrec.evaluation.counting.uncertainty import (
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.records import FloatArray, number_of, printable
 
-_UNITS = {"pass": "passes", "log": "logs"}
+_PLURAL = {"pass": "es", "log": "s"}
 SEED = 0
 """Of the random draws, so that the same input gives the same intervals."""
 
@@ -102,7 +102,8 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
 
 def units_text(units: PooledUnits, count: int | None = None) -> str:
     """The number of units, or `count`, with their kind, such as "12 passes"."""
-    return f"{units.count if count is None else count} {_UNITS[units.kind]}"
+    many = units.count if count is None else count
+    return number_of(many, units.kind, _PLURAL[units.kind])
 
 
 def over_units(summary: Summary) -> str:

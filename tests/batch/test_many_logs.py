@@ -349,7 +349,10 @@ def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
     (logs[1] / "000001.png").write_bytes(b"not an image")
     out = tmp_path / "out"
     call = ["run", *logs, "-o", out]
-    subprocess.run(command(*call), env=environment(tmp_path), capture_output=True)
+    first = subprocess.run(
+        command(*call), env=environment(tmp_path), capture_output=True, text=True
+    )
+    assert "1 done, 1 partial, 1 failed: " in first.stderr
     assert {n: row["status"] for n, row in rows(out).items()} == {
         "a": "done",
         "cut": "partial",

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation.counting.uncertainty import Figure
 from sonarrec.evaluation.evaluate import evaluate
-from sonarrec.evaluation.summary import Summary, _notes, summarise
+from sonarrec.evaluation.summary import Summary, _notes, summarise, units_text
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.landmarks import load_landmarks
 from tests.support.claims import evaluated, joined
@@ -258,6 +258,12 @@ def test_a_probability_beyond_1_is_one_line(tmp_path: Path) -> None:
     )
     assert done.exit_code == 1
     assert "line 2: p_1 must be 0 to 1, not '1.2'" in done.stderr
+
+
+def test_a_single_unit_is_singular() -> None:
+    """Tables were headed `over 1 passes`."""
+    one: Any = SimpleNamespace(count=1, kind="pass")
+    assert [units_text(one), units_text(one, 2)] == ["1 pass", "2 passes"]
 
 
 def test_a_share_below_a_hundredth_is_not_told_as_none() -> None:

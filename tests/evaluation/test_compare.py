@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.evaluation.compare.compare import compare
+from sonarrec.evaluation.compare.screen import _rate_lines
 from sonarrec.evaluation.evaluate import evaluate, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.records import SonarrecError
@@ -54,7 +57,7 @@ def test_what_got_better_and_worse(sides: tuple[Path, Path, Path]) -> None:
     done = command("--ground-truth", truth, "--compare", old, new)
     assert "m, strict: TPR 1.0000 -> 0.5000, FPR 0.0143 -> 0.0000, AUC" in done.output
     assert "no p-values: cases in 1 of the 6 units needed" in done.output
-    assert "4 better, 20 worse, 0 otherwise" in done.output  # two protocols
+    assert "of each method and protocol: 4 better, 20 worse, 0 otherwise" in done.output
     assert "worse: out frames 15-24, m, strict, ID.1: TP -> FN" in done.output
     assert "better: out frames 30-31, m, strict, ID.2: FP -> TN" in done.output
     with (new / "evaluation" / "changes.csv").open() as file:
@@ -68,6 +71,15 @@ def test_what_got_better_and_worse(sides: tuple[Path, Path, Path]) -> None:
     assert float(rates["1", "tpr"]["worse_by"]) == 0.5
     assert float(rates["2", "fpr"]["worse_by"]) == pytest.approx(-2 / 40)
     assert not (new / "evaluation" / "confusion.csv").exists()
+
+
+def test_no_change_is_printed_of_a_rate_whose_digits_are_the_same() -> None:
+    """It was `AUC 1.0000 -> 1.0000`."""
+    rate: Any = SimpleNamespace(
+        protocol="strict", method="m", landmark_text="total", rate="auc", old=0.99998, new=0.99997
+    )
+    compared: Any = SimpleNamespace(rates=[rate], differences=[])
+    assert list(_rate_lines(compared)) == ["m, strict: AUC 1.0000"]
 
 
 def test_fails_on_regression_only(sides: tuple[Path, Path, Path]) -> None:
@@ -158,7 +170,7 @@ def test_the_unit_of_a_comparison_is_chosen(tmp_path: Path) -> None:
     old, gt = write_case(tmp_path / "old", frames, claims({t[0] for t in truth}), truth)
     new, _ = write_case(tmp_path / "new", frames, claims(set(starts)), truth)
     arguments = ["--ground-truth", gt, "--compare", old, new, "--json"]
-    for unit, many, p in ((None, "7 passes", 2 / 2**7), ("log", "1 logs", None)):
+    for unit, many, p in ((None, "7 passes", 2 / 2**7), ("log", "1 log", None)):
         told = json.loads(command(*arguments, *(["--unit", unit] if unit else [])).stdout)
         assert told["units"] == many
         total = [d for d in told["differences"] if (d["landmark"], d["name"]) == ("total", "tpr")]
@@ -303,7 +315,7 @@ def test_several_logs_each_with_a_truth_of_its_own(tmp_path: Path) -> None:
     rows = [(f"old/results/{name}", f"{name}.csv") for name in ("x", "y")]
     write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
     done = command("--pairs", tmp_path / "pairs.csv", "--compare", old, new)
-    assert "frames and IDs: 2 better, 2 worse" in done.stdout
+    assert "frames and IDs, of each method and protocol: 2 better, 2 worse" in done.stdout
     assert "which counts once" in done.stdout
     told = json.loads((new / "evaluation" / "compare.json").read_text())
     assert len(told["logs"]) == 2
@@ -347,7 +359,10 @@ def test_links_to_folders_of_one_name_go_together_by_their_own(tmp_path: Path) -
     write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
     sides = ["--compare", tmp_path / "old", tmp_path / "new"]
     done = command("--pairs", tmp_path / "pairs.csv", *sides)
-    assert "frames and IDs: 2 better, 0 worse, 0 otherwise changed" in done.stdout
+    assert (
+        "frames and IDs, of each method and protocol: 2 better, 0 worse, 0 otherwise changed"
+        in done.stdout
+    )
 
 
 def test_other_new_results_of_a_recording_are_not_compared(tmp_path: Path) -> None:

@@ -227,14 +227,14 @@ RECORDED = {
         "compare.csv": "7adf97591fa1498e",
         "compare.html": "1c43bdb18a9bcc23",
         "compare.json": "f2a39fad572676f2",
-        "printed": "ad266a0bdfb63ef3",
+        "printed": "98037a2044a70108",
     },
     12: {
         "changes.csv": "c62e8bb554426a0a",
         "compare.csv": "259edaa2f50df435",
         "compare.html": "7809ea2fd5f8f347",
         "compare.json": "0c931015529d0391",
-        "printed": "0c59c42476c2184b",
+        "printed": "c8c14bdd52c45c10",
     },
 }
 

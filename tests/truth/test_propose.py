@@ -185,6 +185,13 @@ def test_of_many_tracks_those_of_most_rows_are_printed(tmp_path: Path) -> None:
     assert end == "  these have the most rows; 10 more tracks"
 
 
+def test_columns_are_aligned_for_names_of_any_length(tmp_path: Path) -> None:
+    for name in ("a", "pan-of-monday"):
+        results(tmp_path / "out" / name, track(1, range(10)))
+    _, *lines = run(tmp_path / "out", "--out", tmp_path / "gt.csv").stdout.splitlines()
+    assert len({line.index("track") for line in lines}) == 1, lines
+
+
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     """Where no other is left there is no file, and no half of one."""
     results(tmp_path / "out" / "a", track(1, range(10)))

@@ -20,8 +20,8 @@ def screen(comparison: Comparison) -> str:
     lines += [f"{method}: only in the new results" for method in comparison.gained]
     verdicts = comparison.frames.verdicts()
     lines.append(
-        f"frames and IDs: {verdicts['better']} better, {verdicts['worse']} worse, "
-        f"{verdicts['other']} otherwise changed"
+        f"frames and IDs, of each method and protocol: {verdicts['better']} better, "
+        f"{verdicts['worse']} worse, {verdicts['other']} otherwise changed"
     )
     lines += _frame_lines(comparison)
     return "\n".join(map(printable, lines))
@@ -36,7 +36,7 @@ def _rate_lines(comparison: Comparison) -> Iterable[str]:
     for r in comparison.rates:
         if r.landmark_text == "total":
             text = f"{BY_NAME[r.rate].label} {rate_text(r.old)}"
-            if r.new != r.old:
+            if rate_text(r.new) != rate_text(r.old):
                 test = tests[r.protocol, r.method, r.rate]
                 text += f" -> {rate_text(r.new)}"
                 text += "" if math.isnan(test.p) else f" (p = {test.p:.2g})"
