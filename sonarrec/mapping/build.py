@@ -97,8 +97,8 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
     alone = [log.name for log in logs if not log.path.from_poses]
     if alone and len(logs) > 1:
         raise UsageError(
-            f"without poses each log has a frame of its own ({', '.join(alone)}): give poses with "
-            "--odometry, or map the logs one by one"
+            f"without poses each log has a coordinate frame of its own ({', '.join(alone)}): give "
+            "poses with --odometry, or map the logs one by one"
         )
     site = SiteMap(
         landmark_set=landmark_set,

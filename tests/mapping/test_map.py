@@ -542,7 +542,7 @@ def test_without_poses_the_map_is_relative_to_the_first_frame(tmp_path: Path) ->
     other = results(tmp_path / "other", path, None)
     measured(other, path, sigma)
     told = sonarrec("map", folder, other, "-o", tmp_path / "both", code=2)
-    assert "without poses each log has a frame of its own" in told.stderr
+    assert "without poses each log has a coordinate frame of its own" in told.stderr
 
 
 def test_measured_motion_carries_as_far_as_it_is_known(tmp_path: Path) -> None:
