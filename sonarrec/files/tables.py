@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TextIO
 
 import numpy as np
 import pandas as pd
@@ -104,7 +104,7 @@ def _names(path: Path, expected: str) -> list[str]:
     _check_shape(path, expected)
 
     def read() -> Any:
-        with _NonBlankLines(path) as text:
+        with _NonBlankLines(_opened(path)) as text:
             return pd.read_csv(text, nrows=0, **_OPTIONS)
 
     return list(map(str, _parse(path, expected, read).columns))
@@ -157,18 +157,22 @@ def read_tables(
 
 def _csv_parts(path: Path, dtype: Mapping[str, type], rows: int | None) -> Iterator[Any]:
     """Data frames of at most `rows` rows; None: one of all rows."""
-    with _NonBlankLines(path) as text:
+    with _NonBlankLines(_opened(path)) as text:
         if rows is None:
             yield pd.read_csv(text, dtype=dtype, **_OPTIONS)
         else:
             yield from pd.read_csv(text, dtype=dtype, chunksize=rows, **_OPTIONS)
 
 
+def _opened(path: Path) -> TextIO:
+    return path.open(encoding="utf-8-sig", newline="")
+
+
 class _NonBlankLines(io.TextIOBase):
     """The text of a CSV file without its blank lines, for pandas."""
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open(encoding="utf-8-sig", newline="")
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
 
     def read(self, _size: int | None = -1, /) -> str:
         """Some whole lines; "" at the end."""

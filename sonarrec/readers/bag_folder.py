@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 import math
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -58,7 +59,9 @@ def bag_files(folder: Path) -> list[Path]:
 
 
 def _stored_parts(folder: Path) -> list[Path]:
-    return sorted((p for p in folder.iterdir() if _is_stored(p.name)), key=natural_order)
+    with os.scandir(folder) as entries:  # one by one: a folder of images may hold very many
+        parts = [folder / entry.name for entry in entries if _is_stored(entry.name)]
+    return sorted(parts, key=natural_order)
 
 
 def _is_stored(name: str) -> bool:

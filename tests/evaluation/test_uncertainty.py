@@ -364,8 +364,9 @@ def test_a_true_difference_is_found() -> None:
 def test_a_tally_is_told_over_the_same_numbers_again() -> None:
     """The same input gives the same intervals and p-values."""
     case = evaluated(random_case(np.random.default_rng(7), 8))
-    assert summarise(case).figures == summarise(case).figures
-    assert summarise(case).differences == summarise(case).differences
+    # As texts: what is missing is NaN, which equals nothing.
+    assert repr(summarise(case).figures) == repr(summarise(case).figures)
+    assert repr(summarise(case).differences) == repr(summarise(case).differences)
 
 
 def test_small_rates_are_told_apart_as_large_ones_are() -> None:
