@@ -120,7 +120,7 @@ def prepare(
 
 def digest_asked(earlier: RunFile, source: Source) -> tuple[int, str] | None:
     """As `digest_of`, which takes long; None if the earlier run states none to compare with."""
-    return digest_of(source.path, source.files) if earlier.input.sha256 else None
+    return digest_of(source) if earlier.input.sha256 else None
 
 
 def is_same_log(

@@ -63,4 +63,4 @@ def open_log(
     except SonarrecError:
         raw.close()
         raise
-    return Log(source.path, source.name, source.files, resolved, raw, time)
+    return Log(source, resolved, raw, time)

@@ -8,7 +8,7 @@ from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -31,7 +31,7 @@ class Db3Recording(Recording):
         self.chunks: dict[str, int] = {}
         # Quoted, because the name becomes part of a URI, in which ? and # have a meaning.
         name = quote(os.fsencode(at or path))
-        self._database: _Database
+        self._database: _WholeDatabase | _CutDatabase
         try:
             self._database = _WholeDatabase(name)
         except Exception as error:  # rosbags does not list what it raises for damaged databases
@@ -70,22 +70,8 @@ class Db3Recording(Recording):
         self._database.close()
 
 
-class _Database(Protocol):
-    """What Db3Recording needs of a database. channels, counts, span: as in a Recording."""
-
-    channels: dict[int, Channel]
-    counts: Counter[int]
-    span: tuple[int, int] | None
-
-    def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
-        """(channel, log time in ns, message) of some channels, in order of time."""
-        ...
-
-    def close(self) -> None: ...
-
-
 class _WholeDatabase:
-    """A database without damage, read by rosbags."""
+    """A database without damage, read by rosbags. channels, counts, span: as in a Recording."""
 
     def __init__(self, name: str) -> None:
         from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
@@ -105,6 +91,7 @@ class _WholeDatabase:
         )
 
     def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
+        """(channel, log time in ns, message) of some channels, in order of time."""
         connections = [c for c in self._reader.connections if c.id in channels]
         for connection, time, data in self._reader.messages(connections):
             yield connection.id, time, data
@@ -114,7 +101,7 @@ class _WholeDatabase:
 
 
 class _CutDatabase:
-    """A database whose end is missing: the rows before the cut.
+    """A database whose end is missing: the rows before the cut, as _WholeDatabase has them.
 
     rosbags cannot read it: it counts all rows first, which SQLite refuses for a cut file.
     """

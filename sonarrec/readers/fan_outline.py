@@ -79,10 +79,15 @@ def find_outline(picture: FloatArray) -> FanOutline | None:
     )
 
 
-def _lit(picture: np.ndarray) -> BoolArray:
-    """(rows, columns) what differs from the background, without specks beside the fan."""
+def above_background(picture: FloatArray) -> FloatArray:
+    """By how many grey levels each pixel differs from the commonest level, the background."""
     background = np.bincount(np.rint(picture).astype(int).ravel(), minlength=256).argmax()
-    above = np.abs(picture - background)
+    return np.asarray(np.abs(picture - background))
+
+
+def _lit(picture: FloatArray) -> BoolArray:
+    """(rows, columns) what differs from the background, without specks beside the fan."""
+    above = above_background(picture)
     echoes = above > BACKGROUND
     # Codecs smear the edges: the brighter the fan, the farther.
     if echoes.any():

@@ -56,7 +56,7 @@ class FrameMaker:
         self._scales: dict[np.dtype[Any], GreyScale] = {}  # one for each type of pixel
         self._shape: tuple[int, ...] | None = None
         # Geometry and shape of the pings for which _to_fan was made.
-        self._resampled: tuple[PingGeometry, tuple[int, int]] | None = None
+        self._to_fan_of: tuple[PingGeometry, tuple[int, int]] | None = None
         self._to_fan: PolarToFan | None = None
         self._order: BeamOrder | None = None  # of polar samples; None before it is found
         self.colour_map: str = stated.colour_map or LUMINANCE
@@ -206,9 +206,9 @@ class FrameMaker:
             order = "beam-major" if looks_beam_major(image) else "range-major"
         if order == "beam-major":
             image = np.ascontiguousarray(image.reshape(image.shape[::-1]).T)
-        if (ping, image.shape) != self._resampled:  # evenly spaced bins do not state their number
-            sonar, self._to_fan = self._resampling(ping, image.shape)
-            self._resampled = ping, image.shape
+        if (ping, image.shape) != self._to_fan_of:  # evenly spaced bins do not state their number
+            sonar, self._to_fan = self._ping_resampler(ping, image.shape)
+            self._to_fan_of = ping, image.shape
             if self.fan is None:
                 self.sonar, self.fan = sonar, self._to_fan.fan
         if self._order is None and order is not None:
@@ -236,7 +236,14 @@ class FrameMaker:
                 f"{self._where}: read as beam-major, found from its first ping with echoes"
             )
 
-    def _resampling(self, ping: PingGeometry, shape: tuple[int, int]) -> tuple[Sonar, PolarToFan]:
+    def _ping_resampler(
+        self, ping: PingGeometry, shape: tuple[int, int]
+    ) -> tuple[Sonar, PolarToFan]:
+        """(the geometry of a ping as far as the user does not state another, its resampler).
+
+        shape: (bins, beams). Raises UnusableError if the ping cannot be shown in the log's fan,
+        SonarrecError if what is stated does not fit the log.
+        """
         sonar, against = as_stated(ping, self._stated, bins=shape[0])
         try:
             geometry = sonar.complete(self._where)

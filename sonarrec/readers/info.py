@@ -315,7 +315,7 @@ def _images(
     sonar = raw.geometry(stated.sonar)
     lacks = [key for key in sonar.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(sonar, lacks)
-    with Log(source.path, source.name, source.files, complete, raw, "log") as log:
+    with Log(source, complete, raw, "log") as log:
         usable, problems, plausibility = _read_frames(
             log, None if raw.polar else (complete, stated.where), quick
         )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain, islice
-from pathlib import Path
 from typing import Any
 
 from sonarrec.readers.colour_maps import LUMINANCE
+from sonarrec.readers.find import Source
 from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, showing
@@ -34,21 +34,19 @@ class Log:
     untimed: whether 1 Hz was assumed so far, because neither frames nor geometry state times.
     """
 
-    def __init__(
-        self, path: Path, name: str, files: Sequence[Path], stated: Sonar, raw: RawLog, time: Clock
-    ) -> None:
-        """files: all files of the log, in order. time: which of its times names a frame."""
-        self.path = path
-        self.name = name
+    def __init__(self, source: Source, stated: Sonar, raw: RawLog, time: Clock) -> None:
+        """raw: the source, opened. time: which of its times names a frame."""
+        self.path = source.path
+        self.name = source.name
         self.stated = stated
         self.frame_count = raw.frame_count
         self.unusable = 0
         self.problems: list[str] = []
-        self._files = files
+        self._source = source
         self._raw = raw
         self._time = time
         origin = "headers" if raw.header_info.values else "messages"
-        self._make = FrameMaker(stated, name_as_text(path), origin)
+        self._make = FrameMaker(stated, name_as_text(source.path), origin)
         self.beam_width_deg: float | None = None
         self.untimed = False
         self._timed = 0, 0  # number and time of the last frame that carried one
@@ -188,10 +186,10 @@ class Log:
 
     def digest_source(self) -> tuple[int, str]:
         """(size in bytes, SHA-256 in hex) of the log's file: see `digest_of`."""
-        return digest_of(self.path, self._files)
+        return digest_of(self._source)
 
 
-def digest_of(log: Path, files: Sequence[Path]) -> tuple[int, str]:
+def digest_of(log: Source) -> tuple[int, str]:
     """(size in bytes, SHA-256 in hex) of a log's file.
 
     For several images, or the files of a bag: the sum of their sizes, and the hash over the name of
@@ -200,8 +198,8 @@ def digest_of(log: Path, files: Sequence[Path]) -> tuple[int, str]:
     cannot be read.
     """
     size, digest = 0, hashlib.sha256()
-    several = files != [log]
-    for path in files:
+    several = log.files != [log.path]
+    for path in log.files:
         if several:
             digest.update(path.name.encode(errors="surrogateescape") + b"\0")
         try:

@@ -12,14 +12,13 @@ import math
 import numpy as np
 
 from sonarrec.geometry import fan_mask, pixel_from_polar
-from sonarrec.readers.fan_outline import FanOutline, find_outline
+from sonarrec.readers.fan_outline import BACKGROUND, FanOutline, above_background, find_outline
 from sonarrec.records import Fan, FloatArray, Frame
 
 FRAMES = 5
 """Number of first frames that are used. Each costs one addition of an image."""
 
 _RINGS, _BEAMS = 96, 64  # of a polar picture of the fan
-_BACKGROUND = 6.0  # grey levels about the background that hold no echo
 # Measured on the sample logs and on recordings of others. Share of echoes outside of the fan: .42
 # or more if the fan is wrong, at most .03 if it is right. Grey level nearer than the floor, as a
 # share of that of the floor: .96 or more if the stated height is 1.5 times too large; at most .58
@@ -109,10 +108,7 @@ def levels_by_range(picture: FloatArray, fan: Fan) -> tuple[FloatArray, FloatArr
 
 def _echoes(grey: FloatArray) -> float:
     """Share of pixels that differ from the commonest grey level: 0 for an even background."""
-    if not grey.size:
-        return 0.0
-    background = np.bincount(np.rint(grey).astype(int).ravel(), minlength=256).argmax()
-    return float(np.mean(np.abs(grey - background) > _BACKGROUND))
+    return float(np.mean(above_background(grey) > BACKGROUND)) if grey.size else 0.0
 
 
 def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
@@ -174,7 +170,7 @@ def _polar_outline(picture: FloatArray) -> list[str]:
     Only 40 % of the rows at either end are used, because farther off the arc of a wide fan cuts its
     edges.
     """
-    echoes = picture > _BACKGROUND
+    echoes = picture > BACKGROUND
     count = round(0.4 * _RINGS)
     for rows in (echoes[-count:], echoes[:count][::-1]):  # narrow end last
         if not rows.any(axis=1).all():
@@ -201,7 +197,7 @@ def _floor(picture: FloatArray, fan: Fan) -> list[str]:
     if min(before.sum(), beyond.sum()) < _NEAR * _RINGS:
         return []
     near, floor = float(np.median(rings[before])), float(np.quantile(rings[beyond], 0.75))
-    if near < max(_AS_BRIGHT * floor, _BACKGROUND):
+    if near < max(_AS_BRIGHT * floor, BACKGROUND):
         return []
     return [
         f"from {fan.range_min_m:.3g} m on it is as bright as a floor, but the stated floor begins "

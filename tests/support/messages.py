@@ -428,7 +428,7 @@ def read(path: Path, **options: Any) -> tuple[list[Frame], list[str], list[str]]
 def ping_of(name: str, fields: dict[str, Any], **options: Any) -> Ping:
     decode = decoder_for(name, "ros2msg", definition(name), "cdr")
     assert decode is not None
-    assert decode.polar
+    assert decode.kind.polar
     return decode(memoryview(serialised(name, fields, **options)))
 
 

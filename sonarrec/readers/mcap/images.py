@@ -49,7 +49,7 @@ class ChannelImages(RawLog):
             log.close()
             raise
         self.topic = log.channels[next(iter(self._decoders))].topic
-        self.polar = any(decoder.polar for decoder in self._decoders.values())
+        self.polar = any(decoder.kind.polar for decoder in self._decoders.values())
         self.faults = log.faults
         self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
 

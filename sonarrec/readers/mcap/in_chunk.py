@@ -98,15 +98,16 @@ def in_time_order(
         times.append(place.log_time)
         offsets.append(place.offset - RECORD_HEAD.size)
     for turn in np.argsort(np.frombuffer(times, np.uint64), kind="stable"):
-        yield from _message_at(contents, offsets[turn], chunk, channels)
+        if (message := _message_at(contents, offsets[turn], chunk, channels)) is not None:
+            yield message
 
 
 def _message_at(
     contents: Contents, at: int, chunk: ChunkHead, channels: Collection[int]
-) -> list[Place]:
-    """[the message of these channels whose record begins at `at`]; empty if there is none."""
+) -> Place | None:
+    """The message of these channels whose record begins at `at`; None if there is none."""
     place = next(places(contents, at, chunk.position, channels), None)
-    return [place] if place is not None and place.offset == at + RECORD_HEAD.size else []
+    return place if place is not None and place.offset == at + RECORD_HEAD.size else None
 
 
 def scan(contents: Contents, channels: Collection[int], defined: Collection[int]) -> Scan:
@@ -200,11 +201,10 @@ def by_index(
     for (offset, channel, time), end in zip(index, ends, strict=True):
         if channel not in channels:
             continue
-        at_place = _message_at(contents, contents.start + offset, chunk, {channel})
-        if not at_place or at_place[0].offset + at_place[0].length > end:
+        place = _message_at(contents, contents.start + offset, chunk, {channel})
+        if place is None or place.offset + place.length > end:
             result += lost_places(chunk, [(offset, channel, time)], channels)
             continue
-        place = at_place[0]
         retimed += place.log_time != time
         if not chunk.start_time <= place.log_time <= chunk.end_time:
             place = replace(place, log_time=time)

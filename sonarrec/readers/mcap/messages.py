@@ -207,11 +207,6 @@ class Decoder:
     fields: Decode
     kind: MessageType
 
-    @property
-    def polar(self) -> bool:
-        """Whether the messages are polar and state their own geometry."""
-        return self.kind.polar
-
     def __call__(self, message: memoryview) -> Ping:
         with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
             return self.kind.read(Fields(self.fields(message)))
