@@ -15,7 +15,7 @@ from queue import SimpleQueue
 from tempfile import TemporaryFile
 from threading import Lock, Thread, Timer
 from time import monotonic
-from typing import IO, Any
+from typing import IO
 
 from sonarrec.batch.task import GRACE_S, Outcome, Task, run_task
 from sonarrec.records import FrameResult, SonarrecError
@@ -208,7 +208,10 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
     """
     tasks_left = iter(enumerate(tasks))
     turn = Lock()
-    events: SimpleQueue[tuple[Callable[..., None], tuple[Any, ...]] | None] = SimpleQueue()
+    events: SimpleQueue[Callable[[], None] | None] = SimpleQueue()  # None: a worker has ended
+
+    def report_frames(i: int, done: int, total: int | None) -> None:
+        events.put(partial(watch.frames, i, done, total))
 
     def work(worker: Worker) -> None:
         try:
@@ -217,13 +220,13 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
                     i, task = next(tasks_left, (-1, None))
                 if task is None:
                     return
-                events.put((watch.started, (i,)))
-                outcome = worker.run(task, partial(_put, events, watch.frames, i))
+                events.put(partial(watch.started, i))
+                outcome = worker.run(task, partial(report_frames, i))
                 if outcome.status == "waiting":
                     return
-                events.put((watch.ended, (i, outcome)))
+                events.put(partial(watch.ended, i, outcome))
         except BaseException as error:  # a bug: the call must not end as if all were done
-            events.put((_raise, (error,)))
+            events.put(partial(_raise, error))
         finally:
             events.put(None)
 
@@ -234,11 +237,10 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
     working = len(threads)
     try:
         while working:
-            if (event := events.get()) is None:
+            if (tell := events.get()) is None:
                 working -= 1
             else:
-                call, arguments = event
-                call(*arguments)
+                tell()
     except BaseException:
         for worker in workers:
             worker.stop()
@@ -251,7 +253,3 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
 
 def _raise(error: BaseException) -> None:
     raise error
-
-
-def _put(events: SimpleQueue[Any], call: Callable[..., None], *arguments: Any) -> None:
-    events.put((call, arguments))

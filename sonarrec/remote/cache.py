@@ -31,6 +31,13 @@ class NoRoomError(SonarrecError):
     """Logs in use fill the cache; there is room when one is no longer used."""
 
 
+def unwritable(place: Path, error: OSError) -> SonarrecError:
+    """The error to raise if a place in the cache cannot be written."""
+    return SonarrecError(
+        f"{name_as_text(place)}: cannot be written ({error.strerror}); choose another --cache"
+    )
+
+
 def size_bytes(text: str) -> int:
     """The bytes of a size such as "500MB", "1.5 TB" or "20g". Raises UsageError."""
     match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)b?\s*", text.lower())
@@ -110,10 +117,7 @@ class Cache:
             except FileNotFoundError:  # deleted at this moment
                 continue
             except OSError as error:
-                raise SonarrecError(
-                    f"{name_as_text(self.folder)}: cannot be written ({error.strerror}); choose "
-                    "another --cache"
-                ) from None
+                raise unwritable(self.folder, error) from None
             if locked(file, alone=alone) and is_there(file, entry.folder / "lock"):
                 break
             file.close()
@@ -167,10 +171,7 @@ def only_one(lock: Path, what: str) -> Iterator[None]:
         lock.parent.mkdir(parents=True, exist_ok=True)
         file = lock.open("ab")
     except OSError as error:
-        raise SonarrecError(
-            f"{name_as_text(lock.parent)}: cannot be written ({error.strerror}); choose another "
-            "--cache"
-        ) from None
+        raise unwritable(lock.parent, error) from None
     with file:
         if not locked(file, alone=True):
             raise SonarrecError(

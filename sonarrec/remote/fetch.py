@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sonarrec.records import Origin, SonarrecError, name_as_text
-from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
+from sonarrec.records import Origin, SonarrecError
+from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of, unwritable
 from sonarrec.remote.find import RemoteLog, items_of, relative, with_literal_name
 from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, TABLES
@@ -89,9 +89,8 @@ def _hold(log: RemoteLog, transfer: _Transfer) -> Iterator[CachedCopy]:
     from sonarrec.remote.store import Store
 
     root, name, items = items_of(log, Store(log.url, transfer.stop))
-    with _keep(log.url.redacted, root, items, transfer) as entry:
-        origin = Origin(log.url.redacted, str(entry.files), root.place.rstrip("/"))
-        yield CachedCopy(entry.files / name, origin, entry.files if log.up_to else None)
+    with _keep(log.url, root, items, transfer) as (files, origin):
+        yield CachedCopy(files / name, origin, files if log.up_to else None)
 
 
 def fetch_ahead(log: RemoteLog, cache: Cache) -> None:
@@ -114,20 +113,18 @@ def fetched_file(text: str, cache: Cache) -> Iterator[CachedCopy]:
     from sonarrec.remote.store import Store
 
     url = parse_url(text)
-    items, root = [Store(url).file(url)], url.parent
-    with _fetch_file(url, root, items, cache) as found:
+    with _fetched_below(url, [Store(url).file(url)], cache) as found:
         yield found
 
 
 @contextmanager
-def _fetch_file(
-    url: Url, root: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
+def _fetched_below(
+    url: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
 ) -> Iterator[CachedCopy]:
-    """These files, which lie below `root`; otherwise as `fetched`."""
-    with _keep(url.redacted, root, items, _Transfer(cache)) as entry:
-        origin = Origin(url.redacted, str(entry.files), root.place.rstrip("/"))
-        with origin.translated():
-            yield CachedCopy(entry.files / relative(url, root), origin, None, tuple(unused))
+    """The file at a URL, or these files in the folder there; otherwise as `fetched`."""
+    root = url.parent
+    with _keep(url, root, items, _Transfer(cache)) as (files, origin), origin.translated():
+        yield CachedCopy(files / relative(url, root), origin, None, tuple(unused))
 
 
 @contextmanager
@@ -155,8 +152,8 @@ def fetched_results(text: str, cache: Cache) -> Iterator[CachedCopy]:
     if not items:
         why = unused[0] if unused else f"{url.redacted}: holds no results of `sonarrec run`"
         raise SonarrecError(why)
-    with _fetch_file(url, url.parent, store.described(items), cache, unused) as there:
-        yield there
+    with _fetched_below(url, store.described(items), cache, unused) as found:
+        yield found
 
 
 def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
@@ -170,31 +167,34 @@ def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
 
 
 @contextmanager
-def _keep(url: str, root: Url, items: Sequence[Item], transfer: _Transfer) -> Iterator[Entry]:
-    """The entry with exactly these files, held; it is fetched if it is missing or has changed."""
-    key = key_of(f"{url.rstrip('/')} {root.redacted}")
+def _keep(
+    url: Url, root: Url, items: Sequence[Item], transfer: _Transfer
+) -> Iterator[tuple[Path, Origin]]:
+    """The folder in the cache with exactly these files, which are not deleted inside.
+
+    They are fetched if they are missing or have changed. url: of the log or the results. root: the
+    folder on the server that the one in the cache stands for.
+    """
+    key = key_of(f"{url.redacted.rstrip('/')} {root.redacted}")
     # A dict, since a glob or an index page may name a file twice.
     names = {relative(item.url, root): item for item in items}
     cache, stop, renewed = transfer.cache, transfer.stop, False
     while True:
         with cache.hold(key, alone=False, stop=stop) as entry:
             if _is_whole(entry, names, renewed):
-                yield entry
+                yield entry.files, Origin(url.redacted, str(entry.files), root.place.rstrip("/"))
                 return
         try:
             with cache.hold(key, alone=True, stop=stop) as entry:
                 if not _is_whole(entry, names, renewed):
-                    _fill(entry, url, names, transfer)
+                    _fill(entry, url.redacted, names, transfer)
                 renewed = True
         except NoRoomError:
             if not transfer.wait:
                 raise
             stop.wait(1.0)
         except OSError as error:  # the disk is full
-            raise SonarrecError(
-                f"{name_as_text(cache.folder)}: cannot be written ({error.strerror}); choose "
-                "another --cache"
-            ) from None
+            raise unwritable(cache.folder, error) from None
 
 
 def _is_whole(entry: Entry, names: dict[str, Item], renewed: bool) -> bool:

@@ -63,8 +63,10 @@ class RemoteFiles:
 
     def file(self, place: Path | str | None) -> Path | None:
         """An optional file, such as a ground-truth table."""
-        if place is None or not is_url(place):
-            return None if place is None else Path(place)
+        if place is None:
+            return None
+        if not is_url(place):
+            return Path(place)
         return self._enter(fetched_file(str(place), self._cache()))
 
     def log(self, place: Path | str) -> Path:

@@ -17,10 +17,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from email.utils import parsedate_to_datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sonarrec.records import MissingError, SonarrecError, UsageError, name_as_text
+from sonarrec.records import MissingError, SonarrecError, UsageError
+from sonarrec.remote.cache import unwritable
 from sonarrec.remote.urls import Url, unquoted
 
 try:
@@ -199,8 +201,8 @@ class Store:
 
     # Fetching
 
-    def fetch(self, item: Item, to: Path, progress: Callable[[int], None] = lambda _: None) -> Item:
-        """Write a file to `to`, complete and checked, or not at all; returns the item.
+    def fetch(self, item: Item, to: Path, progress: Callable[[int], None] = lambda _: None) -> None:
+        """Write a file to `to`, complete and checked, or not at all.
 
         progress: called with the number of bytes that arrived; negative if they must be fetched
         again. A broken transfer is resumed if the server can do that, else repeated.
@@ -211,20 +213,15 @@ class Store:
         if not item.has_version:
             part.unlink(missing_ok=True)
 
-        def ask() -> Item:
+        def ask() -> None:
             self._transfer(item, part, progress)
             self._check(item, part, progress)
-            return item
 
         try:
             self._retried(ask)
             os.replace(part, to)  # noqa: PTH105
         except OSError as error:
-            raise SonarrecError(
-                f"{name_as_text(part)}: cannot be written ({error.strerror}); choose another "
-                "--cache"
-            ) from None
-        return item
+            raise unwritable(part, error) from None
 
     def _transfer(self, item: Item, part: Path, progress: Callable[[int], None]) -> None:
         at = part.stat().st_size if part.exists() else 0
@@ -395,13 +392,15 @@ def writable(url: Url) -> Url:
     return url
 
 
+_NO_KEY = {
+    *("NoCredentialsError", "PartialCredentialsError", "ProfileNotFound"),  # of s3fs
+    *("GoogleAuthError", "HostKeyNotVerifiable", "PermissionDenied"),  # of gcsfs, and of asyncssh
+}
+
+
 def _no_key(error: Exception) -> bool:
     """Whether credentials or a host key are missing, so that retries are useless."""
-    names = {c.__name__ for c in type(error).__mro__}
-    return bool(
-        names & {"NoCredentialsError", "PartialCredentialsError", "HostKeyNotVerifiable"}
-        | names & {"PermissionDenied", "ProfileNotFound", "GoogleAuthError"}
-    )
+    return any(c.__name__ in _NO_KEY for c in type(error).__mro__)
 
 
 def _retry_after_s(error: Exception) -> float:
@@ -442,8 +441,5 @@ def _stated_md5(url: Url, info: Mapping[str, Any]) -> str | None:
 
 
 def _md5(path: Path) -> str:
-    digest = hashlib.md5(usedforsecurity=False)
     with path.open("rb") as file:
-        while block := file.read(2**20):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, partial(hashlib.md5, usedforsecurity=False)).hexdigest()

@@ -57,7 +57,8 @@ class Url:
 
     def child(self, relative: str) -> Url:
         """The URL of a path below, with the same query, which may hold a key."""
-        return replace(self, path=f"{self.path.rstrip('/')}/{relative}".lstrip(_no_root(self)))
+        path = f"{self.path.rstrip('/')}/{relative}"
+        return replace(self, path=path.lstrip("/") if self.scheme in ("s3", "gs") else path)
 
     @property
     def redacted(self) -> str:
@@ -119,10 +120,6 @@ def _changed(path: str, change: Callable[[str], str]) -> str:
 def unquoted(path: str) -> str:
     """The path of a web URL as `Url` holds it."""
     return _changed(path, unquote)
-
-
-def _no_root(url: Url) -> str:
-    return "/" if url.scheme in ("s3", "gs") else ""
 
 
 def _redacted_pair(pair: str) -> str:
