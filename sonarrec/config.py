@@ -7,7 +7,7 @@ the paper"; PRESETS has the values that `--preset paper` uses.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -370,11 +370,6 @@ def _plain(value: str) -> float | str:
         return float(value)
     except ValueError:
         return value.strip()
-
-
-def as_table(config: Config) -> dict[str, Any]:
-    """The configuration as plain TOML values."""
-    return asdict(config)
 
 
 def as_commented_toml(config: Config) -> str:

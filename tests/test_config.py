@@ -26,7 +26,7 @@ def test_printed_toml_reads_back_as_the_same_configuration(name, tmp_path):
     settings = dataclasses.replace(config.preset(name), seed=7)
     file = tmp_path / "my.toml"
     file.write_text(config.as_commented_toml(settings))
-    assert tomllib.loads(file.read_text()) == config.as_table(settings)
+    assert tomllib.loads(file.read_text()) == dataclasses.asdict(settings)
     assert config.configs(path=file) == [settings]
 
 
@@ -114,9 +114,9 @@ def test_an_assignment_that_cannot_be_meant_is_told_by_name(text, named):
 
 @given(name=st.sampled_from(NUMBERS), value=st.sampled_from([1, 4, 0.5, 0.75]))
 def test_an_assignment_changes_its_own_setting_and_nothing_else(name, value):
-    before = config.as_table(config.Config())
+    before = dataclasses.asdict(config.Config())
     try:
-        after = config.as_table(config.with_assignments(config.Config(), [f"{name}={value}"]))
+        after = dataclasses.asdict(config.with_assignments(config.Config(), [f"{name}={value}"]))
     except UsageError as error:  # a fraction where a whole number is meant, or out of bounds
         assert name in str(error)  # noqa: PT017
         return
@@ -152,7 +152,7 @@ def test_preset_then_file_then_set_then_seed(tmp_path):
         "[features]\nmotion_model = 'association'\n"
     )
     table = printed("--preset", "paper", "--config", str(file), "--set", "candidates.threshold=0.5")
-    paper = config.as_table(config.preset("paper"))
+    paper = dataclasses.asdict(config.preset("paper"))
     assert table["preset"] == "paper"
     assert table["seed"] == 3
     assert table["candidates"]["threshold"] == 0.5  # --set over the file
@@ -165,7 +165,7 @@ def test_preset_then_file_then_set_then_seed(tmp_path):
 def test_a_preset_named_in_the_file_serves_unless_the_flag_names_another(tmp_path):
     file = tmp_path / "my.toml"
     file.write_text('preset = "paper"\n')
-    assert printed("--config", str(file)) == config.as_table(config.preset("paper"))
+    assert printed("--config", str(file)) == dataclasses.asdict(config.preset("paper"))
     assert printed("--config", str(file), "--preset", "default") == printed()
 
 
@@ -180,7 +180,7 @@ def test_spaces_in_a_list_of_presets_count_for_nothing(tmp_path):
 def test_the_configuration_is_printed_with_units_and_meanings():
     result = CliRunner().invoke(main, ["config"])
     assert result.exit_code == 0
-    assert tomllib.loads(result.output) == config.as_table(config.preset("default"))
+    assert tomllib.loads(result.output) == dataclasses.asdict(config.preset("default"))
     for kind in config.SECTIONS.values():
         for field in dataclasses.fields(kind):
             assert f"\n{field.name} = " in result.output
@@ -195,10 +195,10 @@ def test_a_run_toml_is_a_settings_file_too(tmp_path):
     file = tmp_path / "run.toml"
     file.write_text(
         tomli_w.dumps(
-            {"finished": True, "input": {"name": "x"}, "config": config.as_table(settings)}
+            {"finished": True, "input": {"name": "x"}, "config": dataclasses.asdict(settings)}
         )
     )
-    assert printed("--config", str(file)) == config.as_table(settings)
+    assert printed("--config", str(file)) == dataclasses.asdict(settings)
 
 
 @pytest.mark.parametrize(

@@ -73,10 +73,7 @@ def calibrate(
             ground_truth,
             config,
             earlier.landmark_set(landmarks),
-            sonar=log_options.sonar,
-            sonar_file=log_options.sonar_file,
-            topic=log_options.topic,
-            time=log_options.time,
+            log_options,
             from_scratch=from_scratch,
             observe=step,
         )

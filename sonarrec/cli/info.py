@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli.bars import fetching, progress
-from sonarrec.cli.endings import PARTLY, leave, say, tell
+from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, leave, say, tell
 from sonarrec.cli.groups import INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.info_text import lines, radii_lines
 from sonarrec.cli.options import landmarks_option, quiet_option
@@ -122,7 +122,7 @@ def info(
             leave(PARTLY)
         raise last
     if all(one.is_useless for one in shown):
-        leave(2 if all(one.is_missing for one in shown) else 1)
+        leave(MISUSED if all(one.is_missing for one in shown) else FAILED)
     if any(one.is_useless or one.is_faulty for one in shown):
         leave(PARTLY)
 
@@ -172,7 +172,7 @@ def _show(log: NamedLog | RemoteLog, name: str, wanted: _Wanted, number: int) ->
                 raise
             tell([str(error)])
             return _Shown({"path": name, "error": str(error)}, True, is_missing)
-        shown = _Shown(log_info.as_table(), log_info.has_no_frame, is_faulty=log_info.has_problems)
+        shown = _Shown(asdict(log_info), log_info.has_no_frame, is_faulty=log_info.has_problems)
         if not wanted.as_json:
             say(*([""] if number else []), *lines(log_info))
         try:

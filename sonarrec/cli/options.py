@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -150,8 +150,6 @@ class SettingsChoice:
 
     def configs(self) -> Any:
         """A Config per preset, changed by the file, then by --set, then by --seed."""
-        from dataclasses import replace
-
         from sonarrec import config
 
         preset, seed = self.values["preset"], self.values["seed"]

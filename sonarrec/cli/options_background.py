@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.groups import BACKGROUND, Decorator, FiniteRange, as_one, file_names, option
-from sonarrec.cli.options_log import LogChoice, flags_of, odometry_options
+from sonarrec.cli.options_log import LogChoice, odometry_options
 from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
@@ -61,10 +61,6 @@ class LayoutChoice:
     values: Mapping[str, Any]
     default_contrast: str
 
-    def flags(self) -> list[str]:
-        """The flags that were given."""
-        return flags_of(self.values)
-
     def contrasts(self) -> list[float]:
         """dB, rising. Raises UsageError if they are invalid."""
         text = self.values["contrast"] or self.default_contrast
@@ -95,12 +91,6 @@ class LayoutChoice:
             -6.0 if plate_db is None else float(plate_db),
             background.beam_width_deg if width_deg is None else float(width_deg),
         )
-
-    def landmark_set(self) -> LandmarkSet:
-        """The set of the landmarks to lay."""
-        from sonarrec.landmarks import load_landmarks
-
-        return load_landmarks(self.values["landmarks"] or "basin")
 
     def log_options(self, log_choice: LogChoice, frames: str | None) -> LogOptions:
         """How the recording is to be read. Raises UsageError for values that are invalid."""

@@ -169,10 +169,6 @@ class LogChoice:
 
     values: Mapping[str, Any]  # of the options by name, None if not given
 
-    def flags(self) -> list[str]:
-        """The flags that were given."""
-        return flags_of(self.values)
-
     def sonar(self) -> Any:
         """The Sonar of the flags alone. Raises UsageError if they are invalid."""
         from sonarrec.sonar import sonar_from_table
@@ -231,11 +227,6 @@ class LogChoice:
             odometry_topic=odometry_topic,
             frames=None if frames is None else frame_span(frames),
         )
-
-
-def flags_of(values: Mapping[str, Any]) -> list[str]:
-    """The flags of the options that have a value."""
-    return [f"--{name.replace('_', '-')}" for name, value in values.items() if value is not None]
 
 
 def odometry_options(group: str) -> dict[str, Decorator]:

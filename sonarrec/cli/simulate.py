@@ -114,9 +114,10 @@ def simulate(
                 raise UsageError(f"{flag} is for scenes; leave it out with --background")
         _lay(background, seed or 0, frames, laying, log_choice, out, quiet)
         return
-    stray = [*laying.flags(), *log_choice.flags()]
-    if stray:
-        raise UsageError(f"{stray[0]} is for --background LOG; a scene has its own")
+    for name, value in (*laying.values.items(), *log_choice.values.items()):
+        if value is not None:
+            flag = f"--{name.replace('_', '-')}"
+            raise UsageError(f"{flag} is for --background LOG; a scene has its own")
     if image_format != "mcap" and (schema or compression):
         raise UsageError("--schema and --compression are for --format mcap")
     from dataclasses import replace
@@ -162,12 +163,14 @@ def _lay(
 ) -> None:
     """Lay landmarks into a recording, at one contrast or several."""
     from sonarrec.config import preset
+    from sonarrec.landmarks import load_landmarks
     from sonarrec.simulation.background import check_free, draw_layout, write_backgrounds
 
     if out.suffix == ".mcap":
         raise UsageError(f"{out}: --background writes a folder of images; give a folder")
     contrasts = laying.contrasts()
-    landmarks, config = laying.landmark_set(), preset("default")
+    landmarks = load_landmarks(laying.values["landmarks"] or "basin")
+    config = preset("default")
     folders = {db: out / f"contrast_{db:g}" for db in contrasts}
     if len(contrasts) == 1:
         folders = {contrasts[0]: out}

@@ -51,11 +51,11 @@ def _tell(path: Path, out: Path | str, as_json: bool) -> None:
     if not path.is_file():
         raise UsageError(f"{path}: no such file; `sonarrec run -o {out}` writes it")
     rows = read_logs(path)
+    figures = _figures(path, rows)
     if as_json:
-        document = _figures(path, rows) | {"logs": [asdict(row) for row in rows]}
+        document = figures | {"logs": [asdict(row) for row in rows]}
         click.echo(json.dumps(document, indent=2))
         return
-    figures = _figures(path, rows)
     counts = ", ".join(f"{n} {status}" for status, n in figures["counts"].items())
     say(f"{number_of(len(rows), 'log')}: {counts}")
     rate = figures["frames_per_second"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
 from pathlib import Path
 
@@ -85,9 +86,9 @@ def check(
         checked = check_truth(ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg)
     with reopen() as opened:
         strips = draw_contact_sheet(checked, opened, sheet)
-    counts: dict[str, int] = {}
+    counts = Counter[str]()
     for fault in checked.faults:
-        counts[fault.kind] = counts.get(fault.kind, 0) + 1
+        counts[fault.kind] += 1
         if counts[fault.kind] <= _MOST_LINES:
             say(f"{ground_truth} line {fault.line}: {fault.text}")
     for kind, count in counts.items():

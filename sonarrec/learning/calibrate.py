@@ -21,7 +21,6 @@ from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
 from sonarrec.records import (
     BoolArray,
-    Clock,
     FloatArray,
     Frame,
     SonarrecError,
@@ -30,7 +29,7 @@ from sonarrec.records import (
     printable,
 )
 from sonarrec.results.folders import possible_names
-from sonarrec.sonar import Sonar
+from sonarrec.results.run_file import LogOptions
 from sonarrec.truth.fits import (
     as_proposed,
     columns_not_read,
@@ -105,18 +104,15 @@ def learn(
     ground_truth: Path,
     config: Config,
     landmarks: LandmarkSet,
+    log_options: LogOptions,
     *,
-    sonar: Sonar | None = None,
-    sonar_file: Path | None = None,
-    topic: str | None = None,
-    time: Clock | None = None,
     from_scratch: bool = False,
     observe: Callable[[], object] | None = None,
 ) -> LearningReport:
     """Learn an appearance model from logs and their gt.csv.
 
-    from_scratch: do not start from the built-in model. observe: called at every frame. The rest is
-    as in `pipeline.run.run`.
+    log_options: how the logs are read; poses and frames do not count. from_scratch: do not start
+    from the built-in model. observe: called at every frame.
     Raises SonarrecError if logs or truth cannot be used or hold too little.
     """
     if config.features.measurement != "track":
@@ -127,9 +123,7 @@ def learn(
     table = _truth_with_places(ground_truth, len(paths))
     lessons: list[_Lesson] = []
     for path in paths:
-        with open_log(
-            path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log"
-        ) as log:
+        with open_log(path, **log_options.arguments()) as log:
             # Results are named by the log's name, with folders in front if another has the same.
             name = table.name_of(possible_names(log.name, find_log(log.path).place.resolve()))
             if name in (lesson.log for lesson in lessons):

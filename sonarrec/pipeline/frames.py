@@ -36,12 +36,12 @@ class Recogniser:
 
         The rest is as in `run`. Raises SonarrecError where one of them cannot be used.
         """
-        self._source = source
+        self._log = source if isinstance(source, Log) else None
+        self._fan = source if isinstance(source, Fan) else None
         self._configs = configs_of(preset)
-        landmark_set = (
+        self.landmarks = (
             landmarks if isinstance(landmarks, LandmarkSet) else load_landmarks(landmarks)
         )
-        self.landmarks = landmark_set
         self._model = None if model is None else read_model(Path(model)).model
 
     def recognise(self, frames: Iterable[Frame] | None = None) -> Iterator[FrameResult]:
@@ -52,20 +52,16 @@ class Recogniser:
         to the next. Raises UsageError at an image whose shape or type does not fit the fan,
         and at a frame that does not come after the last.
         """
+        frames = self._log if frames is None else frames
         if frames is None:
-            if isinstance(self._source, Fan):
-                raise UsageError("a Recogniser made from a fan needs frames to recognise")
-            frames = self._source
-        rest = _of_one_fan(frames, self._source if isinstance(self._source, Fan) else None)
+            raise UsageError("a Recogniser made from a fan needs frames to recognise")
+        rest = _of_one_fan(frames, self._fan)
         begin = [*islice(rest, FRAMES_FOR_BEAMS)]
         if not begin:
             return
-        if isinstance(self._source, Fan):
-            fan, stated_deg = self._source, None
-        else:
-            fan, stated_deg = begin[0].fan, self._source.beam_width_deg
+        stated_deg = None if self._log is None else self._log.beam_width_deg
         configs, _ = with_beams(self._configs, stated_deg, begin)
-        recogniser = SideBySide(configs, fan, self.landmarks, self._model)
+        recogniser = SideBySide(configs, self._fan or begin[0].fan, self.landmarks, self._model)
         yield from recogniser.recognise(chain(begin, rest))
 
 

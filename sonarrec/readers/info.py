@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -114,10 +114,6 @@ class LogInfo:
     container: Container | None
     images: list[Images]
     faults: list[str]
-
-    def as_table(self) -> dict[str, Any]:
-        """Every field by its name, for JSON."""
-        return asdict(self)
 
     def fetched_from(self, origin: Origin) -> LogInfo:
         """A copy with the server's names, for a log that was fetched from there."""

@@ -7,7 +7,7 @@ import math
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -43,7 +43,7 @@ def run_table(
     input's name, size in bytes and SHA-256. reading: how it was read (`Log.reading`).
     """
     name, size, digest = source
-    tables = [config.as_table(c) for c in settings]
+    tables = [asdict(c) for c in settings]
     return {
         "program": {**PROGRAM, "methods": list(methods)},
         "input": {"name": name, "bytes": size, "sha256": digest, **reading},

@@ -22,6 +22,7 @@ from sonarrec.recogniser.stage3_features.model import (
     parse_model,
     read_model,
 )
+from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.support.command import sonarrec
@@ -237,7 +238,7 @@ def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeyp
 
 def test_what_was_learned_from_is_told(site):
     logs = [site / "one", site / "two"]
-    report = learn(logs, site / "gt.csv", preset("default"), BASIN)
+    report = learn(logs, site / "gt.csv", preset("default"), BASIN, LogOptions())
     assert report.frames == 140
     assert not report.problems
     on = sum(frames for frames, _ in report.seen[:-1])
@@ -253,7 +254,9 @@ def test_what_was_learned_from_is_told(site):
     assert (report.before is None) == (tracks < FOLDS)
     # With the built-in model as the start nothing moves far; without it everything does.
     built_in = built_in_model()
-    scratch = learn(logs[:1], site / "gt.csv", preset("default"), BASIN, from_scratch=True)
+    scratch = learn(
+        logs[:1], site / "gt.csv", preset("default"), BASIN, LogOptions(), from_scratch=True
+    )
     assert report.model.knots is not scratch.model.knots
     moved = [np.abs(a - b).max() for a, b in zip(report.model.values, built_in.values, strict=True)]
     assert 0 < max(moved) < 3
@@ -329,9 +332,9 @@ def test_logs_of_one_name_are_known_by_their_folders(tmp_path):
         table += [f"{day}-pan,{row}" for row in rows]
     truth = labelled(tmp_path / "gt.csv", "\n".join([*table, ""]))
     logs = [tmp_path / "a" / "pan", tmp_path / "b" / "pan"]
-    report = learn(logs, truth, preset("default"), BASIN)
+    report = learn(logs, truth, preset("default"), BASIN, LogOptions())
     assert (report.logs, report.frames, report.problems) == (("a-pan", "b-pan"), 24, [])
-    alone = learn(logs[1:], truth, preset("default"), BASIN)
+    alone = learn(logs[1:], truth, preset("default"), BASIN, LogOptions())
     assert [2 * frames for frames, _ in alone.seen] == [frames for frames, _ in report.seen]
     assert alone.seen[0][0] > 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -261,4 +262,4 @@ def test_for_programs(tmp_path: Path) -> None:
     assert not found.has_problems
     assert not found.has_no_frame
     assert all(line == line.rstrip() for line in lines(found))
-    assert json.loads(json.dumps(found.as_table()))["images"][0]["usable"] == 20
+    assert json.loads(json.dumps(asdict(found)))["images"][0]["usable"] == 20

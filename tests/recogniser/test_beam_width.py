@@ -23,6 +23,7 @@ from sonarrec.recogniser.beam_width import (
     usual_beam_width_deg,
 )
 from sonarrec.records import Frame, SonarrecError
+from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import survey
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
@@ -142,7 +143,7 @@ def test_whatever_reads_a_log_takes_the_width_that_a_run_takes(
     truth = tmp_path / "gt.csv"
     truth.write_text("frame,landmark,x_px,y_px\n0,1,50,50\n")
     with pytest.raises(SonarrecError, match="enough seen"):
-        calibrate.learn([log], truth, preset("default"), load_landmarks("basin"))
+        calibrate.learn([log], truth, preset("default"), load_landmarks("basin"), LogOptions())
     assert taken == 2 * [width_in(tmp_path / "out" / "wide")]
 
 
