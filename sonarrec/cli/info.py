@@ -192,7 +192,7 @@ def _show(log: NamedLog | RemoteLog, name: str, wanted: _Wanted, number: int) ->
 def _name(log: NamedLog | RemoteLog) -> str:
     from sonarrec.readers.named_logs import NamedLog
 
-    return log.path if isinstance(log, NamedLog) else log.redacted_url
+    return log.path if isinstance(log, NamedLog) else log.url.redacted
 
 
 def _at_hand(
@@ -204,7 +204,7 @@ def _at_hand(
 
     if isinstance(log, NamedLog):
         return log.path, log.up_to, None
-    with fetching(quiet, log.redacted_url) as bar:
+    with fetching(quiet, log.url.redacted) as bar:
         local_log = stack.enter_context(fetched(log, cache.cache(), bar))
     return str(local_log.path), local_log.up_to, local_log.origin
 

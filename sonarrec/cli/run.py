@@ -350,7 +350,7 @@ def _tasks(
     names = result_names([log if isinstance(log, RemoteLog) else log.path for log in logs])
     for log, name in zip(logs, names, strict=True):
         if isinstance(log, RemoteLog):
-            remote, path, up_to = log, log.redacted_url, None
+            remote, path, up_to = log, log.url.redacted, None
         else:
             remote, path, up_to = None, log.path, log.up_to
         places = None

@@ -153,7 +153,6 @@ class Source:
 
     def recording(self) -> Recording:
         """Open the log as messages on channels. Raises SonarrecError if it cannot be read."""
-        assert self.reader.recording is not None
         # If a glob matches one file, that file is the log; a bag is its folder.
         file = self.path if self.reader is _BAG_FOLDER else self.files[0]
         return _recording(self.reader, file)

@@ -29,8 +29,8 @@ class NamedLog:
     up_to: Path | None = None
 
 
-def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog]:
-    """The logs that the arguments of a command name, in natural order for each argument.
+def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:
+    """The logs that an argument of a command names, in natural order.
 
     A folder of logs names every file and bag in it; with `recursive` also those in all folders
     below, and every folder of images there. A glob names each log that matches; if parts of a bag
@@ -38,14 +38,11 @@ def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog
     reported when it is opened.
     Raises UsageError for a folder that holds images and other logs.
     """
-    logs: list[NamedLog] = []
-    for name in names:
-        try:
-            logs_found = _logs_named(name, recursive)
-        except OSError:  # reported when it is opened
-            logs_found = []
-        logs += logs_found or [NamedLog(name)]
-    return logs
+    try:
+        logs = _logs_below(name, recursive)
+    except OSError:  # reported when it is opened
+        logs = []
+    return logs or [NamedLog(name)]
 
 
 def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:
@@ -60,7 +57,8 @@ def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:
     return logs
 
 
-def _logs_named(name: str, recursive: bool) -> list[NamedLog]:
+def _logs_below(name: str, recursive: bool) -> list[NamedLog]:
+    """The logs of a folder or of a glob; none if the argument is neither, or one log by itself."""
     path = Path(name)
     if path.is_dir():
         if is_bag_folder(path):

@@ -200,14 +200,9 @@ class ImageMotion:
         now = self.pan.picture
         if searched:
             start = self._registration.searched(before, now)
-        registration = self._registration.refined(before, now, start)
-        if registration is None or registration.loose:
-            return None
-        return (
-            registration
-            if registration.match >= (LEAST_SEARCHED if searched else LEAST_NEAR)
-            else None
-        )
+        least = LEAST_SEARCHED if searched else LEAST_NEAR
+        found = self._registration.refined(before, now, start)
+        return None if found is None or found.loose or found.match < least else found
 
     def _accept(self, registration: Registration, seconds: float) -> Motion:
         """The motion that a registration found; the speed and the place by it are kept."""

@@ -46,11 +46,6 @@ class RemoteLog:
         return Path("/", host, url.path.strip("/"))
 
     @property
-    def redacted_url(self) -> str:
-        """The URL for messages and files, without its secrets."""
-        return self.url.redacted
-
-    @property
     def name(self) -> str:
         """Name of its results."""
         return log_name(self.path) if _is_file(self.url) else self.path.name
@@ -170,8 +165,7 @@ def items_of(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
             items = [i for i in items if fnmatchcase(i.url.name, pattern)]
         else:
             files, _ = store.listing(url)
-            other_names = (*COMPANIONS, METADATA)
-            items = [i for i in files if _belongs(i.url.name, other_names)]
+            items = [i for i in files if _belongs(i.url.name)]
         if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
             raise SonarrecError(f"{url.redacted}: no log and no image here")
         items = store.described(items)
@@ -214,12 +208,10 @@ def _bytes(log: Url, store: Store) -> int | None:
     return total
 
 
-def _belongs(name: str, other_names: tuple[str, ...]) -> bool:
+def _belongs(name: str) -> bool:
+    """Whether a file of this name in the folder of a log is a part or a companion of it."""
     return (
-        names_a_log(name)
-        or names_an_image(name)
-        or name in other_names
-        or name.endswith(COMPANIONS)
+        names_a_log(name) or names_an_image(name) or name == METADATA or name.endswith(COMPANIONS)
     )
 
 

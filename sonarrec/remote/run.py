@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from sonarrec.readers.named_logs import NamedLog, find_logs, log_arguments
+from sonarrec.readers.named_logs import NamedLog, log_arguments, logs_named
 from sonarrec.records import Origin
 from sonarrec.remote.cache import Cache
 from sonarrec.remote.fetch import CachedCopy, fetched, fetched_file, fetched_results
@@ -33,12 +33,12 @@ def all_logs(
 ) -> list[NamedLog | RemoteLog]:
     """The logs that names and a list of names stand for, local or on servers.
 
-    Raises UsageError as `readers.named_logs.find_logs` and `find`.
+    Raises UsageError as `readers.named_logs.logs_named` and `find`.
     """
     logs: list[NamedLog | RemoteLog] = []
     for name in log_arguments(names, listed):
         remote_logs = find(name, recursive=recursive) if is_url(name) else None
-        logs += remote_logs or find_logs([name], recursive=recursive)
+        logs += remote_logs or logs_named(name, recursive=recursive)
     return logs
 
 

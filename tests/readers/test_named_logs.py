@@ -12,7 +12,7 @@ import pytest
 
 from sonarrec.pipeline.run import result_names
 from sonarrec.readers.find import companion, find_log
-from sonarrec.readers.named_logs import find_logs
+from sonarrec.readers.named_logs import logs_named
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.remote.run import all_logs
 from tests.support.bags import bag, messages, split_bag
@@ -50,7 +50,9 @@ def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def named(*words: str, recursive: bool = False) -> list[str]:
     return [
-        str(Path(log.path).relative_to("campaign")) for log in find_logs(words, recursive=recursive)
+        str(Path(log.path).relative_to("campaign"))
+        for word in words
+        for log in logs_named(word, recursive=recursive)
     ]
 
 
@@ -163,10 +165,10 @@ def test_a_glob_of_images_tells_of_a_folder_that_cannot_be_read(campaign: Path) 
     (campaign / "sonar.toml").write_text(SONAR_TOML)
     shutil.copytree(campaign / "day2" / "pings", campaign / "locked" / "pings")
     with locked(campaign / "locked"):
-        logs = [log.path for log in find_logs(["campaign/*/pings/*.png"])]
+        logs = [log.path for log in logs_named("campaign/*/pings/*.png")]
         assert logs == ["campaign/*/pings/*.png", "campaign/locked"]
         (campaign / "locked").chmod(0o444)  # listed, but what is in it cannot be asked for
-        assert [log.path for log in find_logs(["campaign/*/*.mcap"])] == [
+        assert [log.path for log in logs_named("campaign/*/*.mcap")] == [
             "campaign/day1/a.mcap", "campaign/day2/a.mcap", "campaign/locked",
         ]  # fmt: skip
 
@@ -263,7 +265,7 @@ def test_a_link_to_nothing_is_a_log_that_fails(
     Path("dives", "sonar.toml").write_text(SONAR_TOML, encoding="utf-8")
     Path("dives", "b.mcap").symlink_to("gone.mcap")
     Path("dives", "notes.txt").symlink_to("gone.txt")  # not of a log's ending
-    assert [log.path for log in find_logs([given])] == [f"dives/{x}.mcap" for x in "abc"]
+    assert [log.path for log in logs_named(given)] == [f"dives/{x}.mcap" for x in "abc"]
     told = sonarrec("run", given, "-j", "1", code=3)
     line = "dives/b.mcap: a link to a file that is not there"
     assert told.stderr.count(line) == 1

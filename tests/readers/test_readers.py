@@ -24,7 +24,7 @@ from sonarrec.readers import open_log
 from sonarrec.readers.images import ImagePaths, natural_order
 from sonarrec.readers.info import describe
 from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size, _to_settle
-from sonarrec.readers.named_logs import NamedLog, find_logs
+from sonarrec.readers.named_logs import NamedLog, logs_named
 from sonarrec.readers.raw import RawFrame
 from sonarrec.records import Frame, SonarrecError, UsageError
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
@@ -394,9 +394,9 @@ def test_a_folder_of_many_images_is_looked_through_one_by_one(tmp_path: Path) ->
     """What logs it holds is asked of every name in it; a list of paths took 380 bytes an image."""
     for i in range(3000):
         (tmp_path / f"{i:06d}.png").symlink_to("nowhere.png")
-    find_logs([str(tmp_path)])  # loads what it needs
+    logs_named(str(tmp_path))  # loads what it needs
     tracemalloc.start()
-    logs = find_logs([str(tmp_path)])
+    logs = logs_named(str(tmp_path))
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert logs == [NamedLog(str(tmp_path))]

@@ -190,22 +190,12 @@ class McapFile:
         Returns the position at which it stopped.
         """
         last_times: dict[int, int] = {}
-        while at + RECORD_HEAD.size <= self.size:
-            self.file.seek(at)
-            head = self.file.read(RECORD_HEAD.size)
-            if len(head) < RECORD_HEAD.size:  # the file has become shorter
-                break
-            opcode, length = RECORD_HEAD.unpack(head)
-            body = at + RECORD_HEAD.size
-            if opcode == Opcode.CHUNK:
-                self._add_chunk(at)
-            if opcode == 0 or body + length > self.size:
-                break
+        for opcode, body, length in records_in(Contents(self.file, at, self.size), at):
             if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
                 self.file.seek(body + length)
                 self.whole = self.file.read(len(MAGIC)) == MAGIC
                 self._end = body + length + len(MAGIC)
-                break
+                return at
             if opcode == Opcode.DATA_END and length == _CRC.size:
                 self.file.seek(body)
                 self._data_end = at, int.from_bytes(self.file.read(_CRC.size), "little")
@@ -213,10 +203,15 @@ class McapFile:
                 if not self._summary_is_sound():
                     self.fault("the summary fails its checksum and was not used")
                     self.whole = True
-                    break
+                    return at
+            elif opcode == Opcode.CHUNK:
+                self._add_chunk(at)
             else:
                 self._note(opcode, at, length, last_times)
             at = body + length
+        self.file.seek(at)
+        if self.file.read(1) == bytes([Opcode.CHUNK]):  # cut: what is there of it is read
+            self._add_chunk(at)
         return at
 
     def _note(self, opcode: int, at: int, length: int, last_times: dict[int, int]) -> None:

@@ -68,7 +68,7 @@ class Description:
 
 
 @dataclass(frozen=True, slots=True)
-class _Bands:
+class _BandAverages:
     """Symbol, ring, gap and the floor outside (4 bands, in this order) of n averaged matrices."""
 
     profiles: FloatArray
@@ -172,15 +172,15 @@ class Describer:
         exact, turn_sigma = _exact_turn(correlation, turn, best)
         return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
 
-    def _bands(self, average: FloatArray, count: FloatArray) -> _Bands:
+    def _bands(self, average: FloatArray, count: FloatArray) -> _BandAverages:
         """The matrices' bands: the mean over each one's lines, and how often cells were seen."""
         weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
         profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
         profiles = profiles / np.maximum(weights, 1e-9)
-        return _Bands(profiles, weights, _level(profiles, weights))
+        return _BandAverages(profiles, weights, _level(profiles, weights))
 
     def _of_symbol(
-        self, average: FloatArray, count: FloatArray, bands: _Bands, turn: IndexArray
+        self, average: FloatArray, count: FloatArray, bands: _BandAverages, turn: IndexArray
     ) -> dict[str, FloatArray]:
         """The features of the symbol, each (n, K), under each ID at its best turn (n, K).
 
@@ -225,7 +225,7 @@ class Describer:
         }
 
 
-def _of_ring(bands: _Bands, frames: FloatArray) -> dict[str, FloatArray]:
+def _of_ring(bands: _BandAverages, frames: FloatArray) -> dict[str, FloatArray]:
     """The features of the ring, each (n,). frames: (n,) gathered."""
     _, ring, gap, outer = bands.profiles
     _, ring_weight, gap_weight, _ = bands.weights
