@@ -9,13 +9,13 @@ from pathlib import Path
 from time import monotonic
 from typing import Literal
 
-from sonarrec.pipeline.prepare import RunOptions
-from sonarrec.pipeline.run import Observe, Summary, planned, process
+from sonarrec.pipeline.prepare import RunOptions, prepare
+from sonarrec.pipeline.run import Observe, Summary, process
 from sonarrec.records import SonarrecError, name_as_text
 from sonarrec.remote.fetch import Progress, fetched, no_progress
 from sonarrec.remote.run import RemotePlaces
 from sonarrec.results.folders import part_of
-from sonarrec.results.run_file import LogOptions
+from sonarrec.results.run_file import LogOptions, existing_results
 
 Status = Literal["waiting", "running", "done", "partial", "failed"]
 GRACE_S = 10.0
@@ -87,16 +87,19 @@ class Outcome:
 
 def plan_task(task: Task) -> str:
     """What `run_task` would do, and why; writes nothing. Raises SonarrecError as that would."""
-    with _at_hand(task, upload=False) as (path, log_options, _):
-        folder = Path(task.out) / task.name
-        existing = planned(
-            path, task.out, log_options, task.run_options, name=task.name, overwrite=task.overwrite
-        )
-    if existing.up_to_date:
-        return "up to date"
-    if existing.reason:
-        return f"done anew ({existing.reason})"
-    return "done anew (it was stopped before its end)" if part_of(folder).exists() else "new"
+    with (
+        _at_hand(task, upload=False) as (path, log_options, _),
+        prepare(path, Path(task.out), log_options, task.run_options, task.name) as job,
+    ):
+        if task.overwrite:
+            return "done anew (asked for)"
+        existing = existing_results(job.folder, job.table)
+        if existing.up_to_date:
+            return "up to date"
+        if existing.reason:
+            return f"done anew ({existing.reason})"
+        stopped = part_of(job.folder).exists()
+        return "done anew (it was stopped before its end)" if stopped else "new"
 
 
 def run_task(

@@ -180,25 +180,6 @@ def process(
         )
 
 
-def planned(
-    path: str | Path,
-    out: str | Path,
-    log_options: LogOptions,
-    run_options: RunOptions,
-    *,
-    name: str | None = None,
-    overwrite: bool = False,
-) -> ExistingResults:
-    """The results that `process` would find in the folder it writes to; nothing is written.
-
-    Raises SonarrecError as `process`.
-    """
-    with prepare(Path(path), Path(out), log_options, run_options, name) as job:
-        if overwrite:
-            return ExistingResults(reason="asked for")
-        return existing_results(job.folder, job.table)
-
-
 def _summary_of_existing(job: PreparedRun, existing: ExistingResults) -> Summary:
     """The summary of results that are there already."""
     return Summary(

@@ -11,7 +11,6 @@ import json
 import os
 import re
 import shutil
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -102,12 +101,10 @@ class Cache:
     limit: int
 
     @contextmanager
-    def hold(
-        self, key: str, *, alone: bool, stop: threading.Event | None = None
-    ) -> Iterator[Entry]:
+    def hold(self, key: str, *, alone: bool) -> Iterator[Entry]:
         """The entry of a key, which is not deleted inside. alone: nobody else uses it inside.
 
-        Raises SonarrecError if the folder cannot be written, or `stop` is set while it waits.
+        Raises SonarrecError if the folder cannot be written.
         """
         entry = Entry(self.folder / "logs" / key)
         while True:
@@ -121,8 +118,7 @@ class Cache:
             if locked(file, alone=alone) and is_there(file, entry.folder / "lock"):
                 break
             file.close()
-            if (stop or threading.Event()).wait(_POLL_S):
-                raise SonarrecError("stopped")
+            time.sleep(_POLL_S)
         try:
             yield entry
         finally:

@@ -10,8 +10,9 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from time import sleep
 from typing import TYPE_CHECKING
 
 from sonarrec.records import Origin, SonarrecError
@@ -51,21 +52,17 @@ class CachedCopy:
 
 @contextmanager
 def fetched(
-    log: RemoteLog | str,
-    cache: Cache,
-    progress: Progress = no_progress,
-    stop: threading.Event | None = None,
+    log: RemoteLog | str, cache: Cache, progress: Progress = no_progress
 ) -> Iterator[CachedCopy]:
     """A log in the cache: fetched if it is missing or has changed, and kept while it is used.
 
     Several processes or threads may call it at once for one log; it is fetched once.
-    progress: called as bytes arrive. stop: ends the transfer when it is set.
+    progress: called as bytes arrive.
     Raises SonarrecError if it cannot be fetched. In a SonarrecError raised inside, paths of the
     cache are replaced by those of the server.
     """
     log = log if isinstance(log, RemoteLog) else RemoteLog(with_literal_name(parse_url(log)))
-    transfer = _Transfer(cache, progress, stop or threading.Event())
-    with _hold(log, transfer) as local_log, local_log.origin.translated():
+    with _hold(log, _Transfer(cache, progress)) as local_log, local_log.origin.translated():
         yield local_log
 
 
@@ -73,13 +70,12 @@ def fetched(
 class _Transfer:
     """How files get into the cache.
 
-    progress: called as bytes arrive. stop: ends the transfer when it is set. wait: until other logs
-    make room, instead of raising NoRoomError.
+    progress: called as bytes arrive. wait: until other logs make room, instead of raising
+    NoRoomError.
     """
 
     cache: Cache
     progress: Progress = no_progress
-    stop: threading.Event = field(default_factory=threading.Event)
     wait: bool = True
 
 
@@ -88,7 +84,7 @@ def _hold(log: RemoteLog, transfer: _Transfer) -> Iterator[CachedCopy]:
     """As `fetched`, but errors raised inside keep the paths of the cache."""
     from sonarrec.remote.store import Store
 
-    root, name, items = items_of(log, Store(log.url, transfer.stop))
+    root, name, items = items_of(log, Store(log.url))
     with _keep(log.url, root, items, transfer) as (files, origin):
         yield CachedCopy(files / name, origin, files if log.up_to else None)
 
@@ -178,21 +174,21 @@ def _keep(
     key = key_of(f"{url.redacted.rstrip('/')} {root.redacted}")
     # A dict, since a glob or an index page may name a file twice.
     names = {relative(item.url, root): item for item in items}
-    cache, stop, renewed = transfer.cache, transfer.stop, False
+    cache, renewed = transfer.cache, False
     while True:
-        with cache.hold(key, alone=False, stop=stop) as entry:
+        with cache.hold(key, alone=False) as entry:
             if _is_whole(entry, names, renewed):
                 yield entry.files, Origin(url.redacted, str(entry.files), root.place.rstrip("/"))
                 return
         try:
-            with cache.hold(key, alone=True, stop=stop) as entry:
+            with cache.hold(key, alone=True) as entry:
                 if not _is_whole(entry, names, renewed):
                     _fill(entry, url.redacted, names, transfer)
                 renewed = True
         except NoRoomError:
             if not transfer.wait:
                 raise
-            stop.wait(1.0)
+            sleep(1.0)
         except OSError as error:  # the disk is full
             raise unwritable(cache.folder, error) from None
 
@@ -221,7 +217,7 @@ def _is_there(
 
 def _fill(entry: Entry, url: str, names: dict[str, Item], transfer: _Transfer) -> None:
     """Fetch the missing files and delete others. Raises SonarrecError."""
-    from sonarrec.remote.store import AT_ONCE, StoppedError, Store
+    from sonarrec.remote.store import AT_ONCE, Store
 
     have = entry.about().get("files", {})
     have = {
@@ -241,14 +237,14 @@ def _fill(entry: Entry, url: str, names: dict[str, Item], transfer: _Transfer) -
     def count(more: int) -> None:
         nonlocal arrived
         if given_up.is_set():
-            raise StoppedError(f"{url}: given up")
+            raise SonarrecError(f"{url}: given up")
         with lock:
             arrived += more
             transfer.progress(arrived, total)
 
     def one(name: str) -> None:
         item = names[name]
-        Store(item.url, transfer.stop).fetch(item, entry.files / name, count)
+        Store(item.url).fetch(item, entry.files / name, count)
         with lock:
             have[name] = [item.size, item.tag]
             if (item.size or 0) >= _LARGE:

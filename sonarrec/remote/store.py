@@ -10,7 +10,6 @@ import glob
 import hashlib
 import os
 import re
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from datetime import datetime
 from email.utils import parsedate_to_datetime
 from functools import partial
 from pathlib import Path
+from time import sleep
 from typing import Any, TypeVar
 
 from sonarrec.records import MissingError, SonarrecError, UsageError
@@ -51,10 +51,6 @@ class BrokenError(SonarrecError):
         self.after_s = after_s
 
 
-class StoppedError(SonarrecError):
-    """The run ends, so the transfer was stopped."""
-
-
 @dataclass(frozen=True, slots=True)
 class Item:
     """A file on a server.
@@ -82,12 +78,8 @@ class Item:
 class Store:
     """The files of one server, for use in one thread."""
 
-    def __init__(self, url: Url, stop: threading.Event | None = None) -> None:
-        """stop: ends transfers with StoppedError when it is set.
-
-        Raises SonarrecError if a package for this kind of server is not installed.
-        """
-        self._stop = stop or threading.Event()
+    def __init__(self, url: Url) -> None:
+        """Raises SonarrecError if a package for this kind of server is not installed."""
         self._url = url
         if fsspec is None:
             raise SonarrecError(f"{url.redacted}: fsspec is not installed; {_INSTALL}")
@@ -234,7 +226,6 @@ class Store:
         with part.open("r+b" if at else "wb") as out, self._opened(item) as file:
             out.seek(at)
             while item.size is None or at < item.size:
-                self._stopped()
                 wanted = BLOCK_BYTES if item.size is None else min(BLOCK_BYTES, item.size - at)
                 with self._translated(item.url):
                     block = self._read(file, at, wanted)
@@ -312,7 +303,6 @@ class Store:
             if there is None or there.size != file.stat().st_size:
                 raise BrokenError("the server does not have the whole file")
 
-        self._stopped()
         self._retried(ask, url)
 
     def remove(self, url: Url) -> None:
@@ -332,10 +322,6 @@ class Store:
 
     # Errors
 
-    def _stopped(self) -> None:
-        if self._stop.is_set():
-            raise StoppedError("stopped")
-
     def _retried(self, ask: Callable[[], T], url: Url | None = None) -> T:
         """The result of `ask`, with up to RETRIES retries after a BrokenError.
 
@@ -350,8 +336,7 @@ class Store:
                     raise SonarrecError(
                         f"{url.redacted}: failed, also in {RETRIES} retries ({error})"
                     ) from None
-                self._stop.wait(max(PAUSE_S * 2**tried, min(error.after_s, LONGEST_PAUSE_S)))
-                self._stopped()
+                sleep(max(PAUSE_S * 2**tried, min(error.after_s, LONGEST_PAUSE_S)))
         raise AssertionError("not reached")
 
     @contextmanager

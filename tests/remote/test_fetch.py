@@ -128,19 +128,9 @@ def test_it_is_tried_three_times_again_then_given_up(site: Path, cache: Cache) -
         assert len(web.gets("a.mcap")) == 4
 
 
-class Waits(threading.Event):
-    """Told how long to wait it does not, but notes it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.pauses: list[float | None] = []
-
-    def wait(self, timeout: float | None = None) -> bool:
-        self.pauses.append(timeout)
-        return self.is_set()
-
-
-def test_a_busy_server_says_when_to_ask_again(site: Path, cache: Cache) -> None:
+def test_a_busy_server_says_when_to_ask_again(
+    site: Path, cache: Cache, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In seconds, or by a date; no longer than a minute, and not sooner than without."""
     data = noise(site / "a.mcap")
     soon = format_datetime(datetime.now(UTC) + timedelta(seconds=30), usegmt=True)
@@ -150,25 +140,26 @@ def test_a_busy_server_says_when_to_ask_again(site: Path, cache: Cache) -> None:
         ([past, "soon", ""], [0, 0, 0]),
         (["9" * 400, "Mon, 1 Jan 2035 00:00:00 +" + "9" * 30, "-5"], [60, 0, 0]),
     ):
-        waited = Waits()
+        waited: list[float] = []
+        monkeypatch.setattr(store, "sleep", waited.append)
         with (
             web_server(site, busy=busy, tags=False) as web,
-            fetched(RemoteLog(parse_url(f"{web.url}/a.mcap")), cache, stop=waited) as log,
+            fetched(RemoteLog(parse_url(f"{web.url}/a.mcap")), cache) as log,
         ):
             assert log.path.read_bytes() == data
-        assert waited.pauses == pauses
+        assert waited == pauses
 
 
 @pytest.mark.usefixtures("small_blocks")
 def test_a_killed_fetch_goes_on_where_it_was(site: Path, cache: Cache) -> None:
     data = noise(site / "a.mcap")
+
+    def kill(*_: object) -> None:
+        raise KeyboardInterrupt
+
     with web_server(site) as web:
         url = parse_url(f"{web.url}/a.mcap")
-        stop = threading.Event()
-        with (
-            pytest.raises(store.StoppedError),
-            fetched(RemoteLog(url), cache, lambda *_: stop.set(), stop),
-        ):
+        with pytest.raises(KeyboardInterrupt), fetched(RemoteLog(url), cache, kill):
             pass
         with fetched(RemoteLog(url), cache) as log:
             assert log.path.read_bytes() == data
