@@ -314,10 +314,11 @@ class BagFolder(Recording):
         last = part.start
         numbers = {own: number for own, number in part.numbers.items() if number in channels}
         if numbers:
-            for own, message in self._read(part, numbers):
-                passed[numbers[own]] += 1
+            for message in self._read(part, numbers):
+                number = numbers[message.channel]
+                passed[number] += 1
                 last = max(last, message.log_time)
-                yield replace(message, channel=numbers[own])
+                yield replace(message, channel=number)
         for number in channels:
             gone = part.found[number] + part.lost[number] - passed[number]
             if part.lost[number]:
@@ -328,15 +329,15 @@ class BagFolder(Recording):
             for _ in range(gone if gone <= _MAX_LOST else 0):
                 yield Message(number, last, None, None)
 
-    def _read(self, part: _Part, numbers: Collection[int]) -> Iterator[tuple[int, Message]]:
+    def _read(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
+        """The messages of some channels of a part, by the part's own numbers."""
         try:
             log = self._open(part.path)
         except (SonarrecError, OSError):  # it was there before
             self.faults.append(f"{name_as_text(part.path.name)}: cannot be read any more")
             return
         try:
-            for message in log.messages(numbers):
-                yield message.channel, message
+            yield from log.messages(channels)
         except SonarrecError as error:
             self.faults.append(str(error))
         finally:

@@ -173,17 +173,17 @@ def _keep(
     """
     key = key_of(f"{url.redacted.rstrip('/')} {root.redacted}")
     # A dict, since a glob or an index page may name a file twice.
-    names = {relative(item.url, root): item for item in items}
+    wanted = {relative(item.url, root): item for item in items}
     cache, renewed = transfer.cache, False
     while True:
         with cache.hold(key, alone=False) as entry:
-            if _is_whole(entry, names, renewed):
+            if _is_whole(entry, wanted, renewed):
                 yield entry.files, Origin(url.redacted, str(entry.files), root.place.rstrip("/"))
                 return
         try:
             with cache.hold(key, alone=True) as entry:
-                if not _is_whole(entry, names, renewed):
-                    _fill(entry, url.redacted, names, transfer)
+                if not _is_whole(entry, wanted, renewed):
+                    _fill(entry, url.redacted, wanted, transfer)
                 renewed = True
         except NoRoomError:
             if not transfer.wait:
@@ -193,20 +193,21 @@ def _keep(
             raise unwritable(cache.folder, error) from None
 
 
-def _is_whole(entry: Entry, names: dict[str, Item], renewed: bool) -> bool:
-    """Whether an entry holds exactly these files.
+def _is_whole(entry: Entry, wanted: dict[str, Item], renewed: bool) -> bool:
+    """Whether an entry holds exactly the wanted files, by their path below its `files`.
 
     renewed: it was fetched just now, so files whose version the server does not state are current.
     """
     have = entry.about().get("files", {})
-    if have.keys() != names.keys():
+    if have.keys() != wanted.keys():
         return False
-    return all(_is_there(entry, have, name, item, renewed) for name, item in names.items())
+    return all(_is_there(entry, have, name, item, renewed) for name, item in wanted.items())
 
 
 def _is_there(
     entry: Entry, have: dict[str, list[object]], name: str, item: Item, renewed: bool
 ) -> bool:
+    """Whether a file is in an entry, in the version that the server has. have: by entry.json."""
     path = entry.files / name
     if have.get(name) != [item.size, item.tag] or not path.is_file():
         return False
@@ -215,23 +216,26 @@ def _is_there(
     return item.has_version or renewed
 
 
-def _fill(entry: Entry, url: str, names: dict[str, Item], transfer: _Transfer) -> None:
+def _fill(entry: Entry, url: str, wanted: dict[str, Item], transfer: _Transfer) -> None:
     """Fetch the missing files and delete others. Raises SonarrecError."""
     from sonarrec.remote.store import AT_ONCE, Store
 
-    have = entry.about().get("files", {})
+    held = entry.about().get("files", {})
     have = {
-        n: h for n, h in have.items() if n in names and _is_there(entry, have, n, names[n], False)
+        name: held[name]
+        for name, item in wanted.items()
+        if _is_there(entry, held, name, item, False)
     }
-    sizes = [item.size for item in names.values()]
+    sizes = [item.size for item in wanted.values()]
     about = {"url": url, "bytes": sum(size or 0 for size in sizes), "files": have}
     transfer.cache.make_room(entry, about)
-    parts = {f"{name}.{item.identity}.part" for name, item in names.items()}  # unfinished transfers
+    # Transfers that were broken off go on where they were.
+    parts = {f"{name}.{item.identity}.part" for name, item in wanted.items()}
     for path in _files_below(entry.files):
         if path.relative_to(entry.files).as_posix() not in {*have, *parts}:
             path.unlink()
-    lacks = [name for name in names if name not in have]
-    total = None if None in sizes else sum(names[n].size or 0 for n in lacks)
+    lacks = [name for name in wanted if name not in have]
+    total = None if None in sizes else sum(wanted[n].size or 0 for n in lacks)
     arrived, lock, given_up = 0, threading.Lock(), threading.Event()
 
     def count(more: int) -> None:
@@ -243,7 +247,7 @@ def _fill(entry: Entry, url: str, names: dict[str, Item], transfer: _Transfer) -
             transfer.progress(arrived, total)
 
     def one(name: str) -> None:
-        item = names[name]
+        item = wanted[name]
         Store(item.url).fetch(item, entry.files / name, count)
         with lock:
             have[name] = [item.size, item.tag]
@@ -257,8 +261,8 @@ def _fill(entry: Entry, url: str, names: dict[str, Item], transfer: _Transfer) -
         raise
     finally:
         entry.write(about)
-    held = sum(path.stat().st_size for path in _files_below(entry.files))
-    entry.write({**about, "bytes": held, "files": have})
+    size = sum(path.stat().st_size for path in _files_below(entry.files))
+    entry.write({**about, "bytes": size})
 
 
 def _files_below(folder: Path) -> list[Path]:

@@ -83,7 +83,7 @@ class Store:
         self._url = url
         if fsspec is None:
             raise SonarrecError(f"{url.redacted}: fsspec is not installed; {_INSTALL}")
-        self._streams = False
+        self._streams = False  # whether the server sends files from the beginning only
         with self._translated(url):
             try:
                 self._fs: Any = self._filesystem(url)
@@ -417,7 +417,8 @@ def _item(url: Url, info: Mapping[str, Any]) -> Item:
 def _stated_md5(url: Url, info: Mapping[str, Any]) -> str | None:
     if url.scheme == "s3":
         tag = str(info.get("ETag", "")).strip('"')
-        return tag if re.fullmatch(r"[0-9a-f]{32}", tag) else None  # of one part
+        # Of a file that was uploaded in several parts the tag is no MD5, and has a dash.
+        return tag if re.fullmatch(r"[0-9a-f]{32}", tag) else None
     stated = info.get("md5Hash") or info.get("Content-MD5")
     try:
         return base64.b64decode(str(stated), validate=True).hex() if stated else None
