@@ -55,8 +55,6 @@ def record_length(head: bytes) -> int | None:
 
     head: its first HEAD_3.itemsize bytes.
     """
-    if len(head) < HEAD_3.itemsize:
-        return None
     fields, beams, bins = _head(head)
     marks = (fields["star"], fields["type"], fields["record"], fields["mark"])
     if marks != (_STAR, _IMAGE_TYPE, RECORD, RECORD_MARK):
