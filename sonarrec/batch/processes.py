@@ -116,10 +116,7 @@ class Worker:
             assert child.stdin is not None
             with suppress(OSError):
                 child.stdin.close()  # no more tasks
-            try:
-                child.wait(GRACE_S)
-            except subprocess.TimeoutExpired:
-                child.kill()
+            _wait_or_kill(child)
             self._child = None
             printed.seek(0)
             return printed.read().decode(errors="replace")
@@ -144,6 +141,11 @@ def _listen(child: subprocess.Popen[bytes], task: Task, frames: Frames | None) -
 
 def _end(child: subprocess.Popen[bytes]) -> None:
     child.terminate()
+    _wait_or_kill(child)
+
+
+def _wait_or_kill(child: subprocess.Popen[bytes]) -> None:
+    """Wait for a process to end; one that does not within GRACE_S is killed."""
     try:
         child.wait(GRACE_S)
     except subprocess.TimeoutExpired:

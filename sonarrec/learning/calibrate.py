@@ -186,7 +186,11 @@ def _lesson(
 
     name: of the log in the truth.
     """
-    tracks, notes = _tracks_of(log, name, config, landmarks, observe)
+    rest = iter(log)
+    begin = [*islice(rest, FRAMES_FOR_BEAMS)]
+    (own,), beams = with_beams([config], log.beam_width_deg, begin)
+    tracks = describe(_observed(chain(begin, rest), observe), own, landmarks, name=name)
+    notes = [f"{name}: {line}" for line in beams]
     truth = match_truth(table, tracks)
     unlike = misfit(table, tracks, truth)
     problems = list(log.problems)
@@ -204,25 +208,6 @@ def _lesson(
             )
     samples = _labelled(tracks, truth)
     return _Lesson(name, samples, len(tracks.frame), truth.rows, unlike, problems, notes)
-
-
-def _tracks_of(
-    log: Log,
-    name: str,
-    config: Config,
-    landmarks: LandmarkSet,
-    observe: Callable[[], object] | None,
-) -> tuple[Tracks, list[str]]:
-    """A log's tracks, described, and a note if its beams do not have the usual width.
-
-    name: of the log in the truth.
-    """
-    rest = iter(log)
-    begin = [*islice(rest, FRAMES_FOR_BEAMS)]
-    (own,), beams = with_beams([config], log.beam_width_deg, begin)
-    frames = _observed(chain(begin, rest), observe)
-    notes = [f"{name}: {line}" for line in beams]
-    return describe(frames, own, landmarks, name=name), notes
 
 
 def _truth_with_places(path: Path, logs: int) -> TruthTable:
