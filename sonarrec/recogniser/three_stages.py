@@ -89,10 +89,6 @@ class ThreeStages:
         self._estimates = EstimateMaker(config, plane, landmarks)
         self._method, self._smi = method, smi
 
-    def recognise(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
-        """The three stages over the frames of a log; see `recognise_together`."""
-        return (result for (result,) in recognise_together([self], frames))
-
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
         return self.stage3([self.stage2(self.stage1(frame, self.working_image(frame)))])[0]
