@@ -18,7 +18,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from sonarrec.readers.images import natural_order
+from sonarrec.files.order import natural_order
 from sonarrec.readers.packed import PACKINGS
 from sonarrec.readers.recording import Channel, Message, Recording
 from sonarrec.records import SonarrecError, name_as_text, number_of

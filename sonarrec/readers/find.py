@@ -14,10 +14,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from sonarrec.files.order import natural_order
 from sonarrec.readers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.ddf.frames import DdfFrames
 from sonarrec.readers.gemini.log import GeminiPings
-from sonarrec.readers.images import ImageFiles, ImagePaths, is_image, natural_order
+from sonarrec.readers.images import ImageFiles, ImagePaths, is_image
 from sonarrec.readers.oculus.log import OculusPings
 from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,6 +10,7 @@ from typing import overload
 
 import numpy as np
 
+from sonarrec.files.order import natural_order
 from sonarrec.readers.name_times import times_in_names
 from sonarrec.readers.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
@@ -18,28 +18,6 @@ from sonarrec.records import IMAGE_SUFFIXES, name_as_text
 from sonarrec.times import date_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
-
-
-def natural_order(path: str | Path) -> str:
-    """Sort key by which frame2.png comes before frame10.png, and 1700000000.25 before 1700000000.5.
-
-    The key is one text: for very many files it takes a fraction of the memory of a list of parts. A
-    zero byte, which no path holds, and the count of its digits are put before each number. The path
-    itself comes last, for 1 and 01 are the same number.
-    """
-    text = os.fspath(path)
-    return f"{_NUMBER.sub(_led_by_its_length, text)}\0\0{text}"
-
-
-# Seconds since 1970 with their fraction, at whose end programs leave out zeros, or all of it; else
-# whole numbers.
-_NUMBER = re.compile(r"(1[0-9]{9})(?:\.([0-9]+)|(?![0-9]))|[0-9]+")
-
-
-def _led_by_its_length(number: re.Match[str]) -> str:
-    seconds, fraction = number.groups(default="")
-    digits = seconds or number[0].lstrip("0")
-    return f"\0{len(digits):04d}{digits}{'.' if seconds else ''}{fraction}"
 
 
 def names_an_image(name: str) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.files.order import natural_order
 from sonarrec.files.tables import Table, cut, line_number, position_pair, read_table, read_tables
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
@@ -82,7 +83,7 @@ class LogResults:
 
 
 def find_logs(results: Path) -> list[Path]:
-    """The results folders of single logs: `results` itself, or those in it.
+    """The results folders of single logs: `results` itself, or those in it, in natural order.
 
     Raises SonarrecError if there are none.
     """
@@ -103,7 +104,7 @@ def find_logs(results: Path) -> list[Path]:
     # A run that was killed, or failed, while it replaced results leaves them here and there.
     named = logs | {log.with_name(log.name.removesuffix(PART)) for log in logs}
     replaced = {aside_of(log) for log in named}
-    folders = sorted(logs - finished - replaced)
+    folders = sorted(logs - finished - replaced, key=natural_order)
     if not folders:
         raise SonarrecError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "

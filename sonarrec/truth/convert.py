@@ -11,10 +11,11 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from sonarrec.files.order import natural_order
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.find import find_log
-from sonarrec.readers.images import is_image, names_an_image, natural_order
+from sonarrec.readers.images import is_image, names_an_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.name_times import times_in_names
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, number_of

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sonarrec.files.order import natural_order
 from sonarrec.readers import open_log
-from sonarrec.readers.images import natural_order
 from sonarrec.readers.name_times import times_in_names
 from tests.support.logs import frames, image_folder
 

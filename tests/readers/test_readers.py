@@ -19,9 +19,10 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sonarrec.files.order import natural_order
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
-from sonarrec.readers.images import ImagePaths, natural_order
+from sonarrec.readers.images import ImagePaths
 from sonarrec.readers.info import describe
 from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size, _to_settle
 from sonarrec.readers.named_logs import NamedLog, logs_named

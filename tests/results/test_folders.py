@@ -444,6 +444,13 @@ def test_results_that_a_run_laid_aside_are_not_counted_with_the_new_ones(tmp_pat
     assert [p.name for p in find_logs(tmp_path)] == ["dive.part", "other", "third.part"]
 
 
+def test_results_come_in_natural_order(tmp_path: Path) -> None:
+    for number in (10, 9, 1):
+        (tmp_path / f"dive{number}").mkdir()
+        (tmp_path / f"dive{number}" / "frames.csv").touch()
+    assert [p.name for p in find_logs(tmp_path)] == ["dive1", "dive9", "dive10"]
+
+
 def test_results_that_may_not_be_read_are_told(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
