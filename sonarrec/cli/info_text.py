@@ -18,7 +18,10 @@ def lines(info: LogInfo) -> list[str]:
     size = f"{info.size_bytes / 1e6:.1f} MB" if info.size_bytes >= 1e5 else f"{info.size_bytes} B"
     kind = number_of(info.files, "image") if info.kind == "images" else info.kind
     out = [f"{info.path}: {kind}, {size}"]
-    if info.container is not None:
+    if info.container is None:
+        for images in info.images:
+            out += _recorded(images.start_ns, images.end_ns)
+    else:
         out += _container_lines(info.container)
         out += _entry("whole", [_whole(info, info.container)])
     out += _entry(
@@ -47,10 +50,7 @@ def _entry(name: str, texts: list[str]) -> list[str]:
 
 
 def _container_lines(container: Container) -> list[str]:
-    out = []
-    if container.start_ns is not None and container.end_ns is not None:
-        seconds = (container.end_ns - container.start_ns) / 1e9
-        out += _entry("recorded", [f"{_moment(container.start_ns)}, {seconds:.1f} s long"])
+    out = _recorded(container.start_ns, container.end_ns)
     writer = ", ".join(text for text in (container.profile, container.library) if text)
     out += _entry("writer", [writer] if writer else [])
     chunks = ", ".join(f"{count} {name}" for name, count in container.chunks.items())
@@ -60,6 +60,12 @@ def _container_lines(container: Container) -> list[str]:
             "channels", _columns([_channel_row(c, container) for c in container.channels])
         )
     return out
+
+
+def _recorded(start_ns: int | None, end_ns: int | None) -> list[str]:
+    if start_ns is None or end_ns is None:
+        return []
+    return _entry("recorded", [f"{_moment(start_ns)}, {(end_ns - start_ns) / 1e9:.1f} s long"])
 
 
 def _channel_row(channel: Channel, container: Container) -> list[str]:

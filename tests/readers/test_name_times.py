@@ -7,9 +7,11 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sonarrec.cli import main
 from sonarrec.files.order import natural_order
 from sonarrec.readers import open_log
 from sonarrec.readers.name_times import times_in_names
@@ -100,3 +102,5 @@ def test_frames_have_these_times(tmp_path: Path) -> None:
         (note,) = opened.notes
     assert [time - MOMENT_NS for time in times] == [0, 10**9, 2 * 10**9]
     assert "the times in the names of its images, the first 2026-11-20 10:00:00.250 UTC" in note
+    told = CliRunner().invoke(main, ["info", str(log)]).output
+    assert "  recorded  2026-11-20 10:00:00 UTC, 2.0 s long\n" in told
