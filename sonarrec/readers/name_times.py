@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
@@ -13,15 +13,23 @@ from sonarrec.records import IntArray
 # No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
 LEAST_STEP_NS = 5_000_000
 
-_NANOSECONDS = re.compile(r"\A([0-9]{19})\Z")
+_NANOSECONDS = re.compile(r"\A[0-9]{19}\Z")
 # A dot or comma leads a fraction of any length. Behind other signs, or none, stand milliseconds,
-# microseconds or nanoseconds in full; other lengths would be counters or zones.
-_FRACTION = r"(?:[.,]([0-9]{1,9})|[-_]?([0-9]{3}(?:[0-9]{3}){0,2}))?"
-# Seconds since 1970, from 2001 to 2096.
-_SINCE_1970 = re.compile(rf"(?<![0-9])([1-3][0-9]{{9}}){_FRACTION}(?![0-9])")
+# microseconds or nanoseconds in full; other lengths would be counters.
+_FRACTION = (
+    r"(?:[.,](?P<fraction>[0-9]{1,9})"
+    r"|(?P<sign>[-_]?)(?P<in_full>[0-9]{3}(?:[0-9]{3}){0,2}))?"
+)
+# From 2004 to 2033. Counters of ten digits begin at 1000000000.
+_SINCE_1970 = re.compile(rf"(?<![0-9])(?P<since_1970>1[1-9][0-9]{{8}}){_FRACTION}(?![0-9])")
 _DATE = re.compile(
-    r"(?<![0-9])(20[0-9]{2})[-_.]?([0-9]{2})[-_.]?([0-9]{2})"
-    rf"[-_.T ]{{0,2}}([0-9]{{2}})[-_.:h]?([0-9]{{2}})[-_.:m]?([0-9]{{2}}){_FRACTION}(?![0-9])"
+    r"(?<![0-9])(?P<year>20[0-9]{2})(?P<dash>[-_.]?)(?P<month>[0-9]{2})(?P=dash)(?P<day>[0-9]{2})"
+    r"(?:[-_.T ]{0,2}| at )"
+    r"(?P<hour>[0-9]{2}|(?<=[-_T ])[0-9](?=[-_.:]))(?P<colon>[-_.:]|h(?=[0-9]{2}m)|)"
+    rf"(?P<minute>[0-9]{{2}})(?:(?P=colon)|m)(?P<second>[0-9]{{2}}){_FRACTION}(?![0-9])"
+    r"(?:[\s_]?(?P<half>[AP])M(?![A-Z]))?"
+    r"(?P<zone>[-+][01][0-9]:?(?:00|15|30|45)(?![0-9])|\+[01][0-9](?![0-9]))?",
+    re.IGNORECASE,
 )
 
 
@@ -29,39 +37,89 @@ def times_in_names(stems: Iterable[str]) -> IntArray | None:
     """(n,) times in ns that stand in n names without their suffix; None if they hold none.
 
     All names are alike: numbers of 19 digits, or they hold the seconds since 1970 or date and time
-    of day (taken as UTC), with or without a fraction. Such times must rise from name to name, by
-    LEAST_STEP_NS and more in most: else they are counters, or seconds in which several images fall.
+    of day, with or without a fraction. A time of day is taken as UTC where no zone stands behind
+    it. Such times must rise from name to name, by LEAST_STEP_NS and more in most: else they are
+    counters, or seconds in which several images fall.
     """
-    form, digits, times = None, None, []
+    stems = list(stems)
+    if not stems:
+        return None
+    if all(map(_NANOSECONDS.match, stems)):
+        return np.array(stems, np.int64) if max(stems) < str(2**63) else None
+    # Names may hold both: when the recording began, and when the image was taken.
+    found = (_rising_times(form, stems) for form in (_DATE, _SINCE_1970))
+    return next((times for times in found if times is not None), None)
+
+
+def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | None:
+    """(n,) the one time in ns that each name holds in this form; None if some do not, or if they
+    do not rise as those of pings do."""
+    alike: tuple[str, int] | None = None
+    seconds, fractions, zones = list[int](), list[int](), set[str]()
     for stem in stems:
-        if form is None:
-            form = next((f for f in (_NANOSECONDS, _DATE, _SINCE_1970) if f.search(stem)), None)
-        found = form.findall(stem) if form is not None else ()
+        found = [match.groupdict(default="") for match in form.finditer(stem)]
         if len(found) != 1:
             return None
-        if form is _NANOSECONDS:
-            times.append(int(found[0]))
-            continue
-        *whole, fraction, in_full = found[0]
+        of_name = found[0]
         # One writer gives all names as many; counters and nanoseconds without zeros differ.
-        if len(in_full) != (digits := len(in_full) if digits is None else digits):
+        kind = of_name["sign"], len(of_name["in_full"])
+        if kind != (alike := alike or kind):
             return None
-        numbers = [int(part) for part in whole]
         try:
-            seconds = numbers[0] if form is _SINCE_1970 else _since_1970(*numbers)
+            seconds.append(_seconds(of_name))
         except ValueError:  # a 13th month
             return None
-        times.append(seconds * 10**9 + int(f"{fraction or in_full:0<9}"))
-    if form is _NANOSECONDS:
-        return np.array(times, np.int64) if max(times) < 2**63 else None
-    rising = np.array(times, np.int64)
-    return rising if _like_pings(rising) else None
+        fractions.append(int(f"{of_name['fraction'] or of_name['in_full']:0<9}"))
+        zones.add(of_name.get("zone", ""))
+    whole, parts = np.array(seconds, np.int64), np.array(fractions, np.int64)
+    if alike is not None and _fraction_counts(whole, parts, *alike):
+        parts = np.zeros_like(parts)
+    steps = np.diff(times := whole * 10**9 + parts)
+    if len(steps) and (steps.min() <= 0 or np.median(steps) < LEAST_STEP_NS):
+        return None
+    if form is _DATE and not parts.any() and _seconds_count(whole):
+        return None
+    # Where they differ they are counters.
+    return times - (_ahead_s(zones.pop()) * 10**9 if len(zones) == 1 else 0)
 
 
-def _since_1970(year: int, month: int, day: int, hour: int, minute: int, second: int) -> int:
+def _seconds(of_name: Mapping[str, str]) -> int:
+    """Seconds since 1970, of a time of day without its zone. Raises ValueError if there is none."""
+    if "since_1970" in of_name:
+        return int(of_name["since_1970"])
+    hour, half = int(of_name["hour"]), of_name["half"].upper()
+    if half:
+        if not 1 <= hour <= 12:
+            raise ValueError(hour)
+        hour = hour % 12 + 12 * (half == "P")
+    year, month, day, minute, second = (
+        int(of_name[part]) for part in ("year", "month", "day", "minute", "second")
+    )
     return int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
 
 
-def _like_pings(times: IntArray) -> bool:
-    steps = np.diff(times)
-    return not len(steps) or bool(steps.min() > 0 and np.median(steps) >= LEAST_STEP_NS)
+def _ahead_s(zone: str) -> int:
+    """By how many seconds a zone, "+0200" or "", is ahead of UTC."""
+    hours, minutes = int(zone[1:3] or 0), int(zone[3:].lstrip(":") or 0)
+    return (hours * 3600 + minutes * 60) * (-1 if zone.startswith("-") else 1)
+
+
+def _fraction_counts(seconds: IntArray, fractions: IntArray, sign: str, digits: int) -> bool:
+    """Whether what stands behind the seconds and a sign is a counter, or the size of the image.
+
+    digits: how many it has in every name. Where three digits are all that differs, it is not clear.
+    """
+    if not sign or len(seconds) < 2:
+        return False
+    by_one = np.diff(fractions) == 10 ** (9 - digits)
+    if by_one.all() or by_one[np.diff(seconds) == 0].any():
+        return True
+    return digits == 3 and bool(np.ptp(seconds) == 0 or np.ptp(fractions) == 0)
+
+
+def _seconds_count(seconds: IntArray) -> bool:
+    """Whether what seems a time of day is a counter of six digits that has not reached 60, or is
+    between two hundreds."""
+    first, last = int(seconds[0]), int(seconds[-1])
+    within_a_minute = first // 60 == last // 60 and first % 86400 < 3600
+    return len(seconds) > 1 and within_a_minute and last - first == len(seconds) - 1

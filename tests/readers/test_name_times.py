@@ -31,6 +31,8 @@ MOMENT_NS = 1_795_168_800_250_000_000  # by `date --date=2026-11-20T10:00:00.25Z
         "frame000017_%Y.%m.%d %H:%M:%S,%f_left",
         "sonar-%Y-%m-%dT%H%M%S-%f",
         "%Y-%m-%d-%Hh%Mm%S.%f",
+        "Screenshot %Y-%m-%d at %H.%M.%S.%f",
+        "%Y-%m-%d %I-%M-%S.%f %p",
     ],
 )
 def test_dates(form: str) -> None:
@@ -49,6 +51,7 @@ def test_dates(form: str) -> None:
         ("1795168800250 1795168800500 1795168801000", [0, 250, 750]),
         ("1795168800250000 1795168800500000 1795168801000000", [0, 250, 750]),
         ("1795168800250000000_left 1795168800500000000_left", [0, 250]),
+        ("2026-11-20-09-59-00_1795168800.25 2026-11-20-09-59-00_1795168800.5", [0, 250]),
         ("1_1795168800.250000 2_1795168800.500000 10_1795168801.0", [0, 250, 750]),
     ],
 )
@@ -73,13 +76,51 @@ def test_seconds_since_1970(stems: str, steps_ms: list[int]) -> None:
         "1795168800_5000000 1795168800_250000000",  # nanoseconds without their leading zeros
         "9999999999999999999",
         "sonar sonar2",
+        "20261120_100000_010 20261120_100000_020 20261120_100000_030",  # every tenth frame
+        "20261120_100000_001 20261120_100000_002 20261120_100001_003 20261120_100001_004",
+        "20261120_000000 20261120_000001 20261120_000002",  # a counter of six digits
+        "20261120_1000_00 20261120_1000_01",
+        "1000000001 1000000002",
+        "2026-11-20_13.00.00PM 2026-11-20_13.00.01PM",
     ],
 )
 def test_names_without_times(stems: str) -> None:
     assert times_in_names(stems.split()) is None
 
 
-@given(st.lists(st.integers(10**18, 4 * 10**18 - 1), min_size=1, max_size=9, unique=True))
+@pytest.mark.parametrize(
+    ("behind", "moment_ns"),
+    [
+        ("+0200", MOMENT_NS - 7_200 * 10**9),
+        ("+05:30", MOMENT_NS - 19_800 * 10**9),
+        ("+02", MOMENT_NS - 7_200 * 10**9),
+        ("-0500", MOMENT_NS + 18_000 * 10**9),
+        ("\u202fPM", MOMENT_NS + 43_200 * 10**9),
+        ("am_left", MOMENT_NS),
+        ("_amplitude", MOMENT_NS),
+        ("-02", MOMENT_NS),  # a sonar's number
+    ],
+)
+def test_zones_and_halves_of_the_day(behind: str, moment_ns: int) -> None:
+    found = times_in_names(f"20261120_10-00-0{second}.25{behind}" for second in (0, 1))
+    assert found is not None
+    assert found.tolist() == [moment_ns, moment_ns + 10**9]
+
+
+def test_hours_of_one_digit() -> None:
+    found = times_in_names(f"Screenshot 2026-11-20 at 9.59.5{k} PM" for k in (1, 2))
+    assert found is not None
+    assert found[0] == MOMENT_NS - 250_000_000 + (12 * 3600 - 9) * 10**9
+
+
+@pytest.mark.parametrize("behind", ["_512x381 _512x381 _512x381", "_007 _008 _009", "-01 -02 -03"])
+def test_what_stands_behind_the_seconds_may_be_no_fraction(behind: str) -> None:
+    found = times_in_names(f"20261120_10000{k}{text}" for k, text in enumerate(behind.split()))
+    assert found is not None
+    assert (found - MOMENT_NS).tolist() == [k * 10**9 - 250_000_000 for k in range(3)]
+
+
+@given(st.lists(st.integers(11 * 10**17, 2 * 10**18 - 1), min_size=1, max_size=9, unique=True))
 def test_any_length_of_fraction_tells_the_same(times: list[int]) -> None:
     """As names of seconds and nanoseconds, and as 19 digits; in natural order both rise."""
     times.sort()
