@@ -143,17 +143,25 @@ def _outline_lines(images: Images) -> list[str]:
     found = images.outline
     if found is None or not set(images.lacks) - {"tilt_deg"}:
         return []
-    range_max_m = images.geometry.get("range_max_m")
-    if range_max_m is None:
-        ranges = f"range_min_m is about {found.near_px / found.far_px:.3f} of range_max_m"
-    else:
-        scale = range_max_m / found.far_px
-        ranges = f"range_min_m is about {found.near_px * scale:.3g}, metres_per_pixel {scale:.4g}"
-    return [
+    lines = [
         f"the images show a fan of {found.view_deg:.1f} deg with "
         f"apex_px = [{found.apex_column:.1f}, {found.apex_row:.1f}]",
-        f"its ends are {found.near_px:.0f} and {found.far_px:.0f} px from there: {ranges}",
+        f"and {found.ends}",
     ]
+    if found.far_px is None:
+        return lines
+    near = None if found.near_px is None else found.near_px / found.far_px
+    less = ", or less if it is dark or cut off there"
+    range_max_m = images.geometry.get("range_max_m")
+    if range_max_m is None:
+        lines.append(f"metres_per_pixel is range_max_m / {found.far_px:.1f}")
+        if near is not None:
+            lines.append(f"range_min_m is about {near:.3f} of range_max_m{less}")
+    else:
+        lines.append(f"metres_per_pixel is {range_max_m / found.far_px:.4g}")
+        if near is not None:
+            lines.append(f"range_min_m is about {near * range_max_m:.3g}{less}")
+    return lines
 
 
 def _header_lines(images: Images) -> list[str]:

@@ -25,9 +25,10 @@ _RINGS, _BEAMS = 96, 64  # of a polar picture of the fan
 # if it is right, or .84 if half of the picture is noise.
 _OUTSIDE = 0.15  # share of the pixels outside of the stated fan that hold echoes
 _FILLED = 0.6  # the same share, if the picture has no outline of a fan
-# In 2,000 pictures, simulated and changed as viewers and codecs do, the apex was found within .036
+# In 1,700 pictures, simulated and changed as viewers and codecs do, the apex was found within .036
 # of where it was, in all but strongly compressed JPEGs within .010 (tests/studies/RESULTS.md).
 _APART = 0.04  # of the fan's length: how far its apex and its far end may be from the stated ones
+_PIXELS = 2.0  # in addition
 _CUT = 0.2  # share of the stated fan that lies outside of the picture
 _NARROWING = 0.1  # by how much each side of a fan narrows, in widths of the picture
 _STRAIGHT = 0.02  # standard deviation of an edge from a line, in widths of the picture
@@ -121,9 +122,12 @@ def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
     if beyond and _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
         return [f"{text}, but none if it is turned upside down (a fan has its far range on top)"]
     found = find_outline(picture)
-    other = _other_outline(found, fan, beyond) if found is not None else []
-    if other:
-        return other
+    if found is not None:
+        other = _other_outline(found, fan, beyond)
+        nearest_px = fan.range_min_m / fan.metres_per_pixel - _APART * _far_px(found, fan) - _PIXELS
+        if other or found.near_px is None or found.near_px > nearest_px:
+            # If it is as stated, other things lie beside it, or a part of it is cut off.
+            return other
     if beyond:
         if share > _FILLED:
             return [f"{text} (is it polar, --layout polar?)"]
@@ -138,6 +142,11 @@ def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
     return []
 
 
+def _far_px(found: FanOutline, fan: Fan) -> float:
+    """Distance of the far end from the apex; the stated one if it does not show."""
+    return found.far_px or fan.range_max_m / fan.metres_per_pixel
+
+
 def _other_outline(found: FanOutline, fan: Fan, beyond: bool) -> list[str]:
     """A line if the outline that was found is not the stated fan's, with the flags that state it.
 
@@ -148,19 +157,23 @@ def _other_outline(found: FanOutline, fan: Fan, beyond: bool) -> list[str]:
     near_px, far_px = (at / fan.metres_per_pixel for at in (fan.range_min_m, fan.range_max_m))
     view_deg = fan.bearing_max_deg - fan.bearing_min_deg
     apex = f"{found.apex_column:.1f}", f"{found.apex_row:.1f}"
-    flags = []
-    if max(apart_px, found.far_px - far_px) > _APART * found.far_px:
-        scale = fan.range_max_m / found.far_px
-        flags.append(f"--apex-px {' '.join(apex)} --metres-per-pixel {scale:.4g}")
+    length = _far_px(found, fan)
+    flags, also = [], ""
+    if max(apart_px, length - far_px) > _APART * length + _PIXELS:
+        flags.append(f"--apex-px {' '.join(apex)}")
+        if found.far_px is None:
+            also = ", and metres_per_pixel, which the pictures do not show"
+        else:
+            flags.append(f"--metres-per-pixel {fan.range_max_m / found.far_px:.4g}")
     if beyond and found.view_deg > (1 + _APART) * view_deg:
         flags.append(f"--field-of-view-deg {found.view_deg:.1f}")
     if not flags:
         return []
     return [
         f"the pictures show a fan of {found.view_deg:.1f} deg with apex_px = [{', '.join(apex)}] "
-        f"and its ends {found.near_px:.0f} and {found.far_px:.0f} px from there; stated or assumed "
+        f"and {found.ends}; stated or assumed "
         f"are {view_deg:.1f} deg, [{fan.apex_column:.1f}, {fan.apex_row:.1f}], {near_px:.0f} and "
-        f"{far_px:.0f} px (if the stated ranges are right, give {' '.join(flags)})"
+        f"{far_px:.0f} px (if the stated ranges are right, give {' '.join(flags)}{also})"
     ]
 
 

@@ -110,6 +110,49 @@ def test_a_far_end_in_the_dark_makes_it_shorter_and_no_more() -> None:
     assert found.far_px == pytest.approx(350, abs=2)
 
 
+def test_a_far_end_that_fades_or_is_cut_is_not_told() -> None:
+    """The apex is, for the edges show it."""
+    whole = floor(INSIDE)
+    row, column = np.mgrid[: len(whole), : whole.shape[1]]
+    away = np.hypot(column - APEX[0], APEX[1] - row)
+    with_bar = whole.copy()
+    with_bar[:18] = 70
+    for picture, apex in (
+        (whole * np.clip((480 - away) / 300, 0, 1), APEX),
+        (with_bar, APEX),
+        (whole[120:], (APEX[0], APEX[1] - 120)),
+    ):
+        found = find_outline(picture)
+        assert is_close(found, apex, FAR)
+        assert found is not None
+        assert found.far_px is None
+        assert found.near_px == pytest.approx(120, abs=2)
+
+
+def test_a_shadow_that_cuts_it_in_pieces() -> None:
+    """They are one fan; two fans side by side are none."""
+    picture = floor(INSIDE)
+    picture[:, 215:235] = 0
+    found = find_outline(picture)
+    assert is_close(found, APEX, FAR)
+    assert found is not None
+    assert found.view_deg == pytest.approx(40, abs=1)
+    assert find_outline(np.concatenate([picture, picture], axis=1)) is None
+    apart = np.zeros((len(picture), 20))
+    assert find_outline(np.concatenate([picture, apart, picture], axis=1)) is None
+    panel = np.full((len(picture), 180), 70)
+    assert is_close(find_outline(np.concatenate([floor(INSIDE), apart, panel], axis=1)), APEX, FAR)
+
+
+def test_none_where_its_edges_fade_or_it_is_tiny() -> None:
+    """Edges are not where the light ends; and a pixel is a large part of a tiny fan."""
+    row, column = np.mgrid[: INSIDE.shape[0], : INSIDE.shape[1]]
+    bearing = np.degrees(np.arctan2(column - APEX[0], APEX[1] - row))
+    for fading in (np.abs(bearing), bearing):
+        assert find_outline(floor(INSIDE) * np.cos(np.radians(90) * fading.clip(0) / 20)) is None
+    assert find_outline(floor(wedge((36, 30), (15.0, 40.0), (-20, 20), 9, 38))) is None
+
+
 @pytest.mark.parametrize(
     "inside",
     [
@@ -119,8 +162,9 @@ def test_a_far_end_in_the_dark_makes_it_shorter_and_no_more() -> None:
         np.hypot(*np.mgrid[-150:150, -150:150]) < 120,
         np.pad(np.ones((200, 150), bool), 50),
         np.tri(300, dtype=bool),
+        INSIDE & (np.arange(401) < 245),
     ],
-    ids=["black", "full", "upside down", "a disc", "a rectangle", "a triangle"],
+    ids=["black", "full", "upside down", "a disc", "a rectangle", "a triangle", "behind a panel"],
 )
 def test_none_where_no_two_edges_narrow_downward(inside: np.ndarray) -> None:
     assert find_outline(floor(inside)) is None
@@ -164,9 +208,12 @@ def test_info_tells_it_where_the_geometry_is_missing(tmp_path: Path) -> None:
     on_a_canvas(log)
     text, _ = sonarrec("info", log)
     assert "outline   the images show a fan of 28.8 deg with apex_px = [95.0, 403.5]" in text
-    assert "384 px from there: range_min_m is about 0.333 of range_max_m" in text
+    assert "and its ends 128 and 384 px from there" in text
+    assert "metres_per_pixel is range_max_m / 384." in text
+    assert "range_min_m is about 0.333 of range_max_m, or less" in text
     text, _ = sonarrec("info", log, "--range-max-m", "3.75")
-    assert "range_min_m is about 1.25, metres_per_pixel 0.00975" in text
+    assert "metres_per_pixel is 0.00975" in text
+    assert "range_min_m is about 1.25, or less" in text
     (images,) = json.loads(sonarrec("info", "--json", log)[0])["logs"][0]["images"]
     assert images["outline"]["far_px"] == pytest.approx(384, abs=2)
     assert "outline" not in sonarrec("info", SAMPLE)[0]  # all of it is stated

@@ -85,6 +85,20 @@ def test_wrong_geometry_is_told(log: str, stated: dict[str, float | str], told: 
     assert re.search(told, line), line
 
 
+def test_what_lies_beside_a_fan_where_it_is_stated_is_not_told() -> None:
+    """A panel beside it, and the bar of a window that touches it: its far end does not show."""
+    fan = make_fan()
+    picture = np.pad(floor(fan), ((14, 0), (0, 40)))
+    moved = replace(fan, rows=fan.rows + 14, columns=fan.columns + 40, apex_row=fan.apex_row + 14)
+    for lit in np.s_[:, -30:], np.s_[:12]:
+        there = picture.copy()
+        there[lit] = 60
+        assert of_picture(there, moved) == []
+    (line,) = of_picture(there, replace(moved, apex_row=fan.apex_row - 60))
+    assert "give --apex-px" in line
+    assert "and metres_per_pixel, which the pictures do not show" in line
+
+
 def test_an_upside_down_fan_is_told(tmp_path: Path) -> None:
     (line,) = doubts(upside_down(SAMPLE / "pan", tmp_path / "down"))
     assert "none if it is turned upside down" in line

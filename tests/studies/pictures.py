@@ -230,7 +230,8 @@ def restored(recording: Recording) -> tuple[float, int]:
 
 def outlines(recording: Recording) -> dict[str, tuple[float, float] | None]:
     """By change, of the fan's outline in the mean of the first frames: how far its apex and its far
-    end are from where they are, in lengths of the fan; None if none is found."""
+    end are from where they are, in lengths of the fan, NaN for a far end that does not show; None
+    if none is found."""
     scene = random_scene(recording.seed, recording.kind, frames=LOOKED_AT)
     fan, pictures = scene_fan(scene), [f.image for f in render(scene)]
     far_px = fan.range_max_m / fan.metres_per_pixel
@@ -240,7 +241,8 @@ def outlines(recording: Recording) -> dict[str, tuple[float, float] | None]:
         off[name] = None
         if found is not None:
             across, along = found.apex_column - fan.apex_column, found.apex_row - fan.apex_row
-            off[name] = math.hypot(across, along) / far_px, found.far_px / far_px - 1
+            far = math.nan if found.far_px is None else found.far_px / far_px - 1
+            off[name] = math.hypot(across, along) / far_px, far
     return off
 
 
@@ -249,11 +251,13 @@ def show_outlines(found: Sequence[dict[str, tuple[float, float] | None]]) -> Non
     lines: list[dict[str, str]] = []
     for name in CHANGES:
         off = np.array([one[name] for one in found if one[name] is not None]).reshape(-1, 2)
-        most = off.max(axis=0) if len(off) else (math.nan, math.nan)
+        with_end = np.count_nonzero(~np.isnan(off[:, 1]))
+        most = np.nanmax(off, axis=0) if with_end else (math.nan, math.nan)
         lines.append(
             {
                 "pictures": name,
                 "outline found": f"{len(off)} of {len(found)}",
+                "with its far end": str(with_end),
                 "apex off by at most": told(most[0], ".3f"),
                 "far end too far by at most": told(most[1], ".3f"),
             }
