@@ -11,7 +11,7 @@ from typing import overload
 import numpy as np
 
 from sonarrec.files.order import natural_order
-from sonarrec.readers.name_times import times_in_names
+from sonarrec.readers.name_times import name_without_time, times_in_names
 from sonarrec.readers.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
 from sonarrec.records import IMAGE_SUFFIXES, name_as_text
@@ -102,18 +102,31 @@ class ImageFiles(RawLog):
         super().__init__()
         self.files = files if isinstance(files, ImagePaths) else ImagePaths(files)
         self.frame_count = len(self.files)
-        self._times = times_in_names(file.stem for file in self.files)
-        if self._times is not None and not re.fullmatch("[0-9]{19}", self.files[0].stem):
-            first = date_text(int(self._times[0]), 3)
-            note = f"frames have the times in the names of its images, the first {first} UTC"
+        stems = [file.stem for file in self.files]
+        self._times = times_in_names(stems)
+        note = self._about_times(stems)
+        if note is not None:
             self.header_info = HeaderInfo(notes=(note,))
-        elif self._times is None and (uncounted := _not_as_numbered(self.files)) is not None:
+
+    def _about_times(self, stems: Sequence[str]) -> str | None:
+        """What a user should know of the frames' times and numbers. stems: names without suffix."""
+        if self._times is not None:
+            if re.fullmatch("[0-9]{19}", stems[0]):
+                return None
+            first = date_text(int(self._times[0]), 3)
+            return f"frames have the times in the names of its images, the first {first} UTC"
+        if (stray := name_without_time(stems)) is not None:
+            return (
+                f"{name_as_text(self.files[stray].name)} has no time in its name, so those in the "
+                "names of the other images are not used; if it is no frame, move it elsewhere"
+            )
+        if (uncounted := _not_as_numbered(self.files)) is not None:
             index, name = uncounted
-            note = (
+            return (
                 "the names of its images leave out or repeat numbers, but frames are counted: "
                 f"{name_as_text(name)} is frame {index}"
             )
-            self.header_info = HeaderInfo(notes=(note,))
+        return None
 
     def __iter__(self) -> Iterator[RawFrame]:
         for number, file in enumerate(self.files):

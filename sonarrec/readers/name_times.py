@@ -12,6 +12,7 @@ from sonarrec.records import IntArray
 
 # No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
 LEAST_STEP_NS = 5_000_000
+MOST_STRAYS = 10
 
 _NANOSECONDS = re.compile(r"\A[0-9]{19}\Z")
 # A dot or comma leads a fraction of any length. Behind other signs, or none, stand milliseconds,
@@ -49,6 +50,26 @@ def times_in_names(stems: Iterable[str]) -> IntArray | None:
     # Names may hold both: when the recording began, and when the image was taken.
     found = (_rising_times(form, stems) for form in (_DATE, _SINCE_1970))
     return next((times for times in found if times is not None), None)
+
+
+def name_without_time(stems: Sequence[str]) -> int | None:
+    """Index of the first of a few names without a time, but for which the others hold theirs.
+
+    None if there is none. For names in which `times_in_names` finds none.
+    """
+    for form in (_DATE, _SINCE_1970):
+        strays = list[int]()
+        for index, stem in enumerate(stems):
+            if form.search(stem) is None:
+                strays.append(index)
+                if len(strays) > MOST_STRAYS:
+                    break
+        others = np.delete(np.array(stems, object), strays)
+        if 0 < len(strays) <= min(MOST_STRAYS, len(others) // 2) and (
+            _rising_times(form, others.tolist()) is not None
+        ):
+            return strays[0]
+    return None
 
 
 def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | None:
