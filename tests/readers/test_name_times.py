@@ -96,6 +96,7 @@ def test_names_without_times(stems: str) -> None:
         ("+02", MOMENT_NS - 7_200 * 10**9),
         ("-0500", MOMENT_NS + 18_000 * 10**9),
         ("\u202fPM", MOMENT_NS + 43_200 * 10**9),
+        (" PM +0100", MOMENT_NS + 39_600 * 10**9),
         ("am_left", MOMENT_NS),
         ("_amplitude", MOMENT_NS),
         ("-02", MOMENT_NS),  # a sonar's number
