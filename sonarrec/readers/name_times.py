@@ -12,7 +12,8 @@ from sonarrec.records import IntArray
 
 # No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
 LEAST_STEP_NS = 5_000_000
-MOST_STRAYS = 10
+MOST_COUNTED_NS = 50_000_000  # thousandths that rise by more do not count frames
+MOST_STRAYS = 10  # names without a time among others with one, to be told
 
 _NANOSECONDS = re.compile(r"\A[0-9]{19}\Z")
 # A dot or comma leads a fraction of any length. Behind other signs, or none, stand milliseconds,
@@ -128,14 +129,17 @@ def _ahead_s(zone: str) -> int:
 def _fraction_counts(seconds: IntArray, fractions: IntArray, sign: str, digits: int) -> bool:
     """Whether what stands behind the seconds and a sign is a counter, or the size of the image.
 
-    digits: how many it has in every name. Where three digits are all that differs, it is not clear.
+    digits: how many it has in every name. Three digits that are all that differs, and by little,
+    may be every tenth frame.
     """
     if not sign or len(seconds) < 2:
         return False
     by_one = np.diff(fractions) == 10 ** (9 - digits)
     if by_one.all() or by_one[np.diff(seconds) == 0].any():
         return True
-    return digits == 3 and bool(np.ptp(seconds) == 0 or np.ptp(fractions) == 0)
+    in_one_second = np.ptp(seconds) == 0
+    by_little = bool(in_one_second and np.median(np.diff(fractions)) < MOST_COUNTED_NS)
+    return digits == 3 and (by_little or bool(np.ptp(fractions) == 0))
 
 
 def _seconds_count(seconds: IntArray) -> bool:
