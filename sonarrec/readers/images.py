@@ -113,8 +113,9 @@ class ImageFiles(RawLog):
         if self._times is not None:
             if re.fullmatch("[0-9]{19}", stems[0]):
                 return None
-            first = date_text(int(self._times[0]), 3)
-            return f"frames have the times in the names of its images, the first {first} UTC"
+            first, steps = date_text(int(self._times[0]), 3), np.diff(self._times)
+            rate = f", and {1e9 / np.median(steps):.3g} a second" if len(steps) else ""
+            return f"frames have the times in the names of its images, the first {first} UTC{rate}"
         if (stray := name_without_time(stems)) is not None:
             return (
                 f"{name_as_text(self.files[stray].name)} has no time in its name, so those in the "

@@ -145,6 +145,7 @@ def test_frames_have_these_times(tmp_path: Path) -> None:
         (note,) = opened.notes
     assert [time - MOMENT_NS for time in times] == [0, 10**9, 2 * 10**9]
     assert "the times in the names of its images, the first 2026-11-20 10:00:00.250 UTC" in note
+    assert note.endswith(", and 1 a second")
     told = CliRunner().invoke(main, ["info", str(log)]).output
     assert "  recorded  2026-11-20 10:00:00 UTC, 2.0 s long\n" in told
 
