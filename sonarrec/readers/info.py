@@ -342,7 +342,7 @@ def _images(
         origins=origins,
         assumed={} if lacks or log.fan is None else _assumed(log.sonar, log.fan, polar, raw.timed),
         lacks=lacks,
-        outline=None if polar else plausibility.outline(),
+        outline=None if polar else plausibility.outline,
         notes=[*log.notes, *doubts],
         problems=[p for p in problems if p not in raw.faults],
     )

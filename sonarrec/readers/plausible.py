@@ -8,6 +8,7 @@ floor.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -58,8 +59,12 @@ class Plausibility:
         assert self._sum is not None
         return np.asarray(self._sum / self._frames)
 
+    @cached_property
     def outline(self) -> FanOutline | None:
-        """The fan's outline as the pictures show it, if they do. They must be fan images."""
+        """The fan's outline as the pictures show it, if they do. They must be fan images.
+
+        It is looked for once: ask when all frames were added.
+        """
         return None if self._sum is None else find_outline(self._picture())
 
     def contradictions(self, *, polar: bool, height_stated: bool = True) -> list[str]:
@@ -72,7 +77,10 @@ class Plausibility:
             return []
         picture = self._picture()
         polar_picture = as_polar(picture, self._fan)
-        shape = _polar_outline(polar_picture) if polar else _fan_outline(picture, self._fan)
+        if polar:
+            shape = _polar_outline(polar_picture)
+        else:
+            shape = _fan_outline(picture, self._fan, self.outline)
         # If the outline is wrong, ranges in the picture mean nothing.
         return shape or (_floor(polar_picture, self._fan) if height_stated else [])
 
@@ -112,16 +120,15 @@ def _echoes(grey: FloatArray) -> float:
     return float(np.mean(above_background(grey) > BACKGROUND)) if grey.size else 0.0
 
 
-def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
+def _fan_outline(picture: FloatArray, fan: Fan, found: FanOutline | None) -> list[str]:
     """A line if there are echoes outside of the stated fan, or if it is not where the picture's is,
-    or exceeds the picture."""
+    or exceeds the picture. found: the picture's outline."""
     outside = fan_mask(fan) == 0
     share = _echoes(picture[outside])
     beyond = share > _OUTSIDE and bool(np.mean(outside) > _OUTSIDE / 10)
     text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
     if beyond and _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
         return [f"{text}, but none if it is turned upside down (a fan has its far range on top)"]
-    found = find_outline(picture)
     if found is not None:
         other = _other_outline(found, fan, beyond)
         nearest_px = fan.range_min_m / fan.metres_per_pixel - _APART * _far_px(found, fan) - _PIXELS
