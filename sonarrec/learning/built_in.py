@@ -17,8 +17,9 @@ from sonarrec.learning.samples import Samples, describe, label
 from sonarrec.recogniser.stage3_features.model import BUILT_IN
 from sonarrec.records import Frame
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_sonar
-from sonarrec.simulation.simulate import LandmarkTruth, render
+from sonarrec.simulation.truth import LandmarkTruth
 from sonarrec.simulation.unlike import LEARNED_UNLIKE
 
 # Seeds of the built-in model. Those from 2000 on are for choosing settings (tuning seeds), those

@@ -43,14 +43,13 @@ from sonarrec.records import (
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.simulate import (
+from sonarrec.simulation.simulate import write_documents, write_image
+from sonarrec.simulation.truth import (
     TRUTH_COLUMNS,
     LandmarkTruth,
     truth_row,
     truth_rows,
     visible_share,
-    write_documents,
-    write_image,
 )
 from sonarrec.sonar import Sonar
 

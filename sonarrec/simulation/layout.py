@@ -23,7 +23,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import BoolArray, Fan, SonarrecError
 from sonarrec.simulation.composite import DiscKind, LaidDisc
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.simulate import visible_share
+from sonarrec.simulation.truth import visible_share
 
 APART = 2.4  # least distance between centres, in radii
 WHOLE = 0.99  # share of the disc that is in view in the frame for which it is placed

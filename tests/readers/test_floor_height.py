@@ -17,8 +17,8 @@ from sonarrec.geometry import floor_depth
 from sonarrec.readers import open_log
 from sonarrec.readers.floor_height import LEAST, height_from_images
 from sonarrec.records import Fan
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, load_scene, scene_fan
-from sonarrec.simulation.simulate import render
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 

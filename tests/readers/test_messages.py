@@ -21,8 +21,8 @@ from sonarrec.pipeline.run import run as run_log
 from sonarrec.readers.mcap.fields import Fields
 from sonarrec.readers.mcap.messages import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import load_scene
-from sonarrec.simulation.simulate import render
 from sonarrec.sonar import Sonar
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder, mcap_file

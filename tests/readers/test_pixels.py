@@ -20,7 +20,7 @@ from sonarrec.readers.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.random_scenes import random_scene
-from sonarrec.simulation.simulate import render
+from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, sonar_from_table
 from tests.support import messages
 from tests.support.messages import (

@@ -24,8 +24,8 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages
 from sonarrec.records import Frame, Motion, SonarrecError
 from sonarrec.simulation.motion import poses
+from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, load_scene
-from sonarrec.simulation.simulate import SimulatedFrame, render
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image

@@ -26,8 +26,8 @@ from sonarrec.records import Frame, SonarrecError
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import survey
 from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
-from sonarrec.simulation.simulate import render
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"
 

@@ -16,8 +16,8 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.records import ByteImage, Fan, FloatArray, Motion
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan
-from sonarrec.simulation.simulate import render
 from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run
 
 FRAMES = 60

@@ -23,7 +23,7 @@ from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.random_scenes import random_scene
-from sonarrec.simulation.simulate import render
+from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 

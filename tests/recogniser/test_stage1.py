@@ -17,8 +17,8 @@ from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector, Correlation, gap_share
 from sonarrec.records import Fan, Selection
 from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
-from sonarrec.simulation.simulate import render
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 
 BASIN = load_landmarks("basin")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     FishSection,
     FloorSection,
@@ -19,7 +20,6 @@ from sonarrec.simulation.scene import (
     scene_from_table,
     scene_table,
 )
-from sonarrec.simulation.simulate import render
 from sonarrec.simulation.unlike import LEARNED_UNLIKE, UNLIKE_KINDS
 
 NEW = ("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle")

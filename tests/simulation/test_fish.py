@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sonarrec.simulation.fish import Shoal
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import FishSection, Scene
-from sonarrec.simulation.simulate import render
 from tests.support.bare import POLAR, power
 
 BIN_M = 2.5 / 512

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sonarrec.records import SonarrecError
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import FloorSection, PlacedLandmark, PlacedObject, Scene
-from sonarrec.simulation.simulate import render
 from tests.support.bare import POLAR, even_power
 
 BIN_M = 2.5 / 512

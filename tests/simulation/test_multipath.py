@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MultipathSection, Scene
-from sonarrec.simulation.simulate import render
 from tests.support.bare import POLAR, mean_power, power
 
 BIN_M = 2.5 / 512

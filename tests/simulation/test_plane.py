@@ -10,8 +10,8 @@ import pytest
 
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.plane import Plane
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, scene_sonar
-from sonarrec.simulation.simulate import render
 from tests.support.bare import POLAR, even_power, power
 
 

@@ -20,10 +20,10 @@ from sonarrec.cli import main
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import SonarrecError, name_as_text
-from sonarrec.simulation import simulate
 from sonarrec.simulation.motion import Pose, sweep_deg
 from sonarrec.simulation.plane import FLAT
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     BUILT_IN,
     MotionSection,
@@ -38,8 +38,9 @@ from sonarrec.simulation.scene import (
     scene_sonar,
     scene_table,
 )
-from sonarrec.simulation.simulate import render, visible_share, write_recording
+from sonarrec.simulation.simulate import write_recording
 from sonarrec.simulation.things import object_radius
+from sonarrec.simulation.truth import _aside, visible_share
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.in_view import share_in_image
 from tests.support.bare import BARE, POLAR, mean_power, power
@@ -228,10 +229,10 @@ def test_a_disc_told_at_a_glance_to_be_out_of_view_has_no_point_in_it(
             lean = (rng.uniform(0, 80) * rng.integers(2), rng.uniform(0, 360))
             disc = (fan, pose, x, y, rng.uniform(0.05, 0.5), FLAT, lean)
             with monkeypatch.context() as by_points:
-                by_points.setattr(simulate, "_aside", lambda *_: False)
+                by_points.setattr("sonarrec.simulation.truth._aside", lambda *_: False)
                 share = visible_share(*disc)
             assert visible_share(*disc) == share
-            told.append((share > 0, simulate._aside(fan, pose, x, y, 2 * disc[4], FLAT)))
+            told.append((share > 0, _aside(fan, pose, x, y, 2 * disc[4], FLAT)))
     # Most that are out of view are told so.
     assert told.count((False, True)) > 3 * told.count((False, False)) > 0
     assert told.count((True, False)) > 30

@@ -11,8 +11,9 @@ import pytest
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
-from sonarrec.simulation.simulate import render, write_recording
+from sonarrec.simulation.simulate import write_recording
 from tests.support.bare import POLAR, power
 
 BIN_M = 2.5 / 512

@@ -21,7 +21,7 @@ from sonarrec.recogniser.stage1_candidates import RingScore, ScoreMaps
 from sonarrec.recogniser.stage3_features.expected_symbol import expected_symbols
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
-from sonarrec.simulation.simulate import render
+from sonarrec.simulation.render import render
 from sonarrec.simulation.unlike import UNLIKE_KINDS
 from tests.studies.measured import errors
 from tests.studies.scenes import FRAMES, REPORTED, seeds, show, told

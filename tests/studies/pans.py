@@ -9,8 +9,8 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import SonarSection, load_scene, scene_fan
-from sonarrec.simulation.simulate import render
 
 FRAMES = 41
 VIEWS = ((28.8, 96, 0.4), (60.0, 256, 0.6), (130.0, 256, 1.0))

@@ -32,8 +32,8 @@ from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.records import ByteImage, Fan, Frame
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
-from sonarrec.simulation.simulate import render
 from tests.studies.scenes import seeds, show, told
 from tests.support.simulated import Job, in_processes, recognise, score
 

@@ -25,8 +25,8 @@ from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.records import Frame
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
+from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan
-from sonarrec.simulation.simulate import SimulatedFrame, render
 from tests.studies.bench import three_in_view
 from tests.studies.scenes import seeds, show, told
 from tests.support.simulated import Job, in_processes, recognise, score

@@ -13,8 +13,8 @@ from sonarrec.evaluation.counting.curves import PUBLISHED
 from sonarrec.learning.built_in import MODEL_SEEDS
 from sonarrec.recogniser.stage3_features.published import TABLE_3
 from sonarrec.simulation.motion import poses
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import load_scene, scene_fan, scene_table
-from sonarrec.simulation.simulate import render
 from tests.studies import scenes, study
 from tests.studies.paper import choices, prediction, world
 from tests.studies.paper.parts import BAYES, CONTINUITY, LEARNED, Parts

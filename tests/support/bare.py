@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     FadingSection,
     FloorSection,
@@ -15,7 +16,6 @@ from sonarrec.simulation.scene import (
     Scene,
     SonarSection,
 )
-from sonarrec.simulation.simulate import render
 
 # A still sonar over an even floor, without faults. speckle_s far below the frame time gives every
 # frame speckle of its own, so that a mean over frames tends to the expected power.

@@ -31,8 +31,9 @@ from sonarrec.records import Estimate, Fan, Frame
 from sonarrec.results.read import read_log
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
+from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
-from sonarrec.simulation.simulate import LandmarkTruth, SimulatedFrame, render
+from sonarrec.simulation.truth import LandmarkTruth
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks

@@ -25,8 +25,8 @@ from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose, ar1
 from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, scene_fan, scene_sonar
-from sonarrec.simulation.simulate import render
 
 SPEED_M_S = 0.35
 RATE_HZ = 4.0

@@ -21,7 +21,7 @@ from sonarrec.geometry import fan_for_image, polar_from_pixel
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.simulate import visible_share
+from sonarrec.simulation.truth import visible_share
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.check import CheckedTruth, Fault, check_truth
 from sonarrec.truth.contact_sheet import MOST_STRIPS, SIDE, _strips, draw_contact_sheet

@@ -1,0 +1,168 @@
+"""Simulated truth: which landmarks and other objects a frame shows, and where."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+
+import numpy as np
+
+from sonarrec.geometry import in_image, pixel_from_polar, points_on_disc
+from sonarrec.records import Fan, FloatArray
+from sonarrec.simulation.fish import Fishes
+from sonarrec.simulation.laid import raised_m
+from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.plane import FLAT, Plane, within_a_turn
+from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
+from sonarrec.simulation.things import object_radius
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkTruth:
+    """A landmark that is at least partly in view of a frame: a row of gt.csv.
+
+    x_px, y_px: centre in fan pixels. range_m: slant range. bearing_deg: positive to the right.
+    visible: share of the disc's area that is inside the fan image, 0 to 1. orientation_deg: where
+    the first sector begins, counter-clockwise from the image's right, seen from above.
+    """
+
+    landmark: int
+    x_px: float
+    y_px: float
+    range_m: float
+    bearing_deg: float
+    visible: float
+    orientation_deg: float
+
+
+TRUTH_COLUMNS = ("frame", *(f.name for f in fields(LandmarkTruth)))
+"""Of gt.csv."""
+
+
+def truth_rows(frame: int, truth: Iterable[LandmarkTruth]) -> Iterator[list[object]]:
+    """The rows of gt.csv for one frame."""
+    return ([frame, *asdict(landmark).values()] for landmark in truth)
+
+
+@dataclass(frozen=True, slots=True)
+class DistractorTruth:
+    """Any other object in view, even if something hides it. The fields are as in LandmarkTruth."""
+
+    kind: str
+    x_px: float
+    y_px: float
+    range_m: float
+    bearing_deg: float
+    visible: float
+    orientation_deg: float
+
+
+def visible_share(
+    fan: Fan,
+    pose: Pose,
+    x_m: float,
+    y_m: float,
+    radius_m: float,
+    plane: Plane = FLAT,
+    lean: tuple[float, float] = (0.0, 0.0),
+) -> float:
+    """Share of a disc's area that is inside the fan image, 0 to 1.
+
+    x_m, y_m: its centre on the floor. lean: by how much the disc leans and the azimuth towards
+    which it does, deg; its lower edge touches the floor.
+    """
+    if _aside(fan, pose, x_m, y_m, 2 * radius_m, plane):
+        return 0.0
+    dx, dy, up = _disc(radius_m, lean)
+    slant, bearing = plane.seen(pose, x_m + dx, y_m + dy, up)
+    return float(np.mean(in_image(fan, slant, bearing)))
+
+
+def _aside(fan: Fan, pose: Pose, x_m: float, y_m: float, reach_m: float, plane: Plane) -> bool:
+    """Whether everything within reach_m of a place on the floor is certainly out of view.
+
+    Always False if the sonar rolls or the floor slopes.
+    """
+    if pose.roll_deg or plane.slope_deg:
+        return False
+    dx, dy = x_m - pose.x_m, y_m - pose.y_m
+    away = math.hypot(dx, dy)
+    if away <= reach_m:
+        return False
+    middle = (fan.bearing_min_deg + fan.bearing_max_deg) / 2
+    off = abs(float(within_a_turn(math.degrees(math.atan2(dx, dy)) - pose.pan_deg - middle)))
+    off -= math.degrees(math.asin(reach_m / away))
+    return away - reach_m > fan.range_max_m or off > fan.bearing_max_deg - middle
+
+
+@lru_cache(maxsize=256)
+def _disc(
+    radius_m: float, lean: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, FloatArray | float]:
+    """Points of a disc: to the right of its centre, ahead of it, and up, m.
+
+    lean: as in `visible_share`.
+    """
+    dx, dy = points_on_disc(radius_m, 2000)
+    up: FloatArray | float = 0.0
+    if lean[0]:
+        tilt, towards = math.radians(lean[0]), math.radians(lean[1])
+        along = dx * math.sin(towards) + dy * math.cos(towards)
+        up = (along + radius_m) * math.sin(tilt)
+        level = along * (math.cos(tilt) - 1)
+        dx, dy = dx + level * math.sin(towards), dy + level * math.cos(towards)
+    return dx, dy, up
+
+
+def truth_in_view(
+    scene: Scene, fan: Fan, pose: Pose, fishes: Fishes | None
+) -> tuple[tuple[LandmarkTruth, ...], tuple[DistractorTruth, ...]]:
+    """Landmarks and distractors in view of a frame, rounded to the digits of gt.csv."""
+    radius = scene.landmark_set.radius_m
+    plane = Plane.of(scene)
+    things: list[tuple[PlacedLandmark | PlacedObject, float]]
+    things = [(item, radius) for item in scene.landmarks]
+    things += [(item, object_radius(scene, item)) for item in scene.objects]
+    landmarks, distractors = [], []
+    for item, size in things:
+        x, y = place_of(item)
+        lean = (item.lean_deg, item.lean_towards_deg)
+        share = round(visible_share(fan, pose, x, y, size, plane, lean), 4)
+        if share == 0:
+            continue
+        seen = plane.seen(pose, x, y, raised_m(item, size))
+        row = truth_row(fan, seen, share, item.orientation_deg + pose.pan_deg)
+        if isinstance(item, PlacedObject):
+            distractors.append(DistractorTruth(item.kind, *row))
+        else:
+            landmarks.append(LandmarkTruth(item.id, *row))
+    if fishes is not None:
+        slant, bearing = plane.seen(pose, fishes.x_m, fishes.y_m, fishes.up_m)
+        for n in np.flatnonzero(in_image(fan, slant, bearing)):
+            turn = 90 - float(fishes.heading_deg[n]) + pose.pan_deg
+            distractors.append(
+                DistractorTruth("fish", *truth_row(fan, (slant[n], bearing[n]), 1.0, turn))
+            )
+    return tuple(landmarks), tuple(distractors)
+
+
+def truth_row(
+    fan: Fan, seen: tuple[FloatArray | float, FloatArray | float], share: float, turn_deg: float
+) -> tuple[float, float, float, float, float, float]:
+    """The fields of a row of truth after the thing's name, rounded.
+
+    seen: (slant range in m, bearing in deg). share: the part of it in view, 0 to 1. turn_deg: its
+    orientation.
+    """
+    slant, bearing = (float(value) for value in seen)
+    column, row = pixel_from_polar(fan, slant, bearing)
+    return (
+        round(float(column), 3),
+        round(float(row), 3),
+        round(slant, 5),
+        round(bearing, 4),
+        share,
+        round(turn_deg % 360, 3),
+    )
