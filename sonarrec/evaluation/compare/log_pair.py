@@ -86,9 +86,11 @@ def _count_pair(pair: LogPair) -> CountedPair:
     labels = pair.name, new.landmarks.ids, truth_check, unused
     if truth_check.fault is not None:
         return CountedPair(*labels, None, {})
+    # Each side is scored as `evaluate` scores it: pixels lie where its own geometry puts them.
+    old_truth = match_truth(table, replace(new, fan=old.fan or new.fan), options.tolerance_s)
     scored = []
-    for log in (old, new):
-        joined = join([log], [case.truth], options.min_visible, pair.ids)
+    for log, truth in ((old, old_truth), (new, case.truth)):
+        joined = join([log], [truth], options.min_visible, pair.ids)
         scored.append((joined, score_all(joined)))
     before, after = (part_of(*side, rates_only=True) for side in scored)
     return CountedPair(*labels, (before, after), changed_frames(*scored))
