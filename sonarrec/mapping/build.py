@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from sonarrec.mapping.passes import find_passes, read_declared
 from sonarrec.mapping.path import Drift, SonarPath, path_from_poses
 from sonarrec.mapping.poses_of_run import poses_of_run
 from sonarrec.poses import PoseTable
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import IntArray, SonarrecError, UsageError
 from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
@@ -44,8 +45,14 @@ class SiteMap:
     ros_axes: bool
 
     def frames_of(self, passes: Iterable[tuple[int, int]]) -> int:
-        """The number of frames with a declaration in some passes. passes: as Landmark.members."""
-        return sum(int(self.logs[g].passes.frames[k]) for g, k in passes)
+        """The number of frames with a declaration in some passes. passes: as Landmark.members.
+
+        A frame in which two tracks lie on one landmark is one frame.
+        """
+        rows: dict[int, list[IntArray]] = defaultdict(list)
+        for g, k in passes:
+            rows[g].append(self.logs[g].rows_of(k))
+        return sum(len(np.unique(np.concatenate(of_log))) for of_log in rows.values())
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,7 @@ def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
     """
     log, landmark = site.logs[g], site.landmarks[number]
     passes, declared = log.passes, log.declared
-    length = int(passes.frames[k])
+    length = int(passes.estimates[k])
     take = np.unique(np.linspace(0, length - 1, min(length, PER_PASS)).round().astype(int))
     estimates = passes.order[passes.begin[k] + take]
     row, (slant, bearing, turn) = declared.row[estimates], declared.polar[estimates].T

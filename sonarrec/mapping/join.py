@@ -42,6 +42,12 @@ class MappedLog:
     fan: Fan
     ros_axes: bool
 
+    def rows_of(self, k: int) -> IntArray:
+        """(n,) the frames, as indices of the path, of the estimates of its k-th pass."""
+        begin = self.passes.begin[k]
+        estimates = self.passes.order[begin : begin + self.passes.estimates[k]]
+        return self.declared.row[estimates]
+
 
 @dataclass(frozen=True, slots=True)
 class Landmark:
@@ -254,7 +260,7 @@ def _one_at_a_place(
     """
     passes = [log.passes for log in logs]
     weight = [
-        sum(passes[g].frames[k] * passes[g].score[k] for g, k in m.members) for m in landmarks
+        sum(passes[g].estimates[k] * passes[g].score[k] for g, k in m.members) for m in landmarks
     ]
     others: dict[int, list[tuple[int, int]]] = {}
     for n in sorted(range(len(landmarks)), key=lambda n: -weight[n]):

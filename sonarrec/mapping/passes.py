@@ -65,7 +65,7 @@ class DeclaredEstimates:
 class Passes:
     """All passes of one log, n of them, in order of their first frames.
 
-    landmark, track: (n,). frames: (n,) number of frames with a declaration. score: (n,) mean.
+    landmark, track: (n,). estimates: (n,) how many each has. score: (n,) mean.
     first, last, middle: (n,) indices of frames in the path. place: (n, 2) x, y in the path's axes,
     m. covariance: (n, 2, 2) of the place, without the path's error, m^2. lean: (n, 2) by how much
     the place moves per metre of error in the height. turn_deg: (n,) where the first sector begins,
@@ -76,7 +76,7 @@ class Passes:
 
     landmark: IntArray
     track: IntArray
-    frames: IntArray
+    estimates: IntArray
     score: FloatArray
     first: IntArray
     last: IntArray
@@ -244,7 +244,7 @@ def _placed(
     return Passes(
         landmark=estimates.landmark[order][begin],
         track=estimates.track[order][begin],
-        frames=length,
+        estimates=length,
         score=runs.sum(estimates.score[order]) / length,
         first=row[begin],
         last=row[begin + length - 1],

@@ -151,7 +151,7 @@ def write_map(path: Path, site: SiteMap) -> None:
     rows: list[list[object]] = []
     for number, landmark in enumerate(site.landmarks, 1):
         passes = [(site.logs[g], site.logs[g].passes, k) for g, k in landmark.members]
-        frames = [int(p.frames[k]) for _, p, k in passes]
+        estimates = [int(p.estimates[k]) for _, p, k in passes]
         scores = [float(p.score[k]) for _, p, k in passes]
         rows.append(
             [
@@ -160,9 +160,9 @@ def write_map(path: Path, site: SiteMap) -> None:
                 *_numbers(axes.place(landmark.place), axes.covariance(landmark.covariance)),
                 *_turn(axes.turn(landmark.turn_deg, periods[landmark.id]), landmark.turn_sigma_deg),
                 len(passes),
-                sum(frames),
+                site.frames_of(landmark.members),
                 len({g for g, _ in landmark.members}),
-                f"{np.average(scores, weights=frames):.4f}",
+                f"{np.average(scores, weights=estimates):.4f}",
                 f"{min(p.near_m[k] for _, p, k in passes):.3f}",
                 f"{max(p.far_m[k] for _, p, k in passes):.3f}",
                 min(int(log.path.timestamp_ns[p.first[k]]) for log, p, k in passes),
@@ -194,7 +194,7 @@ def write_passes(path: Path, site: SiteMap) -> None:
                     int(p.track[k]),
                     int(log.path.frame[p.first[k]]),
                     int(log.path.frame[p.last[k]]),
-                    int(p.frames[k]),
+                    site.frames_of([(g, k)]),
                     f"{p.score[k]:.4f}",
                     *_numbers(axes.place(p.place[k]), axes.covariance(p.covariance[k])),
                     *_turn(

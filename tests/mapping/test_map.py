@@ -323,7 +323,7 @@ def test_each_pass_asks_the_paths_the_same_number_of_times_however_many_logs(
         SonarPath, "place_covariance", lambda *args: asked.append(0) or added(*args)
     )
     site = make_map([tmp_path / "logs"])
-    passes = sum(len(log.passes.frames) for log in site.logs)
+    passes = sum(len(log.passes.estimates) for log in site.logs)
     assert len(site.landmarks) == len(SITE)
     assert len(asked) <= 2 * passes + 8 * (2 * len(SITE) + 1)
 
@@ -382,6 +382,30 @@ def test_landmarks_of_few_frames_are_left_out(tmp_path: Path) -> None:
     assert told == ["  2 landmarks left out by --min-frames"]
     nothing = results(tmp_path / "empty", path, path, site=())
     assert "no landmark declared" in sonarrec("map", nothing, "--min-frames", 10_000).stdout
+
+
+def test_a_frame_with_two_tracks_on_a_landmark_is_one_frame(tmp_path: Path) -> None:
+    """The frames of all passes were added up, and could be more than the log has."""
+    path = there_and_back()
+    folder = results(tmp_path / "dive", path, path)
+    rows = table(folder / "estimates.csv")
+    alone = map_rows(folder)
+    again = [row | {"object": str(int(row["object"]) + 5000)} for row in rows]
+    write_table(folder / "estimates.csv", [*rows, *again, *rows[:3]])
+    doubled = map_rows(folder)
+    assert sum(int(row["frames"]) for row in alone) == len(rows)
+    for row, other in zip(alone, doubled, strict=True):
+        assert row["frames"] == other["frames"]
+        assert 2 * int(row["passes"]) == int(other["passes"])
+    passes = table(folder / "map" / "passes.csv")
+    for row in passes:
+        frames = {
+            int(one["frame"])
+            for one in again
+            if int(one["object"]) % 5000 == int(row["track"]) % 5000
+            and one["landmark"] == row["landmark"]
+        }
+        assert int(row["frames"]) == len(frames)
 
 
 def map_rows(folder: Path, *options: str | int) -> list[dict[str, str]]:
