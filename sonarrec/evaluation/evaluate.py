@@ -12,7 +12,13 @@ import numpy as np
 from sonarrec.evaluation.counting.parts import part_of, score_all
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pool
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.matching.fit import TruthCheck, left_out, of_other_logs, scorable_logs
+from sonarrec.evaluation.matching.fit import (
+    TruthCheck,
+    left_out,
+    notes_on_rows,
+    of_other_logs,
+    scorable_logs,
+)
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
@@ -23,7 +29,7 @@ from sonarrec.evaluation.matching.pairs import (
     usable_pairs,
 )
 from sonarrec.evaluation.survey import LogToScore, SurveyedLog, UnreadableLog, map_logs, survey
-from sonarrec.records import IntArray, SonarrecError, number_of, printable
+from sonarrec.records import IntArray, SonarrecError, printable
 from sonarrec.results.counted_once import counted_once
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.sonar import Sonar
@@ -349,13 +355,8 @@ def _notes(
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
     for name, log in zip(names, logs, strict=True):
-        if log.truth_check is not None and not log.truth_check.rows:
-            notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
-        if log.between:
-            notes.append(
-                f"{name}: {number_of(log.between, 'ground-truth row')} between frames ignored, "
-                "because others are nearer in time"
-            )
+        if log.truth_check is not None:
+            notes += notes_on_rows(name, log.truth_check)
         missing = [method for method in scored.methods if method not in log.methods]
         if missing:
             notes.append(

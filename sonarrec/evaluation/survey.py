@@ -64,8 +64,6 @@ class SurveyedLog:
     ids: tuple[int, ...]
     methods: tuple[str, ...]
     recording: Recording
-    between: int
-    """Rows of its truth between frames."""
     truth_check: TruthCheck | None
     """None if truth and log could not be matched; then `error` says why."""
     error: SonarrecError | None
@@ -103,7 +101,6 @@ def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | Unreada
         ids=log.landmarks.ids,
         methods=log.methods,
         recording=recording(reading.folder, log.run, len(log.frame_index)),
-        between=0 if case is None else case.truth.between,
         truth_check=truth_check,
         error=error,
         case=case if whole else None,

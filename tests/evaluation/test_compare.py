@@ -562,3 +562,20 @@ def test_a_method_missing_from_one_log_is_said(tmp_path: Path) -> None:
     two, _ = write_case(tmp_path / "b", FRAMES, claims({5}), TRUTH)
     found = evaluate_whole([Pair(one, gt, "a"), Pair(two, gt, "b")])
     assert "b: has no estimates of n; this counts as no claim" in found.notes
+
+
+def test_a_comparison_says_what_a_score_says_of_each_log(tmp_path: Path) -> None:
+    """A log that lacked a method, or rows of truth, was counted without a word."""
+    both = claims({5, 6}) + claims({5}, method="n")
+    for side in ("old", "new"):
+        for log in ("a", "b"):
+            kept = claims({5}) if (side, log) == ("new", "b") else both
+            write_case(tmp_path / side / f"{log}.case", FRAMES, kept, [])
+            (tmp_path / side / f"{log}.case" / "out").rename(tmp_path / side / log)
+    write_csv(tmp_path / "gt.csv", [*TRUTH_HEADER, "log"], [(*row, "a") for row in TRUTH])
+    notes = compare(tmp_path / "old", tmp_path / "new", tmp_path / "gt.csv").notes
+    b = tmp_path / "new" / "b"
+    empty = "b: no row in the ground truth, so it is taken to hold no landmark"
+    assert notes[-2:] == (empty, f"{b}: has no estimates of n; this counts as no claim")
+    scored_alone = evaluate(tmp_path / "new", tmp_path / "gt.csv").notes
+    assert {empty, "b: has no estimates of n; this counts as no claim"} <= set(scored_alone)

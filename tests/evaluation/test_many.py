@@ -225,16 +225,16 @@ RECORDED = {
     4: {
         "changes.csv": "c1d11868d335fb2a",
         "compare.csv": "7adf97591fa1498e",
-        "compare.html": "1c43bdb18a9bcc23",
-        "compare.json": "f2a39fad572676f2",
-        "printed": "98037a2044a70108",
+        "compare.html": "7f1bfa858b24ceb4",
+        "compare.json": "f3281431e3ac1939",
+        "printed": "2a2e2909d9359723",
     },
     12: {
         "changes.csv": "c62e8bb554426a0a",
         "compare.csv": "259edaa2f50df435",
-        "compare.html": "7809ea2fd5f8f347",
-        "compare.json": "0c931015529d0391",
-        "printed": "c8c14bdd52c45c10",
+        "compare.html": "3e49c304bd6b18e9",
+        "compare.json": "6d2fd05a39b824d5",
+        "printed": "a27fdeb1e8b903f5",
     },
 }
 

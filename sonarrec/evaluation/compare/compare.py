@@ -27,7 +27,7 @@ from sonarrec.evaluation.counting.uncertainty import (
 )
 from sonarrec.evaluation.counting.unit_sums import UnitSums
 from sonarrec.evaluation.evaluate import DEFAULT, distinct_names, other_ids
-from sonarrec.evaluation.matching.fit import scorable_logs
+from sonarrec.evaluation.matching.fit import notes_on_rows, scorable_logs
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import FindBeside, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
@@ -282,15 +282,30 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float)
     old, new = (pool(parts, part_numbers, names, min_visible) for parts in (before, after))
     if not (old.methods and new.methods):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
+    notes = [*scorable.notes]
+    compared = [method for method in new.methods if method in old.methods]
+    for i, name in zip(scorable.usable, names, strict=True):
+        notes += _notes_on_log(name, read[i], logs[i], compared)
     return _CountedPairs(
         used=[replace(read[i], name=n) for i, n in zip(scorable.usable, names, strict=True)],
         before=old,
         after=new,
         frames=partial(FrameChanges, store, tuple(zip(part_numbers, names, strict=True))),
-        notes=scorable.notes,
+        notes=notes,
         cut=[line for log in logs for line in log.unused],
         unused=[*(counted.message("compared") for counted in unread), *scorable.unused],
     )
+
+
+def _notes_on_log(
+    name: str, pair: LogPair, log: CountedPair, methods: Sequence[str]
+) -> Iterator[str]:
+    """The notes of `evaluate` on one log. methods: those compared."""
+    yield from notes_on_rows(name, log.truth_check)
+    for folder, of_log in zip(pair.folders, log.methods, strict=True):
+        missing = [method for method in methods if method not in of_log]
+        if missing:
+            yield f"{folder}: has no estimates of {', '.join(missing)}; this counts as no claim"
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,8 @@ class CountedPair:
 
     name: str
     ids: tuple[int, ...]
+    methods: tuple[tuple[str, ...], tuple[str, ...]]
+    """Of the old and the new results."""
     truth_check: TruthCheck
     unused: list[str]
     """A line for each part of the results that is not compared."""
@@ -83,7 +85,7 @@ def _count_pair(pair: LogPair) -> CountedPair:
     old, new = (_only(replace(log, name=pair.name), common) for log in (old, new))
     case = MatchedLog(new, table, match_truth(table, new, options.tolerance_s))
     truth_check = check_fit(case)
-    labels = pair.name, new.landmarks.ids, truth_check, unused
+    labels = pair.name, new.landmarks.ids, (old.methods, new.methods), truth_check, unused
     if truth_check.fault is not None:
         return CountedPair(*labels, None, {})
     # Each side is scored as `evaluate` scores it: pixels lie where its own geometry puts them.

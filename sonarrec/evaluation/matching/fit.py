@@ -45,6 +45,8 @@ class TruthCheck:
     """Rows about this log."""
     unprocessed: int
     """Rows about it on frames that were not processed."""
+    between: int
+    """Rows about it between frames."""
     frames: int
     fault: str | None
     """Why the truth does not fit the log; None if it does."""
@@ -70,6 +72,7 @@ def check_fit(case: MatchedLog) -> TruthCheck:
         table_rows=len(case.table.at),
         rows=case.truth.rows,
         unprocessed=case.truth.unprocessed,
+        between=case.truth.between,
         frames=len(case.log.frame),
         fault=misfit(case.table, case.log, case.truth),
         notes=_notes(case),
@@ -111,6 +114,19 @@ def _notes(case: MatchedLog) -> list[str]:
             f"image of {log.name}; `sonarrec truth check` names them"
         )
     return notes + pixels_elsewhere(table, log, "are scored")
+
+
+def notes_on_rows(name: str, case: TruthCheck) -> list[str]:
+    """A line if the truth has no row on a log, or rows between its frames. name: of the log."""
+    notes = []
+    if not case.rows:
+        notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
+    if case.between:
+        notes.append(
+            f"{name}: {number_of(case.between, 'ground-truth row')} between frames ignored, "
+            "because others are nearer in time"
+        )
+    return notes
 
 
 def left_out(cases: Sequence[TruthCheck]) -> list[str]:
