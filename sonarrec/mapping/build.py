@@ -14,7 +14,7 @@ from sonarrec.mapping.join import Landmark, MappedLog, join
 from sonarrec.mapping.measured import measured_motion_path, read_frames
 from sonarrec.mapping.passes import find_passes, read_declared
 from sonarrec.mapping.path import Drift, SonarPath, path_from_poses
-from sonarrec.mapping.poses_of_run import poses_of_run
+from sonarrec.mapping.poses_of_run import digest, poses_of_run
 from sonarrec.poses import PoseTable
 from sonarrec.records import IntArray, SonarrecError, UsageError
 from sonarrec.results.counted_once import Recording, counted_once, recording
@@ -57,11 +57,15 @@ class SiteMap:
 
 @dataclass(frozen=True, slots=True)
 class _ReadLog:
-    """One log that can be mapped, with its notes and problems for the SiteMap."""
+    """One log that can be mapped, with its notes and problems for the SiteMap.
+
+    table: SHA-256 of the table of its poses; None if they are not from a table.
+    """
 
     folder: Path
     recording: Recording
     log: MappedLog
+    table: str | None
     notes: list[str]
     problems: list[str]
 
@@ -113,7 +117,11 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
         left_out=0,
         logs=logs,
         problems=[*problems, *(line for read in counted for line in read.problems), *once.unused],
-        notes=[*(line for read in counted for line in read.notes), *once.notes],
+        notes=[
+            *(line for read in counted for line in read.notes),
+            *once.notes,
+            *_tables_not_used(options.odometry, logs_read),
+        ],
         ros_axes=all(log.ros_axes for log in logs),
     )
     seen_enough = [
@@ -154,6 +162,17 @@ def _read_logs(
     return logs_read, landmark_set, problems
 
 
+def _tables_not_used(tables: Sequence[Path], logs_read: Sequence[_ReadLog]) -> Iterator[str]:
+    """A line for each table of poses that is of no log."""
+    used = {read.table for read in logs_read}
+    for table in tables:
+        if digest(table) not in used:
+            yield (
+                f"{table}: not used, for no log was run with it; to map a log by it, run the log "
+                "again with it"
+            )
+
+
 def _read_log(folder: Path, run: RunFile, landmarks: LandmarkSet, options: MapOptions) -> _ReadLog:
     """Read one log: its path and its passes. Raises SonarrecError if it cannot be mapped."""
     poses = poses_of_run(folder, run, options.odometry)
@@ -171,7 +190,14 @@ def _read_log(folder: Path, run: RunFile, landmarks: LandmarkSet, options: MapOp
     log = MappedLog(name, path, declared, passes, fan, ros_axes)
     problems = [] if run.finished else [cut_short(str(folder), len(path.frame), "used")]
     problems += _left_out(folder, log)
-    return _ReadLog(folder, recording(folder, run, len(declared.row)), log, notes, problems)
+    return _ReadLog(
+        folder=folder,
+        recording=recording(folder, run, len(declared.row)),
+        log=log,
+        table=None if poses is None else poses.source.get("sha256"),
+        notes=notes,
+        problems=problems,
+    )
 
 
 def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:

@@ -948,6 +948,36 @@ def test_poses_that_changed_are_refused(tmp_path: Path) -> None:
     sonarrec("map", folder, "--odometry", right)
 
 
+def test_a_table_of_poses_that_is_not_used_is_told(tmp_path: Path) -> None:
+    """It was passed over without a word, and the map was by other poses."""
+    path = there_and_back()
+    folder = results(tmp_path / "dive", path, path)
+    alone = map_rows(folder)
+    own, better = tmp_path / "dive.poses.csv", write_poses(tmp_path / "better.csv", path + 1)
+    assert sonarrec("map", folder, "--odometry", own).stderr == ""
+    told = sonarrec("map", folder, "--odometry", better, "--odometry", own).stderr
+    assert told.startswith(f"sonarrec: note: {better}: not used, for no log was run with it; ")
+    assert told.count("\n") == 1
+    assert table(folder / "map" / "map.csv") == alone
+
+
+def test_of_several_tables_none_is_taken_at_random(tmp_path: Path) -> None:
+    """With two tables a log fell back to its measured motion, whatever poses it had."""
+    path = there_and_back()
+    two = [write_poses(tmp_path / f"{n}.csv", path + n) for n in (1, 2)]
+    tables = [word for one in two for word in ("--odometry", one)]
+    odometry_log(tmp_path / "ros.mcap", path)
+    ros = results(tmp_path / "ros", path, None, odometry={"topic": "/odom"})
+    alone = map_rows(ros)
+    assert map_rows(ros, *map(str, tables)) == alone
+    none = results(tmp_path / "none", path, None)
+    measured(none, path, (0.001, 0.001, 0.01))
+    assert map_rows(none)
+    told = sonarrec("map", none, *tables, code=1).stderr
+    assert told.startswith(f"sonarrec: {none}: run without poses, so nothing tells which of the 2")
+    sonarrec("map", none, "--odometry", two[0])
+
+
 def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None:
     path = there_and_back()
     good = results(tmp_path / "out" / "good", path, path)
