@@ -142,4 +142,4 @@ def _without_minutes(pooled: Pooled) -> str:
     untimed = [name for name, timed in zip(pooled.logs, pooled.timed, strict=True) if not timed]
     listed = ", ".join(untimed[:5]) + f" and {len(untimed) - 5} more" * (len(untimed) > 5)
     lack = f"leave out {listed}" if pooled.timed.any() else "are not given"
-    return f"claims per minute {lack}: frames.csv has no timestamp_ns, or a single frame"
+    return f"claims per minute {lack}: frames.csv has no timestamp_ns, or a single time"

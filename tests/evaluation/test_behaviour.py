@@ -21,6 +21,7 @@ from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.summary import Summary, _notes, summarise, units_text
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.landmarks import load_landmarks
+from tests.evaluation.test_evaluation import write_case, write_csv
 from tests.support.claims import evaluated, joined
 
 
@@ -122,8 +123,22 @@ def test_a_log_without_duration_is_left_out_of_claims_per_minute() -> None:
     summary = summarise(evaluated(replace(both, seconds=seconds)))
     assert value(summary, "false_claims_per_min") == 2
     assert [note for note in summary.notes if "minute" in note] == [
-        "claims per minute leave out log1: frames.csv has no timestamp_ns, or a single frame"
+        "claims per minute leave out log1: frames.csv has no timestamp_ns, or a single time"
     ]
+
+
+@pytest.mark.parametrize("tick_s", [0.25, 0.5, 1.0])
+def test_frames_of_one_time_share_it(tmp_path: Path, tick_s: float) -> None:
+    """Times in whole seconds, of four frames each, gave no claims per minute at all."""
+    frames = range(240)  # a minute, with a pause of an hour in it
+    times = [int((f * 0.25 + 3600 * (f >= 120)) // tick_s * tick_s * 1e9) for f in frames]
+    claims = [(f, "m", 3.0, 0.0, 2, 0.9, 1) for f in (5, 6, 200)]
+    out, truth = write_case(tmp_path, frames, claims, [(f, 1, 2.0, 0.0, 1) for f in range(9)])
+    write_csv(out / "frames.csv", ["frame", "timestamp_ns"], zip(frames, times, strict=True))
+    summary = summarise(evaluate(out, truth))
+    found = summary.figure("strict", "m", "false_claims_per_min")
+    assert found is not None
+    assert found.value == pytest.approx(3)
 
 
 def test_switches_of_id_and_track() -> None:

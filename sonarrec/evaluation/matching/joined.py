@@ -152,11 +152,14 @@ def _is_placed(log: LogResults, truth: Truth) -> bool:
 
 
 def _seconds_per_frame(log: LogResults) -> float:
-    """The median time between frames; a median, so that pauses do not count."""
-    if log.timestamp_ns is None or len(log.frame) < 2:
+    """The median time between frames; a median, so that pauses do not count.
+
+    Frames of one time share it: a clock may tick more slowly than frames come.
+    """
+    times = np.unique([] if log.timestamp_ns is None else log.timestamp_ns)
+    if len(times) < 2:
         return np.nan
-    seconds = float(np.median(np.diff(np.sort(log.timestamp_ns)))) / 1e9
-    return seconds if seconds > 0 else np.nan
+    return float(np.median(np.diff(times))) / 1e9 * (len(times) / len(log.frame))
 
 
 def nearest_truth(
