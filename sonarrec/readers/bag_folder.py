@@ -193,6 +193,7 @@ class BagFolder(Recording):
             reason = f" ({self.faults[0]})" if self.faults else ""
             raise SonarrecError(f"{name_as_text(path)}: no part of this bag can be read{reason}")
         self.whole = all(part.sound for part in self._parts)
+        self.note_set_back((part.start, part.end) for part in self._parts if part.end)
         self._count()
 
     def _look_into(self, part: _Part) -> None:
@@ -343,6 +344,7 @@ class BagFolder(Recording):
         finally:
             log.close()
             self.faults += [fault for fault in log.faults if fault not in part.faults]
+            self.notes += [f"{name_as_text(part.path.name)}: {note}" for note in log.notes]
 
     def close(self) -> None:
         """Does nothing, because parts are closed when they have been read."""

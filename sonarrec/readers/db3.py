@@ -64,6 +64,11 @@ class Db3Recording(Recording):
             else:
                 time = time if isinstance(time, int) and time >= 0 else 0
                 yield Message(number, time, None, None, "malformed row in its database")
+        self.note_set_back(
+            (time, time)
+            for number, time in self._database.recorded()
+            if number in channels and isinstance(time, int)
+        )
 
     def close(self) -> None:
         """Close the database."""
@@ -95,6 +100,12 @@ class _WholeDatabase:
         connections = [c for c in self._reader.connections if c.id in channels]
         for connection, time, data in self._reader.messages(connections):
             yield connection.id, time, data
+
+    def recorded(self) -> Iterator[tuple[int, Any]]:
+        """(channel, log time in ns) of all messages, in the order of recording."""
+        yield from self._reader.dbconn.execute(
+            "SELECT topic_id, timestamp FROM messages ORDER BY rowid"
+        )
 
     def close(self) -> None:
         self._reader.close()
@@ -165,6 +176,9 @@ class _CutDatabase:
                 except sqlite3.Error:  # the row reaches beyond the cut
                     data = None
                 yield self._channels[turn], self._times[turn], data
+
+    def recorded(self) -> Iterator[tuple[int, Any]]:
+        yield from zip(self._channels, self._times, strict=True)
 
     def close(self) -> None:
         self._db.close()

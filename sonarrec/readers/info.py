@@ -155,7 +155,7 @@ class _CountingLog(RawLog):
         self._observe = observe
         self.frame_count, self.topic = raw.frame_count, raw.topic
         self.polar, self.faults, self.header_info = raw.polar, raw.faults, raw.header_info
-        self.playback_hz = raw.playback_hz
+        self.notes, self.playback_hz = raw.notes, raw.playback_hz
         self.frames = self.timed = 0
         self.sizes: Counter[tuple[int, int]] = Counter()
         self.pixels: Counter[str] = Counter()

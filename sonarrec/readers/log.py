@@ -95,7 +95,7 @@ class Log:
 
         Complete after the pass.
         """
-        notes = list(self._raw.header_info.notes)
+        notes = [*self._raw.header_info.notes, *dict.fromkeys(self._raw.notes)]
         if self._unset:
             notes.append("the header stamps of its first frames are 0; --time log is used instead")
         stated_hz, playback_hz = self.stated.frame_rate_hz, self._raw.playback_hz

@@ -85,9 +85,9 @@ class RawLog(ABC):
     frame_count: number of frames; None if unknown before the end. topic: the channel read; None if
     the log has no channels. polar: whether frames state their own geometry. header_info: for a
     sonar's own file. playback_hz: of a video, the rate that its times follow. faults: lines about
-    what is wrong with the log as a whole, complete after the pass. passed_over: numbers of frames
-    that are not needed; they are yielded without pixels and without a problem. It may be set during
-    the pass.
+    what is wrong with the log as a whole, complete after the pass. notes: lines on what is
+    uncertain, likewise. passed_over: numbers of frames that are not needed; they are yielded
+    without pixels and without a problem. It may be set during the pass.
     """
 
     def __init__(self) -> None:
@@ -95,6 +95,7 @@ class RawLog(ABC):
         self.topic: str | None = None
         self.polar = False
         self.faults: list[str] = []
+        self.notes: list[str] = []
         self.header_info = HeaderInfo()
         self.playback_hz: float | None = None
         self.passed_over = range(0)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from sonarrec.records import name_as_text
+
+CLEARLY_BACK_NS = 10**9
+"""Threads of a recorder may swap messages, but not those so far apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,8 @@ class Recording(ABC):
     channels: by the container's own numbers. counts: number of messages of each. profile, library:
     what wrote it; empty if not stated. span: first and last log time in ns; None without messages.
     chunks: number of chunks by compression. whole: whether its writer closed it and it is not cut.
-    faults: a line for each thing that is wrong, complete after a pass over its messages.
+    faults: a line for each thing that is wrong, complete after a pass over its messages. notes:
+    lines on what is uncertain, likewise.
     """
 
     channels: Mapping[int, Channel]
@@ -59,6 +63,7 @@ class Recording(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.faults: list[str] = []
+        self.notes: list[str] = []
         self.whole = True
 
     @abstractmethod
@@ -75,6 +80,22 @@ class Recording(ABC):
     def fault(self, text: str) -> None:
         """Add a line about what is wrong."""
         self.faults.append(f"{name_as_text(self.path.name)}: {text}")
+
+    def note_set_back(self, spans: Iterable[tuple[int, int]], within_ns: int = 0) -> None:
+        """Add a note if the clock was clearly set back during the recording.
+
+        spans: first and last log time, ns, of its parts, in the order of recording. within_ns: by
+        how much times go back within a part.
+        """
+        latest, back_ns = 0, within_ns
+        for first, last in spans:
+            back_ns = max(back_ns, latest - first)
+            latest = max(latest, last)
+        if back_ns > CLEARLY_BACK_NS:
+            self.notes.append(
+                f"log times go back by {back_ns / 1e9:.1f} s (was the clock set?); frames come in "
+                "the order of log time, so those recorded before and after that may be mixed"
+            )
 
     def up_to_damage(
         self, messages: Iterator[Message], count: int, line: Callable[[Exception], str]

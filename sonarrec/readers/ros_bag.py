@@ -6,6 +6,7 @@ import bz2
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,9 @@ class RosBag(Recording):
                 yield Message(connection.id, time, None, None, problem)
             else:
                 yield Message(connection.id, time, None, memoryview(data))
+        entries = chain.from_iterable(self._reader.indexes[c.id] for c in connections)
+        recorded = sorted((entry.chunk_pos, entry.offset, entry.time) for entry in entries)
+        self.note_set_back((time, time) for _, _, time in recorded)
 
     def close(self) -> None:
         """Close the file."""

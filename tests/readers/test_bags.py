@@ -25,9 +25,9 @@ from sonarrec.readers.find import find_log
 from sonarrec.readers.mcap import ros
 from sonarrec.readers.mcap.poses import read_topic
 from sonarrec.records import Frame, SonarrecError
-from tests.support.bags import bag, messages, ros1_bag, ros1_messages, split_bag
+from tests.support.bags import IMAGE, bag, messages, ros1_bag, ros1_messages, split_bag
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
-from tests.support.messages import FIELDS, by_rosbags, polar_frames, serialised
+from tests.support.messages import FIELDS, by_rosbags, image_fields, polar_frames, serialised
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 IMAGES = frames(10)
@@ -158,6 +158,49 @@ def test_parts_that_overlap_in_time_come_in_the_order_of_time(tmp_path: Path) ->
     found, problems = read(tmp_path / "dive")
     assert not problems
     assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(10)]
+
+
+def as_recorded(path: Path, seconds: list[float], container: str) -> Path:
+    """A log whose messages have these log times, in the order of recording."""
+    timed = [(round(s * 1e9), data) for s, (_, data) in zip(seconds, messages(IMAGES), strict=True)]
+    if container == ".bag":
+        ping = [
+            serialised(IMAGE, image_fields(k, image), ros1=True) for k, image in enumerate(IMAGES)
+        ]
+        return ros1_messages(path / "dive.bag", list(zip([t for t, _ in timed], ping, strict=True)))
+    if container == "split":
+        split_bag(path / "dive", [timed[:5], timed[5:]])
+        return path / "dive"
+    if container == ".db3":
+        return bag(path / "dive", timed)
+    sizes = {"chunks": 2000, "one chunk": 10**6, "no chunks": 10**6}
+    return mcap_file(
+        path / "dive.mcap",
+        [("/sonar", *message) for message in timed],
+        chunk_size=sizes[container],
+        chunked=container != "no chunks",
+    )
+
+
+@pytest.mark.parametrize("container", ["chunks", "one chunk", "no chunks", "split", ".db3", ".bag"])
+def test_a_clock_that_was_set_back(container: str, tmp_path: Path) -> None:
+    """By the largest fall from any time to a later recorded one; threads that swap draw no note."""
+    clocks = {
+        "back": [10, 11, 12, 13, 14, 12.5, 13.5, 14.5, 15.5, 16.5],
+        "far": [5000, 5001, 5002, 5003, 5004, 1400.5, 1401.5, 1402.5, 1403.5, 1404.5],
+        "swapped": [10, 11, 12, 13, 14, 13.5, 15, 16, 17, 18],
+        "forward": [0, 1, 2, 3, 4, 1.7e9, 1.7e9 + 1, 1.7e9 + 2, 1.7e9 + 3, 1.7e9 + 4],
+    }
+    for name, seconds in clocks.items():
+        (tmp_path / name).mkdir()
+        fall = max(a - b for k, a in enumerate(seconds) for b in seconds[k:])
+        with open_log(as_recorded(tmp_path / name, seconds, container)) as log:
+            for _ in range(2):  # a further pass tells nothing anew
+                assert [f.timestamp_ns / 1e9 for f in log] == sorted(seconds)
+                assert not log.problems
+                notes = [note for note in log.notes if "(was the clock set?)" in note]
+                assert len(notes) == (fall > 1), notes
+        assert all(f"log times go back by {fall:.1f} s" in note for note in notes)
 
 
 def test_info_and_digest_of_a_bag(tmp_path: Path) -> None:

@@ -39,7 +39,11 @@ class McapRecording(Recording):
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order; those of equal time as in the file."""
-        return iter(MessageReader(self._log, channels))
+        reader = MessageReader(self._log, channels)
+        yield from reader
+        self.note_set_back(
+            ((first, last) for _, first, last in sorted(reader.spans)), reader.back_ns
+        )
 
     def close(self) -> None:
         """Close the file."""

@@ -50,7 +50,7 @@ class ChannelImages(RawLog):
             raise
         self.topic = log.channels[next(iter(self._decoders))].topic
         self.polar = any(decoder.kind.polar for decoder in self._decoders.values())
-        self.faults = log.faults
+        self.faults, self.notes = log.faults, log.notes
         self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
 
     def close(self) -> None:

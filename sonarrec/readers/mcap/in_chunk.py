@@ -46,14 +46,17 @@ class Place:
 class Scan:
     """What one pass over a chunk found.
 
-    end: where the last whole record ends. count: number of messages of the chosen channels. rising:
-    whether their times never go back. short: messages too short for a head. undefined: messages of
-    channels without a definition. foreign: records that are not allowed in a chunk.
+    end: where the last whole record ends. count: number of messages of the chosen channels.
+    earliest, latest: their times; back_ns: by how much these go back at most. short: messages too
+    short for a head. undefined: messages of channels without a definition. foreign: records that
+    are not allowed in a chunk.
     """
 
     end: int
     count: int = 0
-    rising: bool = True
+    earliest: int = 2**64
+    latest: int = 0
+    back_ns: int = 0
     short: int = 0
     undefined: int = 0
     foreign: int = 0
@@ -115,7 +118,7 @@ def scan(contents: Contents, channels: Collection[int], defined: Collection[int]
 
     defined: the channels that the file defines.
     """
-    result, last, file = Scan(contents.start), 0, contents.file
+    result, file = Scan(contents.start), contents.file
     for opcode, body, length in records_in(contents, contents.start):
         result.end = body + length
         if opcode != Opcode.MESSAGE:
@@ -129,8 +132,8 @@ def scan(contents: Contents, channels: Collection[int], defined: Collection[int]
         channel, _, time, _ = MESSAGE_HEAD.unpack(head)
         if channel in channels:
             result.count += 1
-            result.rising &= time >= last
-            last = time
+            result.back_ns = max(result.back_ns, result.latest - time)
+            result.earliest, result.latest = min(result.earliest, time), max(result.latest, time)
         elif channel not in defined:
             result.undefined += 1
     return result

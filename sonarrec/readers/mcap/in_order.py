@@ -29,18 +29,12 @@ from sonarrec.readers.recording import Message
 from sonarrec.records import SonarrecError, name_as_text, number_of
 
 
-def _rising(places: Iterable[Place]) -> Iterator[Place]:
-    """The places up to the first whose time goes back."""
-    last = 0
-    for place in places:
-        if place.log_time < last:
-            return
-        last = place.log_time
-        yield place
-
-
 class MessageReader:
-    """One pass over the messages of some channels of a file."""
+    """One pass over the messages of some channels of a file.
+
+    spans: (position, first log time, last log time) of each chunk that was read, and of each run of
+    messages in no chunk. back_ns: by how much times go back at most within a chunk.
+    """
 
     def __init__(self, log: McapFile, channels: Collection[int]) -> None:
         self._log = log
@@ -51,6 +45,8 @@ class MessageReader:
         self._passed_count = self._lost_count = 0
         self._last_time, self._in_order = 0, True
         self._all_checked = True  # by a checksum of its chunk
+        self.spans: list[tuple[int, int, int]] = []
+        self.back_ns = 0
 
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages in log-time order; messages of equal time in the file's order.
@@ -72,7 +68,7 @@ class MessageReader:
                 else:
                     self._all_checked = False
                     everything = Contents(log.file, 0, log.size)
-                    self._add_run(_rising(places(everything, position, None, {channel})))
+                    self._add_run(self._rising(everything, position, channel))
             while self._runs:
                 yield self._next()
             self._report_faults()
@@ -80,6 +76,16 @@ class MessageReader:
             raise SonarrecError(
                 f"{name_as_text(log.path)}: cannot be read ({error.strerror})"
             ) from None
+
+    def _rising(self, contents: Contents, position: int, channel: int) -> Iterator[Place]:
+        """The messages of a channel in no chunk, up to the first whose time goes back."""
+        first, last = 2**64, 0
+        for place in places(contents, position, None, {channel}):
+            if place.log_time < last:
+                break
+            first, last = min(first, place.log_time), place.log_time
+            yield place
+        self.spans.append((position, first, last))
 
     def _next(self) -> Message:
         place, run, contents = self._runs[0]
@@ -147,7 +153,10 @@ class MessageReader:
             log.fault(f"not read: {oddity}, in the chunk at byte {position}")
         if not scanned.count:
             log.store.release(contents)
-        elif scanned.rising:
+            return
+        self.spans.append((position, scanned.earliest, scanned.latest))
+        self.back_ns = max(self.back_ns, scanned.back_ns)
+        if not scanned.back_ns:
             self._add_run(places(contents, contents.start, position, self._channels), contents)
         else:
             self._add_run(in_time_order(contents, chunk, self._channels), contents)
