@@ -122,7 +122,9 @@ def write_overlay(
                 written += 1
         problems += log.problems
     if outputs is None:
-        raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
+        raise UsageError(
+            f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}{log.why_none()}"
+        )
     problems += outputs.problems()
     notes = []
     if topic and run.input.topic not in (None, topic):

@@ -82,7 +82,9 @@ def prepare(
         frames = log.within(span)
         begin = [*islice(frames, FRAMES_FOR_BEAMS)]  # raises if there is no usable frame at all
         if not begin:
-            raise UsageError(f"{name_as_text(path)}: no frame lies in --frames {span_text(span)}")
+            raise UsageError(
+                f"{name_as_text(path)}: no frame lies in --frames {span_text(span)}{log.why_none()}"
+            )
         fan = begin[0].fan
         configs, about_beams = with_beams(run_options.configs, log.beam_width_deg, begin)
         recogniser = SideBySide(configs, fan, landmarks, learned.model if learned else None, poses)

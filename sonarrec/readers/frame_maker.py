@@ -27,6 +27,8 @@ from sonarrec.readers.raw import RawFrame, UnusableError, showing
 from sonarrec.records import ByteImage, Fan, SonarrecError
 from sonarrec.sonar import BeamOrder, Geometry, PingGeometry, Sonar
 
+MANY_SKIPPED = 10  # pings of another window: then the sonar was set to it, and a note says so
+
 
 class FrameMaker:
     """Turns the frames of one log into grey images. The first frame decides fan and grey scale.
@@ -62,6 +64,7 @@ class FrameMaker:
         self.colour_map: str = stated.colour_map or LUMINANCE
         self._amplitudes = set[np.dtype[Any]]()  # types of integers that hold them
         self._noted_against = self._noted_cut = False
+        self._skipped = 0  # pings that show too little of the fan
 
     def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan, PolarToFan | None]:
         """The fields `pixels`, `fan` and `polar` of a Frame.
@@ -260,6 +263,9 @@ class FrameMaker:
             raise UnusableError(str(error).partition("\n")[0]) from None
         fan = to_fan.fan
         if not shows(window, fan):
+            self._skipped += 1
+            if self._skipped == MANY_SKIPPED:
+                self._note_skipped(window)
             raise UnusableError(
                 f"its window, {window.range_min_m:.3g} to {window.range_max_m:.3g} m, shows less "
                 f"than half of the log's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
@@ -275,6 +281,17 @@ class FrameMaker:
             line = f"{self._where}: stated against the {self._origin}: {', '.join(against)}"
             self.notes.append(line)
         return sonar, to_fan
+
+    def _note_skipped(self, window: Fan) -> None:
+        """Add a note on how to read pings of a window that shows too little of the fan."""
+        flags = f"--range-min-m {window.range_min_m:.5g} --range-max-m {window.range_max_m:.5g}"
+        if self._stated.height_m is None:  # else that of the first pings would be estimated
+            flags += " --height-m H"
+        self.notes.append(
+            f"{self._where}: the sonar's range was changed, and pings that show too little of that "
+            f"of the first ones are skipped; to read those, run them by themselves, with --frames "
+            f"A:B {flags} and an --out of their own"
+        )
 
     def _resampler(
         self, geometry: Geometry, shape: tuple[int, ...], fan: Fan | None = None

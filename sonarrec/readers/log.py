@@ -158,6 +158,10 @@ class Log:
             reason = f" ({self.problems[0]})" if self.problems else ""
             raise SonarrecError(f"{name_as_text(self.path)}: not one frame could be used{reason}")
 
+    def why_none(self) -> str:
+        """The end of a message that no frame lies in a span: why, if frames could not be used."""
+        return f", or none that can be used ({self.problems[0]})" if self.problems else ""
+
     def _settled(self) -> Iterator[RawFrame]:
         """The raw frames, after the first few have decided how all are read."""
         frames = _of_one_size(self._raw)

@@ -188,7 +188,9 @@ def survey(
         frames = log.within(span)
         begin = [*islice(frames, FRAMES_FOR_BEAMS)]
         if not begin:
-            raise UsageError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
+            raise UsageError(
+                f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}{log.why_none()}"
+            )
         fan = begin[0].fan
         # `paper` does not measure the motion, but discs lie on the floor whatever runs there later.
         measuring = config if config.continuity.motion == "image" else preset("default")
