@@ -176,9 +176,12 @@ class Log:
         """The time that names a frame, ns. Raises UnusableError if the frame has no such time."""
         stamps = raw.stamps
         by_clock = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
-        stamp = by_clock["log" if self._unset else self._time]
+        clock = "log" if self._unset else self._time
+        stamp = by_clock[clock]
         if stamp is None and self._time != "log":
             raise UnusableError(f"without a {self._time} time; --time log needs none")
+        if clock == "header" and stamp == 0 and self._timed[1] > 0:
+            raise UnusableError("its header stamp is 0, as if not set; --time log needs none")
         if stamp is not None and not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
         if stamp is not None:

@@ -541,6 +541,13 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
     found, _, notes = read(begun, sonar=TILT, time="header")
     assert [frame.timestamp_ns for frame in found] == [0, stamp_ns(1), stamp_ns(2)]
     assert not notes
+    lapse = log_of(tmp_path / "lapse.mcap", [*pings[:2], pings[2] | {"header": unset}])
+    found, problems, _ = read(lapse, sonar=TILT, time="header")
+    assert [frame.timestamp_ns for frame in found] == [stamp_ns(0), stamp_ns(1)]
+    assert problems == [
+        "message 2 of /a: its header stamp is 0, as if not set; --time log needs none, skipped"
+    ]
+    assert len(read(lapse, sonar=TILT)[0]) == 3
 
 
 # What a user types
