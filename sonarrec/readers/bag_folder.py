@@ -156,7 +156,8 @@ class _Part:
 
     numbers: from the file's channel numbers to those of the bag. found: messages by the bag's
     channels. faults: what was wrong when it was opened first. start, end: first and last log time,
-    ns. sound: whole and without faults. lost: number of lost messages by the bag's channels.
+    ns. sound: whole and without faults. lost: number of lost messages by the bag's channels. read:
+    first and last log time of what a pass has read, ns; None if nothing.
     """
 
     path: Path
@@ -167,6 +168,7 @@ class _Part:
     end: int = 0
     sound: bool = False
     lost: Counter[int] = field(default_factory=Counter)
+    read: tuple[int, int] | None = None
 
 
 class BagFolder(Recording):
@@ -193,7 +195,6 @@ class BagFolder(Recording):
             reason = f" ({self.faults[0]})" if self.faults else ""
             raise SonarrecError(f"{name_as_text(path)}: no part of this bag can be read{reason}")
         self.whole = all(part.sound for part in self._parts)
-        self.note_set_back((part.start, part.end) for part in self._parts if part.end)
         self._count()
 
     def _look_into(self, part: _Part) -> None:
@@ -309,6 +310,7 @@ class BagFolder(Recording):
             yield from merged_before(self._parts[index].start)
             advanced(index, self._messages_of(self._parts[index], channels))
         yield from merged_before(math.inf)
+        self.note_set_back(part.read for part in self._parts if part.read is not None)
 
     def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
         passed: Counter[int] = Counter()
@@ -319,6 +321,7 @@ class BagFolder(Recording):
                 number = numbers[message.channel]
                 passed[number] += 1
                 last = max(last, message.log_time)
+                part.read = part.read[0] if part.read else message.log_time, last
                 yield replace(message, channel=number)
         for number in channels:
             gone = part.found[number] + part.lost[number] - passed[number]

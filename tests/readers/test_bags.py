@@ -203,6 +203,17 @@ def test_a_clock_that_was_set_back(container: str, tmp_path: Path) -> None:
         assert all(f"log times go back by {fall:.1f} s" in note for note in notes)
 
 
+def test_another_topic_with_old_times_is_no_clock_that_was_set_back(tmp_path: Path) -> None:
+    """A recorder may repeat what was published once, such as a transform, in every part."""
+    timed = [(time + 10**12, data) for time, data in messages(IMAGES)]
+    files = split_bag(tmp_path / "dive", [timed[:5], timed[5:]])
+    mcap_file(files[1], [("/once", 0, b""), *(("/sonar", *message) for message in timed[5:])])
+    with open_log(tmp_path / "dive", topic="/sonar") as log:
+        assert len(list(log)) == 10
+        assert not log.problems
+        assert not any("clock" in note for note in log.notes)
+
+
 def test_info_and_digest_of_a_bag(tmp_path: Path) -> None:
     files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS), ".mcap", "file")
     assert files[0].name == "dive_0.mcap.zstd"
