@@ -71,8 +71,11 @@ class Odometry:
         if self._compared < LEAST_COMPARED or self._differing <= self._compared / 2:
             return []
         assert self._poses is not None
+        yaw = "yaw is in degrees, positive to the right"
+        if self._poses.axes == "ahead, left":
+            yaw = "z of a pose points up, so its yaw is positive to the left (REP 103)"
         return [
             f"{self._poses.name}: its turns contradict those of the images in "
-            f"{self._differing} of {self._compared} frames; yaw is in degrees, positive to the "
-            "right, and times are by the frames' clock"
+            f"{self._differing} of {self._compared} frames; {yaw}, and times are by the frames' "
+            "clock"
         ]

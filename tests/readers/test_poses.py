@@ -444,6 +444,16 @@ def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     assert again == Path("sonarrec_out/dive/estimates.csv").read_bytes()
 
 
+def test_a_topic_whose_z_points_down_is_noted(pings):
+    """As of many vehicles (NED): its turns are to the right, where ROS has them to the left."""
+    yaw = [-p.pan_deg for p in poses(replace(load_scene("sample_pan"), frames=16))]
+    log = pose_log(Path("dive.mcap"), pings, "geometry_msgs/msg/PoseStamped", True, yaw)
+    told = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom").stderr
+    assert "note: /odom: its turns contradict those of the images in 15 of 15 frames; z of " in told
+    assert "(REP 103)" in told
+    assert "degrees" not in told
+
+
 def test_an_orientation_may_be_of_any_length_but_none(pings):
     yaw, lengths = [3.0 * n for n in range(16)], [0.5**n for n in range(16)]
     lengths[2] = 0.0  # never filled in
