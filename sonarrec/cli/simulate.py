@@ -164,7 +164,8 @@ def _lay(
     """Lay landmarks into a recording, at one contrast or several."""
     from sonarrec.config import preset
     from sonarrec.landmarks import load_landmarks
-    from sonarrec.simulation.background import check_free, draw_layout, write_backgrounds
+    from sonarrec.simulation.background import draw_layout
+    from sonarrec.simulation.background_files import check_free, write_backgrounds
 
     if out.suffix == ".mcap":
         raise UsageError(f"{out}: --background writes a folder of images; give a folder")

@@ -79,7 +79,7 @@ def site(
     from sonarrec.report.site_page import render
     from sonarrec.report.site_results import write_site
     from sonarrec.results.run_file import read_run
-    from sonarrec.simulation.background import check_free
+    from sonarrec.simulation.background_files import check_free
 
     config = settings.config()
     contrasts, values = laying.contrasts(), laying.values

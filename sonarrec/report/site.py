@@ -28,14 +28,8 @@ from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.records import Estimate, FrameResult
 from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site, sentences
 from sonarrec.results.run_file import LogOptions
-from sonarrec.simulation.background import (
-    Background,
-    DiscLook,
-    Layout,
-    draw_layout,
-    truth_of,
-    write_backgrounds,
-)
+from sonarrec.simulation.background import Background, DiscLook, Layout, draw_layout, truth_of
+from sonarrec.simulation.background_files import write_backgrounds
 
 RANGE_STEPS = 5  # into which the range window is divided
 MIN_VISIBLE = 0.9  # share of a disc that must be in view for a landmark to count

@@ -28,8 +28,8 @@ from sonarrec.simulation.background import (
     draw_layout,
     survey,
     truth_of,
-    write_backgrounds,
 )
+from sonarrec.simulation.background_files import write_backgrounds
 from sonarrec.simulation.composite import Composer, LaidDisc
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.random_scenes import random_scene
