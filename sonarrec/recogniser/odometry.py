@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from sonarrec.config import Continuity
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.image_motion import ImageMotion
@@ -14,6 +16,20 @@ LEAST_TURN_DEG = 0.3
 LEAST_COMPARED = 10
 
 
+@dataclass(slots=True)
+class PoseTally:
+    """What the frames so far say of the table of poses."""
+
+    span: tuple[int, int] | None = None
+    """Of the frames, ns."""
+    frames: int = 0
+    without_pose: int = 0
+    compared: int = 0
+    """Turns that are in the images too."""
+    differing: int = 0
+    """Of these, which the images contradict."""
+
+
 class Odometry:
     """The sonar's motion: from the table of poses where that has them, else from the images."""
 
@@ -21,8 +37,7 @@ class Odometry:
         self._images = ImageMotion(plane, config.min_match) if config.motion == "image" else None
         self._poses = poses
         self._before_ns: int | None = None
-        self._span: tuple[int, int] | None = None  # ns, of the frames
-        self._frames = self._without_pose = self._compared = self._differing = 0
+        self.tally = PoseTally()
 
     def step(self, image: ByteImage, timestamp_ns: int) -> Motion | None:
         """The motion since the last frame. `known` is False where neither source gives it.
@@ -33,10 +48,11 @@ class Odometry:
         before, self._before_ns = self._before_ns, timestamp_ns
         by_poses = None
         if self._poses is not None:
-            self._frames += 1
-            self._without_pose += not self._poses.covers(timestamp_ns)
-            first, last = self._span or (timestamp_ns, timestamp_ns)
-            self._span = min(first, timestamp_ns), max(last, timestamp_ns)
+            tally = self.tally
+            tally.frames += 1
+            tally.without_pose += not self._poses.covers(timestamp_ns)
+            first, last = tally.span or (timestamp_ns, timestamp_ns)
+            tally.span = min(first, timestamp_ns), max(last, timestamp_ns)
             by_poses = None if before is None else self._poses.motion(before, timestamp_ns)
         if self._images is None:
             return by_poses
@@ -47,28 +63,33 @@ class Odometry:
 
     def _compare(self, pose_deg: float, image_deg: float | None) -> None:
         """Count a turn by the poses, and whether that by the images contradicts it."""
-        if image_deg is not None and max(abs(pose_deg), abs(image_deg)) >= LEAST_TURN_DEG:
-            self._compared += 1
-            self._differing += abs(pose_deg - image_deg) > 0.5 * max(abs(pose_deg), abs(image_deg))
+        if image_deg is None:
+            return
+        larger = max(abs(pose_deg), abs(image_deg))
+        if larger >= LEAST_TURN_DEG:
+            self.tally.compared += 1
+            self.tally.differing += abs(pose_deg - image_deg) > 0.5 * larger
 
     def problems(self) -> list[str]:
         """What is wrong with the table, and how many frames so far have no pose in it."""
         if self._poses is None:
             return []
-        if not self._without_pose:
+        tally = self.tally
+        if not tally.without_pose:
             return list(self._poses.problems)
-        assert self._span is not None
+        assert tally.span is not None
         covered = "{:.3f} to {:.3f} s".format(*(self._poses.at[[0, -1]] / 1e9))
-        log = "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in self._span))
+        log = "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in tally.span))
         return [
             *self._poses.problems,
-            f"{self._poses.name}: no pose for {self._without_pose} of {self._frames} frames; it "
+            f"{self._poses.name}: no pose for {tally.without_pose} of {tally.frames} frames; it "
             f"covers {covered}, and the frames are from {log}",
         ]
 
     def notes(self) -> list[str]:
         """A line where the images of the frames so far contradict the table."""
-        if self._compared < LEAST_COMPARED or self._differing <= self._compared / 2:
+        tally = self.tally
+        if tally.compared < LEAST_COMPARED or tally.differing <= tally.compared / 2:
             return []
         assert self._poses is not None
         yaw = "yaw is in degrees, positive to the right"
@@ -76,6 +97,6 @@ class Odometry:
             yaw = "z of a pose points up, so its yaw is positive to the left (REP 103)"
         return [
             f"{self._poses.name}: its turns contradict those of the images in "
-            f"{self._differing} of {self._compared} frames; {yaw}, and times are by the frames' "
+            f"{tally.differing} of {tally.compared} frames; {yaw}, and times are by the frames' "
             "clock"
         ]
