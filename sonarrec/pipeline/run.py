@@ -210,10 +210,15 @@ def _recognise(
             writer.write(result, stamps.popleft())
             if observe is not None:
                 observe(result, job.frame_count)
-    except BaseException:  # Ctrl-C as well: keep what is there
+    except BaseException as error:  # Ctrl-C as well: keep what is there
         if not writer.full:
             for result in job.recogniser.waiting():
                 writer.write(result, stamps.popleft())
+        if isinstance(error, ChildProcessError):
+            raise SonarrecError(
+                f"{name_as_text(job.log.path)}: the process that follows its objects was killed, "
+                "perhaps for lack of memory; logs take less one at a time, with --jobs 1"
+            ) from None
         raise
 
 

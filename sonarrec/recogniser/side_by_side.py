@@ -13,7 +13,8 @@ from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
 from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.stage3_features.appearance import Classifier
-from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages, recognise_together
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
+from sonarrec.recogniser.together import recognise_together
 from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.records import Fan, Frame, FrameResult
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Sequence
 from functools import partial
-from itertools import islice
 
-import cv2
 import numpy as np
 
 from sonarrec.config import Config
@@ -18,7 +15,6 @@ from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, Batch
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.recogniser.prefetch import Prefetcher
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features import Measurement, shape_matrix
@@ -30,11 +26,6 @@ from sonarrec.records import ByteImage, Fan, Frame, FrameResult
 
 SMI = "smi"
 FRAMEWORK = "framework"
-# Frames that stage 3 takes at once, which costs a third of one by one. More would save little.
-FRAMES_AT_ONCE = 16
-# Fewest pixels of a fan for which a second thread pays: smaller ones are mostly work in Python,
-# which threads do one at a time.
-LARGE = 2**19
 
 
 class ThreeStages:
@@ -88,6 +79,12 @@ class ThreeStages:
             )
         self._estimates = EstimateMaker(config, plane, landmarks)
         self._method, self._smi = method, smi
+
+    @property
+    def most_bytes(self) -> int:
+        """How many the arrays of a frame after stage 1 take at most."""
+        # A byte and a float32 per pixel; candidates and coarse grids are few beside these.
+        return 6 * self._plane.inside.size + 2**20
 
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
@@ -150,42 +147,3 @@ class ThreeStages:
             identified = self._identify(batch.grey, batch.seen)
             single = self._estimates.of_candidates(self._smi, batch, identified)
         return batch.results(single, tracked)
-
-
-def recognise_together(
-    recognisers: Sequence[ThreeStages], frames: Iterable[Frame], *, ahead: bool = False
-) -> Iterator[tuple[FrameResult, ...]]:
-    """Several recognisers over the same frames: for each frame, one result of each recogniser.
-
-    Results come in bursts of FRAMES_AT_ONCE. An exception on the way, also Ctrl-C, is raised after
-    the results of all frames before it were yielded. ahead: whether stage 1 runs ahead in a thread
-    of its own, with the frames' reading; where fans are LARGE, reading has another thread.
-    """
-    cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
-    with ExitStack() as threads:
-        seen: Iterable[tuple[Frame, list[ByteImage]]]
-        seen = ((frame, [r.working_image(frame) for r in recognisers]) for frame in frames)
-        if ahead and all(r.fan.rows * r.fan.columns >= LARGE for r in recognisers):
-            seen = threads.enter_context(closing(Prefetcher(seen)))
-        selected: Iterable[list[AfterStage1]]
-        selected = (
-            [r.stage1(frame, image) for r, image in zip(recognisers, images, strict=True)]
-            for frame, images in seen
-        )
-        if ahead:
-            selected = threads.enter_context(closing(Prefetcher(selected)))
-        left, broken = iter(selected), None
-        while broken is None:
-            tracked: list[list[AfterStage2]] = []
-            try:
-                for each in islice(left, FRAMES_AT_ONCE):
-                    tracked.append([r.stage2(x) for r, x in zip(recognisers, each, strict=True)])
-            except BaseException as error:
-                broken = error
-            if not tracked:
-                break
-            per_recogniser = zip(*tracked, strict=True)
-            results = (r.stage3(x) for r, x in zip(recognisers, per_recogniser, strict=True))
-            yield from zip(*results, strict=True)
-    if broken is not None:
-        raise broken

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing
 from itertools import count, islice
-from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from sonarrec.cli import main
-from sonarrec.recogniser import three_stages
 from sonarrec.recogniser.prefetch import DEPTH, Prefetcher
-from tests.support.batch import made, tables
 
 
 def test_the_same_in_the_same_order() -> None:
@@ -78,34 +72,4 @@ def test_ctrl_c_as_the_thread_begins_leaves_none(monkeypatch: pytest.MonkeyPatch
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt), closing(Prefetcher(range(10 * DEPTH))) as ahead:
         next(iter(ahead))
-    assert threading.active_count() == before
-
-
-@pytest.mark.parametrize("damaged", [(), (5,), (0, 7, 8), range(12)])
-@pytest.mark.parametrize("more", [1, 2])
-def test_a_run_is_the_same_with_and_without(
-    more: int, damaged: Sequence[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With one thread more, and with two, as large fans have."""
-    if more == 2:
-        monkeypatch.setattr(three_stages, "LARGE", 0)
-    (log,) = made(tmp_path, "log", frames=12)
-    for number in damaged:
-        image = log / f"{number:06d}.png"
-        image.write_bytes(image.read_bytes()[:500] + b"?" + image.read_bytes()[501:])
-    told = {}
-    threads = []
-    make = Prefetcher._make
-    monkeypatch.setattr(Prefetcher, "_make", lambda *given: (threads.append(given), make(*given)))
-    before = threading.active_count()
-    for cores in (1, 2):
-        monkeypatch.setattr(os, "sched_getaffinity", lambda _, n=cores: {*range(n)})
-        out = tmp_path / str(cores)
-        done = CliRunner().invoke(main, ["run", str(log), "-o", str(out)])
-        told[cores] = done.exit_code, done.output.replace(str(out), "OUT")
-        assert len(threads) == more * (cores - 1) * (len(damaged) < 12)
-        if len(damaged) < 12:
-            told[cores] += (tables(out / "log"),)
-    assert told[1] == told[2]
-    assert told[1][0] == (1 if len(damaged) == 12 else 3 if damaged else 0)
     assert threading.active_count() == before

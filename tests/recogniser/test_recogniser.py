@@ -16,9 +16,10 @@ import pytest
 from sonarrec import config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.recogniser import three_stages
+from sonarrec.recogniser import together
 from sonarrec.recogniser.side_by_side import SideBySide
-from sonarrec.recogniser.three_stages import FRAMES_AT_ONCE, FRAMEWORK, SMI, ThreeStages
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
+from sonarrec.recogniser.together import FRAMES_AT_ONCE
 from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose
@@ -292,7 +293,7 @@ def noted(log: Sequence[Frame], drawn: list[Frame]) -> Iterator[Frame]:
 def test_all_at_once_says_what_frame_by_frame_does():
     log = still_log(2, 2 * FRAMES_AT_ONCE + 3)
     recogniser = ThreeStages(config.preset("default"), log[0].fan, BASIN)
-    at_once = three_stages.recognise_together([recogniser], log)
+    at_once = together.recognise_together([recogniser], log)
     for one, (other,) in zip(run(log, config.preset("default")), at_once, strict=True):
         alike(one, other)
         alike(one, other, SMI)

@@ -19,7 +19,7 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
-from sonarrec.recogniser.three_stages import FRAMES_AT_ONCE
+from sonarrec.recogniser.together import FRAMES_AT_ONCE
 from sonarrec.records import FloatArray, Frame
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter

@@ -1,0 +1,91 @@
+"""Several recognisers over the same frames, on one core or on several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+
+import cv2
+
+from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2
+from sonarrec.recogniser.odometry import PoseTally
+from sonarrec.recogniser.own_process import CAN_FORK, OwnProcess
+from sonarrec.recogniser.prefetch import Prefetcher
+from sonarrec.recogniser.three_stages import ThreeStages
+from sonarrec.records import ByteImage, Frame, FrameResult
+
+# Frames that stage 3 takes at once, which costs a third of one by one. More would save little.
+FRAMES_AT_ONCE = 16
+# Fewest pixels of a fan with which most of the work is done in OpenCV and numpy, where threads work
+# side by side. With fewer, half of it is done in Python, which takes a process of its own.
+LARGE = 2**19
+
+
+@dataclass(frozen=True, slots=True)
+class Burst:
+    """What the later stages made of some frames in a row."""
+
+    results: list[tuple[FrameResult, ...]]
+    """Per frame one of each recogniser."""
+    tallies: list[PoseTally]
+    """One of each recogniser."""
+
+
+def recognise_together(
+    recognisers: Sequence[ThreeStages], frames: Iterable[Frame], *, ahead: bool = False
+) -> Iterator[tuple[FrameResult, ...]]:
+    """Several recognisers over the same frames: for each frame, one result of each recogniser.
+
+    Results come in bursts of FRAMES_AT_ONCE. An exception on the way, also Ctrl-C, is raised after
+    the results of all frames before it were yielded. ahead: whether frames are read and stage 1
+    runs on another core than the later stages; for LARGE fans reading has a third one. Raises
+    ChildProcessError where a process for that was killed.
+    """
+    cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
+    large = all(r.fan.rows * r.fan.columns >= LARGE for r in recognisers)
+    follow = partial(_follow, recognisers)
+    with ExitStack() as running:
+        process: OwnProcess[list[AfterStage1], Burst] | None = None
+        if ahead and CAN_FORK and not large:  # before anything runs ahead in a thread
+            process = OwnProcess(follow, sum(r.most_bytes for r in recognisers))
+            running.callback(process.close)
+        seen: Iterable[tuple[Frame, list[ByteImage]]]
+        seen = ((frame, [r.working_image(frame) for r in recognisers]) for frame in frames)
+        if ahead and large:
+            seen = running.enter_context(closing(Prefetcher(seen)))
+        selected: Iterable[list[AfterStage1]]
+        selected = (
+            [r.stage1(frame, image) for r, image in zip(recognisers, images, strict=True)]
+            for frame, images in seen
+        )
+        if ahead and process is None:
+            selected = running.enter_context(closing(Prefetcher(selected)))
+        bursts = follow(selected) if process is None else process.results(selected)
+        for burst in bursts:
+            for recogniser, tally in zip(recognisers, burst.tallies, strict=True):
+                recogniser.odometry.tally = tally
+            yield from burst.results
+
+
+def _follow(
+    recognisers: Sequence[ThreeStages], selected: Iterable[list[AfterStage1]]
+) -> Iterator[Burst]:
+    """Stages 2 and 3 of all recognisers, FRAMES_AT_ONCE frames at a time."""
+    left, broken = iter(selected), None
+    while broken is None:
+        tracked: list[list[AfterStage2]] = []
+        try:
+            for each in islice(left, FRAMES_AT_ONCE):
+                tracked.append([r.stage2(x) for r, x in zip(recognisers, each, strict=True)])
+        except BaseException as error:
+            broken = error
+        if not tracked:
+            break
+        per_recogniser = zip(*tracked, strict=True)
+        results = (r.stage3(x) for r, x in zip(recognisers, per_recogniser, strict=True))
+        yield Burst([*zip(*results, strict=True)], [r.odometry.tally for r in recognisers])
+    if broken is not None:
+        raise broken
