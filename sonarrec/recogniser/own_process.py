@@ -23,8 +23,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 CAN_FORK = sys.platform == "linux"
 """Elsewhere a process would have to load all modules anew, or may not be forked safely."""
-DEPTH = 4
-"""How many items may wait at most; few, since images are large."""
+DEPTH = 8
+"""How many items may wait at most: the process must not run out of them, but images are large."""
 
 
 class OwnProcess(Generic[Item, Result]):
