@@ -11,7 +11,6 @@ import pickle
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from traceback import format_exc
@@ -23,6 +22,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 CAN_FORK = sys.platform == "linux"
 """Elsewhere a process would have to load all modules anew, or may not be forked safely."""
+STOPS = signal.SIGINT, signal.SIGTERM
 DEPTH = 8
 """How many items may wait at most: the process must not run out of them, but images are large."""
 
@@ -37,15 +37,23 @@ class OwnProcess(Generic[Item, Result]):
     """
 
     def __init__(self, work: Callable[[Iterator[Item]], Iterator[Result]], most_bytes: int) -> None:
-        """work: makes the results, in the process. most_bytes: of an item's arrays."""
+        """work: makes the results, in the process. most_bytes: of an item's arrays.
+
+        Raises OSError where there is no room for another process.
+        """
         self._memory = [mmap.mmap(-1, most_bytes) for _ in range(DEPTH)]
         self._pipe, its_end = Pipe()
         self._threads = cv2.getNumThreads()
         cv2.setNumThreads(1)
-        self._process = os.fork()
-        if self._process == 0:
-            self._pipe.close()
-            _work(work, its_end, self._memory)
+        # Not to be stopped before it has settled that it is not: it would go on as this one does.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+        try:
+            self._process = os.fork()
+            if self._process == 0:
+                self._pipe.close()
+                _work(work, its_end, self._memory)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         its_end.close()
 
     def results(self, items: Iterable[Item]) -> Iterator[Result]:
@@ -101,19 +109,19 @@ def _work(
     work: Callable[[Iterator[Any]], Iterator[Any]], pipe: Connection, memory: list[mmap.mmap]
 ) -> NoReturn:
     """Make results until there are no more items, or nobody wants them; then end the process."""
-    for stop in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(stop, signal.SIG_IGN)  # the other one ends it
-    with suppress(EOFError, OSError):
-        try:
-            for result in work(_items(pipe, memory)):
-                pipe.send(("result", result))
-            pipe.send(("end", None))
-        except (EOFError, OSError):
-            raise
-        except BaseException as error:
-            error.add_note(format_exc())
-            pipe.send(("error", error))
-    os._exit(0)  # what else would be done at the end is done by the other one
+    try:
+        for stop in STOPS:
+            signal.signal(stop, signal.SIG_IGN)  # the other one ends it
+        for result in work(_items(pipe, memory)):
+            pipe.send(("result", result))
+        pipe.send(("end", None))
+    except (EOFError, OSError):
+        pass  # the other one has ended
+    except BaseException as error:
+        error.add_note(format_exc())
+        pipe.send(("error", error))
+    finally:
+        os._exit(0)  # what else is to be done at the end, the other one does
 
 
 def _items(pipe: Connection, memory: list[mmap.mmap]) -> Iterator[Any]:

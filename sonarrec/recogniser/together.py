@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -50,8 +50,9 @@ def recognise_together(
     with ExitStack() as running:
         process: OwnProcess[list[AfterStage1], Burst] | None = None
         if ahead and CAN_FORK and not large:  # before anything runs ahead in a thread
-            process = OwnProcess(follow, sum(r.most_bytes for r in recognisers))
-            running.callback(process.close)
+            with suppress(OSError):  # no room for another process
+                process = OwnProcess(follow, sum(r.most_bytes for r in recognisers))
+                running.callback(process.close)
         seen: Iterable[tuple[Frame, list[ByteImage]]]
         seen = ((frame, [r.working_image(frame) for r in recognisers]) for frame in frames)
         if ahead and large:

@@ -131,6 +131,22 @@ def test_signals_to_all_do_not_stop_it() -> None:
         assert [*process.results(range(20))] == [*range(20)]
 
 
+def test_a_signal_as_it_begins_stops_this_one_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    fork = os.fork
+
+    def forked() -> int:
+        process = fork()
+        os.kill(os.getpid(), signal.SIGINT)  # in both
+        return process
+
+    monkeypatch.setattr(os, "fork", forked)
+    this = os.getpid()
+    with pytest.raises(KeyboardInterrupt):
+        OwnProcess(sums_in_pairs, MB)
+    assert os.getpid() == this
+    os.waitpid(-1, 0)
+
+
 def test_closed_early_none_is_left() -> None:
     def doubled(items: Iterator[int]) -> Iterator[int]:
         yield from (2 * n for n in items)
