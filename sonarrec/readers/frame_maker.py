@@ -22,7 +22,14 @@ from sonarrec.readers.grey import (
     single_channel,
     to_grey8,
 )
-from sonarrec.readers.ping_geometry import agree, as_stated, as_wide, extent, shows
+from sonarrec.readers.ping_geometry import (
+    agree,
+    as_stated,
+    as_wide,
+    extent,
+    same_view,
+    shows,
+)
 from sonarrec.readers.raw import RawFrame, UnusableError, showing
 from sonarrec.records import ByteImage, Fan, SonarrecError
 from sonarrec.sonar import BeamOrder, Geometry, PingGeometry, Sonar
@@ -209,7 +216,9 @@ class FrameMaker:
             order = "beam-major" if looks_beam_major(image) else "range-major"
         if order == "beam-major":
             image = np.ascontiguousarray(image.reshape(image.shape[::-1]).T)
-        if (ping, image.shape) != self._to_fan_of:  # evenly spaced bins do not state their number
+        # Evenly spaced bins do not state their number.
+        before, shape = self._to_fan_of or (None, (0, 0))
+        if before is None or shape != image.shape or not same_view(ping, before, shape[0]):
             sonar, self._to_fan = self._ping_resampler(ping, image.shape)
             self._to_fan_of = ping, image.shape
             if self.fan is None:

@@ -11,6 +11,9 @@ from sonarrec.sonar import PingGeometry, Sonar
 
 MIN_SHARED_WINDOW = 0.5
 """A ping whose window covers less of the fan's is not used."""
+SAME_BINS = 0.25
+"""Range bins by which windows may differ that count as one. Sonars that measure the speed of sound
+state another window with every ping, and to lay out an image anew takes long."""
 
 
 def shows(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:
@@ -29,6 +32,18 @@ def as_wide(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:
 def agree(a: PingGeometry, b: PingGeometry) -> bool:
     """Whether two pings each show enough of the other's window and field of view."""
     return shows(a, b) and shows(b, a) and as_wide(a, b) and as_wide(b, a)
+
+
+def same_view(a: PingGeometry, b: PingGeometry, bins: int) -> bool:
+    """Whether images of so many bins show the same places, to SAME_BINS, in two pings."""
+    if a == b:
+        return True
+    in_a = replace(b, range_min_m=a.range_min_m, range_max_m=a.range_max_m, ranges_m=a.ranges_m)
+    of_a, of_b = (np.array([p.range_min_m, p.range_max_m, *(p.ranges_m or ())]) for p in (a, b))
+    if in_a != a or len(of_a) != len(of_b):
+        return False
+    bin_m = (a.range_max_m - a.range_min_m) / bins
+    return bool(np.abs(of_a - of_b).max() <= SAME_BINS * bin_m)
 
 
 def _bearings(window: Fan | PingGeometry) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -139,6 +140,33 @@ def test_a_range_that_is_changed_and_back(tmp_path: Path) -> None:
     notes = read(alone, sonar=TILT)[2]
     assert not any("range was changed" in note for note in notes)
     assert "--height-m H" in "".join(read(log, sonar=TILT)[2])
+
+
+def test_windows_that_differ_by_little_are_laid_out_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a sonar that measures the speed of sound; where the difference has grown, anew."""
+    made = []
+    lay_out = PolarToFan.__init__
+    monkeypatch.setattr(PolarToFan, "__init__", lambda *a: (made.append(a), lay_out(*a))[1])
+    image = polar_frames(1)[0]
+    stretches = [0.0, 0.1, -0.2, 0.24, 0.26, 0.4, 0.5, 0.52, 0.0]  # bins, at the far end
+
+    def pings(stretches: Sequence[float]) -> Path:
+        fields = []
+        for n, bins in enumerate(stretches):
+            ping = messages.oculus_interfaces_fields(n, image)
+            fields.append(ping | {"range_resolution": BIN_M * (1 + bins / len(image))})
+        return log_of(tmp_path / f"{len(stretches)}.mcap", fields, OCULUS)
+
+    found, problems, _ = read(pings(stretches), sonar=TILT)
+    assert len(found) == len(stretches)
+    assert not problems
+    (alone,), *_ = read(pings([0.0]), sonar=TILT)
+    laid_out = {id(frame.polar) for frame in found}
+    assert len(laid_out) == 4  # for 0, .26, .52 and 0 again
+    for frame in (found[0], found[3], found[-1]):
+        np.testing.assert_array_equal(frame.image, alone.image)
 
 
 def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
