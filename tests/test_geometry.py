@@ -250,9 +250,10 @@ def test_the_example_is_valid_and_comes_back(tmp_path: Path) -> None:
         ("", r"expected one table \[sonar\]"),
         ("sonar = 3", r"\[sonar\] must be a table of keys, not 3"),
         ("[sonar]\n[other]", r"expected one table \[sonar\]"),
+        ("[sonar]\nmax_range_m = 1", r"sonar.max_range_m \(did you mean range_max_m\?\); known"),
         (
             "[sonar]\nrange_mim_m = 1",
-            "unknown key sonar.range_mim_m; known in .sonar.: layout, range_min_m",
+            r"unknown key sonar.range_mim_m \(did you mean range_min_m\?\); known in .sonar.:",
         ),
         ('[sonar]\nlayout = "round"', 'layout must be "fan" or "polar"'),
         ('[sonar]\ntilt_deg = "20"', "tilt_deg must be a finite number"),

@@ -98,7 +98,10 @@ def test_an_angle_just_below_zero_stays_in_the_last_sector() -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"radius": 3}, "unknown key radius; known keys: name, radius_m"),
+        (
+            {"radius": 3},
+            r"unknown key radius \(did you mean radius_m\?\); known keys: name, radius_m",
+        ),
         ({"radius_m": 0}, "radius_m must be"),
         ({"radius_m": float("nan")}, "radius_m must be"),
         ({"radius_m": float("inf")}, "radius_m must be"),

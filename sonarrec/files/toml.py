@@ -12,7 +12,8 @@ import re
 import reprlib
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
@@ -142,7 +143,10 @@ def from_table(
         label = f"{section}.{_key(key)}" if section else _key(key)
         if key not in names:
             known = ", ".join(names)
-            raise error(f"{where}: unknown key {label}; known{inside or ' keys'}: {known}")
+            raise error(
+                f"{where}: unknown key {label}{_meant(str(key), names)}; "
+                f"known{inside or ' keys'}: {known}"
+            )
         name = names[key].name
         wanted = types[name]
         rows: Any = get_args(wanted)[0] if get_origin(wanted) is tuple else None
@@ -166,6 +170,13 @@ def from_table(
     if lacks:
         raise error(f"{place} lacks {', '.join(lacks)}")
     return kind(**values)
+
+
+def _meant(key: str, names: Iterable[str]) -> str:
+    """The name that is most like a key, whatever the order of its words; "" if none is."""
+    by_words = {"_".join(sorted(name.split("_"))): name for name in names}
+    near = get_close_matches("_".join(sorted(key.split("_"))), by_words, 1)
+    return f" (did you mean {by_words[near[0]]}?)" if near else ""
 
 
 def checked(

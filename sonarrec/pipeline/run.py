@@ -257,7 +257,7 @@ def _doubts(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility)
         frames = number_of(writer.frames, "frame")
         doubts.append(
             f"0 candidates in {frames}: a disc of {job.landmarks.name} would be {width:.0f} px "
-            "wide here"
+            f"wide here{'' if width >= 1 else ' (are the ranges in metres?)'}"
         )
     return doubts
 

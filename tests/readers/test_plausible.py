@@ -224,7 +224,10 @@ def test_no_candidate_in_a_picture_that_contradicts_nothing_is_told(tmp_path: Pa
     (line,) = result.stderr.splitlines()
     # At 2.5 m of slant range and 0.68 m of height: 0.3 m across is 0.3 x 2.5 / 2.406 m of arc.
     pixels = 0.3 * 2.5 / np.sqrt(2.5**2 - 0.68**2) / (2.5 / 256)
-    assert f"0 candidates in 3 frames: a disc of basin would be {pixels:.0f} px wide" in line
+    assert f"0 candidates in 3 frames: a disc of basin would be {pixels:.0f} px wide here; " in line
+    millimetres = ("--range-min-m", "1250", "--range-max-m", "3750", "--overwrite")
+    told = run(log, tmp_path / "out", *millimetres).stderr
+    assert "a disc of basin would be 0 px wide here (are the ranges in metres?); " in told
 
 
 def test_info_says_it_too(tmp_path: Path) -> None:
