@@ -110,6 +110,11 @@ class ImageFiles(RawLog):
 
     def _about_times(self, stems: Sequence[str]) -> str | None:
         """What a user should know of the frames' times and numbers. stems: names without suffix."""
+        if self._of_two_kinds(stems):
+            return (
+                "it has images of two kinds with the same names, and each is a frame; if they show "
+                f"the same, quote a glob of one kind, such as '*{self.files[0].suffix}'"
+            )
         if self._times is not None:
             if re.fullmatch("[0-9]{19}", stems[0]):
                 return None
@@ -128,6 +133,12 @@ class ImageFiles(RawLog):
                 f"{name_as_text(name)} is frame {index}"
             )
         return None
+
+    def _of_two_kinds(self, stems: Sequence[str]) -> bool:
+        """Whether most images are named like another but for the suffix."""
+        if len(set(stems)) == len(stems):
+            return False
+        return 3 * len({file.with_suffix("") for file in self.files}) <= 2 * len(stems)
 
     def __iter__(self) -> Iterator[RawFrame]:
         for number, file in enumerate(self.files):

@@ -449,6 +449,23 @@ def test_numbers_left_out_in_names_are_told(tmp_path: Path, names: str, told: st
     assert [note.rpartition("counted: ")[2] for note in notes] == [told] * (told is not None)
 
 
+def test_images_of_two_kinds_with_the_same_names_are_told(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(3, 20, 20))
+    for path in [*log.glob("*.png")]:
+        cv2.imwrite(str(path.with_suffix(".jpg")), cv2.imread(str(path)))
+    with open_log(log) as opened:
+        assert opened.frame_count == 6
+        (note,) = opened.notes
+    assert "images of two kinds with the same names" in note
+    assert note.endswith("such as '*.jpg'")
+    for glob in ("*.jpg", "*.png"):
+        with open_log(f"{log}/{glob}") as opened:
+            assert (opened.frame_count, opened.notes) == (3, [])
+    folders = [image_folder(tmp_path / "logs" / name, frames(3, 20, 20)) for name in "ab"]
+    with open_log(f"{folders[0].parent}/*/*.png") as opened:
+        assert not any("two kinds" in note for note in opened.notes)
+
+
 def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
     images = frames(12, 20, 20)
     log = image_folder(tmp_path / "log", images)
