@@ -32,6 +32,9 @@ from sonarrec.records import ByteImage, SonarrecError
 from sonarrec.sonar import Sonar
 
 DYNAMIC_RANGE_DB = 50.0
+# Floating-point values from here down are no echo in decibels, but mark pixels without data, as
+# -9999 and -32768 do.
+NO_DATA = -500.0
 _MEDIAN_AT = 1 / 3  # of the range, for floor speckle: high enough for shadows to show
 _NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median below
 
@@ -71,7 +74,8 @@ def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarra
     """(rows, columns) in this machine's byte order, from pixels as in a Ping.
 
     8-bit colours become the levels of the colour map. Other colours, and all with LUMINANCE, become
-    grey by OpenCV's weights (.299 R + .587 G + .114 B, without alpha).
+    grey by OpenCV's weights (.299 R + .587 G + .114 B, without alpha). Floating-point pixels of
+    NO_DATA and below become NaN.
     Raises UnusableError for other pixels.
     """
     if pixels.dtype.kind not in "uif" or pixels.dtype == np.float16:
@@ -91,6 +95,8 @@ def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarra
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
     if pixels.ndim != 2 or not pixels.size:
         raise UnusableError(f"an image of shape {pixels.shape} is not supported")
+    if pixels.dtype.kind == "f" and (no_data := pixels <= NO_DATA).any():
+        return np.where(no_data, np.float32(np.nan), pixels)
     return np.asarray(pixels)
 
 

@@ -118,6 +118,20 @@ def test_the_scale_can_be_stated(tmp_path: Path) -> None:
         sonar_from_table({"pixel_scale": "sqrt"}, "x")
 
 
+@pytest.mark.parametrize("mark", [-9999.0, -32768.0, np.finfo(np.float32).min])
+@pytest.mark.parametrize("decibels", [False, True])
+def test_pixels_marked_as_without_data_are_black(mark: float, decibels: bool) -> None:
+    """As rasters of other programs are filled outside the fan; the scale is that of the rest."""
+    values = AMPLITUDES[0].astype(np.float32) + 1
+    values = 20 * np.log10(values) - 60 if decibels else values
+    outside = np.zeros(values.shape, bool)
+    outside[:, :3] = True
+    whole = grey8(np.where(outside, np.float32(np.nan), values))
+    np.testing.assert_array_equal(grey8(np.where(outside, np.float32(mark), values)), whole)
+    assert not whole[outside].any()
+    assert whole[~outside].mean() > 30
+
+
 def test_a_blank_first_ping_is_black_and_settles_nothing(tmp_path: Path) -> None:
     for blank in (0.0, np.nan, -np.inf):
         images = [np.full((BINS, BEAMS), blank, np.float32), *AMPLITUDES]
