@@ -18,6 +18,7 @@ from sonarrec.records import Clock, Fan, Frame, SonarrecError, name_as_text, num
 from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20
+YEAR_NS = 31_556_952 * 10**9
 SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
 # The three are looked for among so many frames and bytes: the frames of a whole chunk may be lost,
 # and a sonar may send blank ones until it has its settings.
@@ -51,6 +52,7 @@ class Log:
         self.untimed = False
         self._timed = 0, 0  # number and time of the last frame that carried one
         self._unset = False  # whether header times were asked for and nobody set them
+        self._jump: str | None = None  # a note on times that jump ahead
 
     @property
     def sonar(self) -> Sonar:
@@ -98,6 +100,8 @@ class Log:
         notes = [*self._raw.header_info.notes, *dict.fromkeys(self._raw.notes)]
         if self._unset:
             notes.append("the header stamps of its first frames are 0; --time log is used instead")
+        if self._jump is not None:
+            notes.append(self._jump)
         stated_hz, playback_hz = self.stated.frame_rate_hz, self._raw.playback_hz
         if stated_hz and playback_hz and abs(stated_hz / playback_hz - 1) > 0.05:
             notes.append(
@@ -185,6 +189,11 @@ class Log:
         if stamp is not None and not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
         if stamp is not None:
+            if 0 < self._timed[1] < stamp - YEAR_NS and self._jump is None:
+                self._jump = (
+                    f"times jump ahead by {(stamp - self._timed[1]) / YEAR_NS:.1f} years at frame "
+                    f"{index} (was the clock set?); truth and poses by time fit one side of that"
+                )
             self._timed = index, stamp
             return stamp
         self.untimed = self.sonar.frame_rate_hz is None
