@@ -21,7 +21,7 @@ from sonarrec.records import ByteImage, Frame, FrameResult
 FRAMES_AT_ONCE = 16
 # Fewest pixels of a fan with which most of the work is done in OpenCV and numpy, where threads work
 # side by side. With fewer, half of it is done in Python, which takes a process of its own.
-LARGE = 2**19
+LARGE = 2**18
 
 
 @dataclass(frozen=True, slots=True)
