@@ -15,8 +15,6 @@ from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.matching.fit import (
     TruthCheck,
     left_out,
-    notes_on_rows,
-    of_other_logs,
     scorable_logs,
 )
 from sonarrec.evaluation.matching.joined import Joined, join
@@ -33,6 +31,7 @@ from sonarrec.records import IntArray, SonarrecError, printable
 from sonarrec.results.counted_once import counted_once
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.sonar import Sonar
+from sonarrec.truth.fits import of_other_logs, rows_on_frames
 from sonarrec.truth.table import TruthTable, read_truth
 
 DEFAULT = ScoringOptions()
@@ -309,7 +308,9 @@ def _left_out(
         return [line for case in usable for line in left_out([case])]
     lines = left_out(usable)
     if [log.folder for log in logs] != [inputs.folder]:  # several logs were given, not one
-        lines += of_other_logs(inputs.table, [*(log.name for log in logs), *unread])
+        lines += of_other_logs(
+            inputs.table, [*(log.name for log in logs), *unread], "they are not scored"
+        )
     return lines
 
 
@@ -356,7 +357,7 @@ def _notes(
         )
     for name, log in zip(names, logs, strict=True):
         if log.truth_check is not None:
-            notes += notes_on_rows(name, log.truth_check)
+            notes += rows_on_frames(name, log.truth_check.rows, log.truth_check.between)
         missing = [method for method in scored.methods if method not in log.methods]
         if missing:
             notes.append(

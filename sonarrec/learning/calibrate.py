@@ -13,7 +13,7 @@ from sonarrec.config import Config
 from sonarrec.files.outputs import MODEL_MARK
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
-from sonarrec.learning.samples import Samples, Tracks, describe, label
+from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label
 from sonarrec.readers import open_log
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
@@ -34,7 +34,10 @@ from sonarrec.truth.fits import (
     as_proposed,
     columns_not_read,
     misfit,
+    of_other_logs,
     pixels_elsewhere,
+    places_outside,
+    rows_on_frames,
     without_rows,
 )
 from sonarrec.truth.match import Truth, match_truth
@@ -130,9 +133,9 @@ def learn(
                 raise UsageError(f"{path}: a second log {name!r}; the truth tells logs by name")
             lessons.append(_lesson(table, log, name, config, landmarks, observe))
     used = [lesson for lesson in lessons if lesson.misfit is None]
+    names = [lesson.log for lesson in lessons]
     if not any(lesson.rows for lesson in used):
         misfits = [lesson.misfit for lesson in lessons if lesson.misfit is not None]
-        names = [lesson.log for lesson in lessons]
         why = without_rows(ground_truth, len(table.at), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
     parts = [lesson.samples for lesson in used]
@@ -140,6 +143,8 @@ def learn(
     model = fit(parts, prior)
     seen = _seen(parts, landmarks)
     before, after = _left_out(parts, prior)
+    # Of one log a truth of several is used as it is.
+    others = of_other_logs(table, names, "they teach nothing") if len(paths) > 1 else []
     return LearningReport(
         model=model,
         landmarks=landmarks,
@@ -148,7 +153,7 @@ def learn(
         seen=seen,
         before=before,
         after=after,
-        problems=[line for lesson in lessons for line in lesson.problems],
+        problems=[*(line for lesson in lessons for line in lesson.problems), *others],
         notes=[
             *columns_not_read(table),
             *(line for lesson in lessons for line in lesson.notes),
@@ -192,21 +197,21 @@ def _lesson(
     tracks = describe(_observed(chain(begin, rest), observe), own, landmarks, name=name)
     notes = [f"{name}: {line}" for line in beams]
     truth = match_truth(table, tracks)
-    unlike = misfit(table, tracks, truth)
+    samples = _labelled(tracks, truth)
+    unlike = misfit(table, tracks, truth) or _no_track_on_a_row(table, tracks, truth, samples)
     problems = list(log.problems)
     if unlike is not None:
         problems.append(f"{unlike}; nothing is learned from {name}")
     else:
         notes += pixels_elsewhere(table, tracks, "teach")
+        notes += places_outside(table, tracks, truth)
         notes += as_proposed(table, name, "they teach what the program takes for true already")
-        if not truth.rows:
-            notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
+        notes += rows_on_frames(name, truth.rows, truth.between)
         if truth.unprocessed:
             problems.append(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
                 f"was read of {name}; they teach nothing"
             )
-    samples = _labelled(tracks, truth)
     return _Lesson(name, samples, len(tracks.frame), truth.rows, unlike, problems, notes)
 
 
@@ -259,12 +264,32 @@ def _labelled(tracks: Tracks, truth: Truth) -> Samples:
     """The samples of one log.
 
     People do not label every frame. So if a track shows a landmark in one frame, its frames without
-    a label are left out: they do not count as "none of these".
+    a label are left out: they do not count as "none of these". A row whose `visible` is 0 teaches
+    no ID: scoring ignores it too.
     """
     assert truth.position is not None
-    samples = label(tracks, truth.frame_index, truth.landmark_index, truth.position)
+    landmark = np.where(truth.visible > 0, truth.landmark_index, HIDDEN)
+    samples = label(tracks, truth.frame_index, landmark, truth.position)
     other = samples.label == len(tracks.landmarks.ids)
-    return _part(samples, ~(other & np.isin(samples.track, samples.track[~other])))
+    unsure = other & np.isin(samples.track, samples.track[~other])
+    return _part(samples, ~unsure & (samples.label != HIDDEN))
+
+
+def _no_track_on_a_row(
+    table: TruthTable, tracks: Tracks, truth: Truth, samples: Samples
+) -> str | None:
+    """Why nothing is learned from a log whose landmarks no track lies on; None if one does.
+
+    Landmarks where the truth does not have them would be learned as "none of these".
+    """
+    seen = int(np.count_nonzero(truth.visible > 0))
+    if not seen or (samples.label < len(tracks.landmarks.ids)).any():
+        return None
+    return (
+        f"{table.path}: no track of {tracks.name} lies within "
+        f"{2 * ON * tracks.landmarks.radius_m:.3g} m of any of its {number_of(seen, 'position')}; "
+        "are they of this geometry? `sonarrec truth check` draws them"
+    )
 
 
 def _seen(parts: Sequence[Samples], landmarks: LandmarkSet) -> tuple[tuple[int, int], ...]:

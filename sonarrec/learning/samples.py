@@ -19,6 +19,8 @@ from sonarrec.records import Fan, FloatArray, Frame, IntArray
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
 # does not. Those between are left out.
 ON, OFF = 0.25, 0.5
+HIDDEN = -1
+"""The label of a track on a landmark that nothing is seen of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,7 @@ class Samples:
     """Described tracks with what they truly are.
 
     features: (n, K, F). smear: (n,) as Tracks. label: (n,) index of the ID in the set, K for 'none
-    of these'. track: (n,) number of the track.
+    of these', HIDDEN where nothing can be learned. track: (n,) number of the track.
     """
 
     features: FloatArray
@@ -113,7 +115,7 @@ def label(tracks: Tracks, row: IntArray, landmark: IntArray, place: FloatArray) 
     """Label the tracks of a recording by its truth.
 
     row: (T,) index into tracks.frame of each landmark that is at least partly in view. landmark:
-    (T,) its index in the set. place: (T, 2) as Tracks.position.
+    (T,) its index in the set, or HIDDEN. place: (T, 2) as Tracks.position.
     """
     ids = len(tracks.landmarks.ids)
     labels = np.full(len(tracks.row), ids)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +120,40 @@ def without_rows(path: Path, rows: int, logs: Iterable[str], consequence: str) -
     )
 
 
+def rows_on_frames(name: str, rows: int, between: int) -> list[str]:
+    """A line if the truth has no row on a log, or rows between its frames.
+
+    name: of the log. rows, between: as in Truth.
+    """
+    notes = []
+    if not rows:
+        notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
+    if between:
+        notes.append(
+            f"{name}: {number_of(between, 'ground-truth row')} between frames ignored, "
+            "because others are nearer in time"
+        )
+    return notes
+
+
+def of_other_logs(table: TruthTable, logs: Sequence[str], consequence: str) -> list[str]:
+    """A line on rows of the truth about other logs than `logs`, if there are any.
+
+    consequence: of that, a clause.
+    """
+    if table.log is None:
+        return []
+    other_names = np.asarray(table.log)[~np.isin(table.log, logs)]
+    if not len(other_names):
+        return []
+    names = sorted(set(map(str, other_names)))
+    listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
+    return [
+        f"{table.path}: {len(other_names)} of {len(table.at)} rows name logs that were not given "
+        f"({listed}); {consequence}"
+    ]
+
+
 def columns_not_read(table: TruthTable) -> list[str]:
     """A line if columns look like those that are read, but are not read."""
     return [f"{table.path}: columns {', '.join(table.not_read)} are not read"] * bool(
@@ -153,6 +187,15 @@ def as_proposed(table: TruthTable, name: str, consequence: str) -> list[str]:
         f"proposals of `truth propose`; {consequence}. Clear `source` in the rows that a person "
         "has checked"
     ] * bool(proposed)
+
+
+def places_outside(table: TruthTable, log: ReadLog, truth: Truth) -> list[str]:
+    """A line if positions lie outside the image of a log. truth: as matched to it."""
+    outside = int(np.count_nonzero(outside_image(log, truth)))
+    return [
+        f"{table.path}: {outside} of {len(truth.frame_index)} positions lie outside the image of "
+        f"{log.name}; `sonarrec truth check` names them"
+    ] * bool(outside)
 
 
 def outside_image(log: ReadLog, truth: Truth) -> BoolArray:

@@ -12,7 +12,7 @@ import pytest
 
 from sonarrec.config import preset
 from sonarrec.landmarks import BUILT_IN, load_landmarks
-from sonarrec.learning.calibrate import FOLDS, LearningReport, _not_taught, learn
+from sonarrec.learning.calibrate import FOLDS, LearningReport, _labelled, _not_taught, learn
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3_features.description import FEATURES
@@ -25,6 +25,7 @@ from sonarrec.recogniser.stage3_features.model import (
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
+from sonarrec.truth.match import Truth
 from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin")
@@ -173,6 +174,36 @@ def test_tracks_are_labelled_by_where_they_lie():
     assert samples.label.tolist() == [2, 2, 4, 4]
     np.testing.assert_array_equal(samples.features, tracks.features[[0, 1, 3, 4]])
     assert samples.smear.tolist() == [0.0, 0.1, 0.3, 0.4]
+
+
+def test_a_hidden_landmark_teaches_neither_its_id_nor_none():
+    """Tracks 7 and 8 each lie on a landmark in frame 0; nothing is seen of that of track 7."""
+    tracks = Tracks(
+        name="log",
+        landmarks=BASIN,
+        fan=None,
+        frame=np.arange(2),
+        timestamp_ns=np.arange(2),
+        row=np.array([0, 0, 0, 1, 1, 1]),
+        number=np.array([7, 8, 9, 7, 8, 9]),
+        position=np.array([[0.0, 2], [1, 2], [2, 2]] * 2),
+        features=np.zeros((6, 4, len(FEATURES))),
+        smear=np.zeros(6),
+    )
+    truth = Truth(
+        frame_index=np.array([0, 0]),
+        landmark_index=np.array([0, 1]),
+        visible=np.array([0.0, 0.3]),
+        position=np.array([[0.0, 2], [1, 2]]),
+        orientation=None,
+        rows=2,
+        unprocessed=0,
+        between=0,
+        tolerance_ns=None,
+    )
+    samples = _labelled(tracks, truth)
+    taught = list(zip(samples.track.tolist(), samples.label.tolist(), strict=True))
+    assert taught == [(8, 1), (9, 4), (9, 4)]
 
 
 # Recordings
@@ -366,6 +397,32 @@ def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
     assert "learned from 70 frames of one" in alone.stdout
     model = (tmp_path / "m.toml").read_text()
     assert model.partition("\n[")[2] == (tmp_path / "one.toml").read_text().partition("\n[")[2]
+
+
+def test_rows_that_teach_nothing_are_told(tmp_path):
+    """Truth denser than the frames, in places outside, for one log 8 deg wrong; and another log."""
+    with (SAMPLES / "pan.gt.csv").open(newline="") as file:
+        rows = [r for r in csv.DictReader(file) if int(r["frame"]) < 10]
+    lines = ["log,timestamp_ns,landmark,range_m,bearing_deg", "elsewhere,0,1,2,0"]
+    for number, row in enumerate(rows):
+        time_ns = int(row["frame"]) * 250_000_000
+        for log, turn_deg in (("pan", 0), ("polar", -8)):
+            bearing = 100 if number % 10 == 0 else float(row["bearing_deg"]) + turn_deg
+            place = f"{row['landmark']},{row['range_m']},{bearing}"
+            lines += [f"{log},{time_ns + shift * 80_000_000},{place}" for shift in (-1, 0, 1)]
+    truth = labelled(tmp_path / "gt.csv", "\n".join(lines))
+    logs = [SAMPLES / log / "00000*.png" for log in ("pan", "polar")]
+    told = sonarrec("calibrate", *logs, "--ground-truth", truth, "-o", tmp_path / "m.toml", code=3)
+    assert f"gt.csv: no track of polar lies within 0.075 m of any of its {len(rows)} positions" in (
+        told.stderr
+    )
+    assert "; nothing is learned from polar" in told.stderr
+    assert f"pan: {2 * len(rows)} ground-truth rows between frames ignored" in told.stderr
+    outside = -(-len(rows) // 10)
+    assert f"{outside} of {len(rows)} positions lie outside the image of pan" in told.stderr
+    assert "1 of " in told.stderr
+    assert "rows name logs that were not given (elsewhere); they teach nothing" in told.stderr
+    assert "of pan" in told.stdout
 
 
 def test_truth_whose_pixels_are_of_another_fan_is_told(tmp_path):

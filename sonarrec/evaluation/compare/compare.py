@@ -27,7 +27,7 @@ from sonarrec.evaluation.counting.uncertainty import (
 )
 from sonarrec.evaluation.counting.unit_sums import UnitSums
 from sonarrec.evaluation.evaluate import DEFAULT, distinct_names, other_ids
-from sonarrec.evaluation.matching.fit import notes_on_rows, scorable_logs
+from sonarrec.evaluation.matching.fit import scorable_logs
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import FindBeside, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
@@ -35,6 +35,7 @@ from sonarrec.evaluation.summary import units_text
 from sonarrec.evaluation.survey import UnreadableLog, map_logs
 from sonarrec.records import SonarrecError, printable
 from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.truth.fits import rows_on_frames
 
 FRAMES_FREE = 2
 """So many frames may get worse, whatever the band: 2 of 24 are no trend, though they are .083."""
@@ -301,7 +302,7 @@ def _notes_on_log(
     name: str, pair: LogPair, log: CountedPair, methods: Sequence[str]
 ) -> Iterator[str]:
     """The notes of `evaluate` on one log. methods: those compared."""
-    yield from notes_on_rows(name, log.truth_check)
+    yield from rows_on_frames(name, log.truth_check.rows, log.truth_check.between)
     for folder, of_log in zip(pair.folders, log.methods, strict=True):
         missing = [method for method in methods if method not in of_log]
         if missing:

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole
 from sonarrec.truth.fits import (
     as_proposed,
     columns_not_read,
     misfit,
-    outside_image,
     pixels_elsewhere,
+    places_outside,
     without_rows,
 )
 from sonarrec.truth.match import Truth
@@ -107,26 +105,8 @@ def _notes(case: MatchedLog) -> list[str]:
     table, log = case.table, case.log
     notes = columns_not_read(table)
     notes += as_proposed(table, log.name, "they say nothing about the results that they came from")
-    outside = int(np.count_nonzero(outside_image(case.log, case.truth)))
-    if outside:
-        notes.append(
-            f"{table.path}: {outside} of {len(case.truth.frame_index)} positions lie outside the "
-            f"image of {log.name}; `sonarrec truth check` names them"
-        )
+    notes += places_outside(table, log, case.truth)
     return notes + pixels_elsewhere(table, log, "are scored")
-
-
-def notes_on_rows(name: str, case: TruthCheck) -> list[str]:
-    """A line if the truth has no row on a log, or rows between its frames. name: of the log."""
-    notes = []
-    if not case.rows:
-        notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
-    if case.between:
-        notes.append(
-            f"{name}: {number_of(case.between, 'ground-truth row')} between frames ignored, "
-            "because others are nearer in time"
-        )
-    return notes
 
 
 def left_out(cases: Sequence[TruthCheck]) -> list[str]:
@@ -144,18 +124,3 @@ def left_out(cases: Sequence[TruthCheck]) -> list[str]:
     for case in cases:
         lines += case.not_whole
     return lines
-
-
-def of_other_logs(table: TruthTable, logs: Sequence[str]) -> list[str]:
-    """A line on rows of the truth about other logs than `logs`, if there are any."""
-    if table.log is None:
-        return []
-    other_names = np.asarray(table.log)[~np.isin(table.log, logs)]
-    if not len(other_names):
-        return []
-    names = sorted(set(map(str, other_names)))
-    listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
-    return [
-        f"{table.path}: {len(other_names)} of {len(table.at)} rows name logs that were not given "
-        f"({listed}); they are not scored"
-    ]
