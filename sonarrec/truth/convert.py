@@ -305,9 +305,20 @@ def _polar_pixels(
     if sizes != {(beams, bins)}:
         raise _wrong_size(source, drawn, f"{beams} beams x {bins} ranges")
     geometry = sonar.complete(str(source))
-    bearing_deg = np.interp(x, np.arange(beams), beam_bearings(geometry, beams))
-    range_m = np.interp(y, np.arange(bins), bin_ranges(geometry, bins))
+    bearing_deg = _between_samples(x, beam_bearings(geometry, beams))
+    range_m = _between_samples(y, bin_ranges(geometry, bins))
     return range_m, -bearing_deg if sonar.flip else bearing_deg
+
+
+def _between_samples(at: FloatArray, values: FloatArray) -> FloatArray:
+    """(N,) values at (N,) places between samples, and beyond the first and the last one.
+
+    A disc that the image's edge cuts, drawn as if it were whole, may have its centre out there.
+    """
+    last = len(values) - 1
+    steps = np.diff(values) if last else np.zeros(1)
+    beyond = np.minimum(at, 0) * steps[0] + np.maximum(at - last, 0) * steps[-1]
+    return np.asarray(np.interp(at, np.arange(last + 1), values) + beyond)
 
 
 def _wrong_size(source: Path, sizes: Sizes, size: str) -> SonarrecError:

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.geometry import floor_depth
+from sonarrec.geometry import floor_depth, polar_from_pixel
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
 from sonarrec.sonar import Sonar
@@ -394,6 +394,25 @@ def test_labelme_folder(tmp_path: Path) -> None:
     assert converted(tmp_path / "labels", folder / "a.json") == []
 
 
+def test_labelme_masks_and_rotated_rectangles_lie_where_their_pixels_do(tmp_path: Path) -> None:
+    """A mask's two points are its first and its last pixel: labelme fills x2 - x1 + 1 columns."""
+    drawn = np.zeros((80, 100), bool)
+    drawn[12 : 18 + 1, 20 : 31 + 1] = True
+    rows, columns = np.nonzero(drawn)
+    turned = cv2.boxPoints(((55.0, 40.0), (20.0, 8.0), 30.0)).tolist()
+    shapes: list[dict[str, object]] = [
+        {"label": "1", "points": [[20, 12], [31, 18]], "shape_type": "mask"},
+        {"label": "2", "points": turned, "shape_type": "oriented_rectangle"},
+    ]
+    labelme(tmp_path / "a.json", shapes, "5.png")
+    assert converted(tmp_path, tmp_path / "a.json") == [
+        (5, 1, columns.mean(), rows.mean(), 1.0),
+        (5, 2, 54.5, 39.5, 1.0),
+    ]
+    labelme(tmp_path / "b.json", [shapes[1] | {"points": turned[:2]}], "5.png")
+    assert "2 points, which is no oriented_rectangle" in failure(tmp_path / "b.json")
+
+
 @pytest.mark.parametrize(
     ("shape", "said"),
     [
@@ -753,6 +772,37 @@ def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[
         # The brightest fan pixels: between uneven beams the spot is not symmetric about its peak.
         rows, columns = np.nonzero(fan > 0.9 * fan.max())
         assert (columns.mean(), rows.mean()) == pytest.approx((x, y), abs=1.0)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_a_disc_cut_by_the_edge_of_a_polar_image_keeps_its_centre(
+    tmp_path: Path, flip: bool
+) -> None:
+    """Beyond its edges a polar image goes on in the same steps of bearing and range."""
+    log = tmp_path / "log"
+    log.mkdir()
+    cv2.imwrite(str(log / "0.png"), np.zeros((200, 96), np.uint8))
+    sonar = Sonar("polar", 1.25, 3.75, 28.8, 20.0, 0.68, flip=flip)
+    text = "\n".join(f"{k} = {json.dumps(v)}" for k, v in sonar.as_table().items())
+    (log / "sonar.toml").write_text(f"[sonar]\n{text}\n")
+    # Corners of the image: samples are 0.3 deg and 12.5 mm wide, and these are their outer edges.
+    places = [(0, 100), (96, 110), (-3, 120), (100, 130), (48, -4), (48, 203)]
+    source = tmp_path / "a.json"
+    labelme(
+        source,
+        [{"label": "1", "points": [[x, y]], "shape_type": "point"} for x, y in places],
+        "0.png",
+    )
+    told = {"imageHeight": 200, "imageWidth": 96}
+    source.write_text(json.dumps(json.loads(source.read_text()) | told))
+    rows = converted(tmp_path, source, "--log", log)
+    with open_log(log) as opened:
+        fan = next(iter(opened)).fan
+    found = polar_from_pixel(fan, *np.array([row[2:4] for row in rows]).T)
+    sign = -1 if flip else 1
+    expected = [(1.25 + y * 0.0125, sign * (x - 48) * 0.3) for x, y in places]
+    # Rows stand in another order; the ranges tell them apart.
+    np.testing.assert_allclose(sorted(zip(*found, strict=True)), sorted(expected), atol=0.02)
 
 
 def test_shapes_on_mirrored_fan_images(tmp_path: Path) -> None:

@@ -20,7 +20,10 @@ from sonarrec.truth.annotations.shapes import (
     whole,
 )
 
-_FEWEST_POINTS = {"circle": 1, "point": 1, "polygon": 3, "rectangle": 2, "mask": 2}
+_FEWEST_POINTS = {
+    **{"circle": 1, "point": 1, "polygon": 3, "rectangle": 2, "mask": 2},
+    "oriented_rectangle": 4,
+}
 
 
 def matches(path: Path, text: str) -> bool:
@@ -85,8 +88,11 @@ def _centre(kind: str, points: Sequence[Sequence[float]]) -> tuple[float, float]
     if len(points) < _FEWEST_POINTS[kind]:
         raise ValueError(f"{number_of(len(points), 'point')}, which is no {kind}")
     x, y = zip(*points, strict=True)
-    if kind in ("rectangle", "mask"):  # two corners, or all four
-        return (min(x) + max(x)) / 2, (min(y) + max(y)) / 2
-    if kind == "polygon":
+    middle = (min(x) + max(x)) / 2, (min(y) + max(y)) / 2
+    if kind == "rectangle":  # two corners, or all four
+        return middle
+    if kind == "mask":  # its first and its last pixel, not the edges about them
+        return middle[0] + HALF_A_PIXEL, middle[1] + HALF_A_PIXEL
+    if kind in ("polygon", "oriented_rectangle"):
         return centre_of_area(list(zip(x, y, strict=True)))
     return x[0], y[0]  # of a circle the centre, before a point on the rim
