@@ -164,7 +164,7 @@ def _lay(
     """Lay landmarks into a recording, at one contrast or several."""
     from sonarrec.config import preset
     from sonarrec.landmarks import load_landmarks
-    from sonarrec.simulation.background import draw_layout
+    from sonarrec.simulation.background import draw_layout, without_room
     from sonarrec.simulation.background_files import check_free, write_backgrounds
 
     if out.suffix == ".mcap":
@@ -185,11 +185,7 @@ def _lay(
         progress(quiet, len(background.path), "discs") as step,
     ):
         write_backgrounds(background, layout, laying.look(background), folders, step)
-    notes = list(background.notes)
-    if laying.count is not None and layout.landmark_count < laying.count:
-        wanted = number_of(laying.count, "landmark")
-        notes.append(f"there was room for only {layout.landmark_count} of {wanted}")
-    tell(background.problems, notes)
+    tell(background.problems, [*background.notes, *without_room([layout], laying.count)])
     if not quiet:
         frames = number_of(len(background.path), "frame")
         count = number_of(layout.landmark_count, "landmark")

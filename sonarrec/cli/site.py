@@ -111,10 +111,10 @@ def site(
             step=lambda doing: step(note=doing),
         )
     write_site(out, site_result, render(site_result))
-    tell(background.problems, site_result.notes)
+    tell(site_result.problems, site_result.notes)
     if not quiet:
         say(*_lines(site_result, out / "site.html", layouts))
-    end(background.problems)
+    end(site_result.problems)
 
 
 def _completed(given: LogOptions, earlier: RunFile, source: Source) -> LogOptions:

@@ -28,7 +28,14 @@ from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.records import Estimate, FrameResult
 from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site, sentences
 from sonarrec.results.run_file import LogOptions
-from sonarrec.simulation.background import Background, DiscLook, Layout, draw_layout, truth_of
+from sonarrec.simulation.background import (
+    Background,
+    DiscLook,
+    Layout,
+    draw_layout,
+    truth_of,
+    without_room,
+)
 from sonarrec.simulation.background_files import write_backgrounds
 
 RANGE_STEPS = 5  # into which the range window is divided
@@ -101,7 +108,8 @@ def assess(
         empty=100 * claims / len(background.path),
         sentences=tuple(sentences(results, claims, len(background.path))),
         shown=tuple(examples),
-        notes=(*background.problems, *background.notes),
+        problems=tuple(background.problems),
+        notes=(*background.notes, *without_room(drawn, count)),
     )
 
 

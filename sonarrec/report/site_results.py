@@ -64,7 +64,8 @@ class Site:
     """The results of `sonarrec site`.
 
     contrasts: rising. empty: claims per 100 frames on the recording itself; they are false if it
-    holds no landmarks. sentences: the answer in words.
+    holds no landmarks. sentences: the answer in words. problems: what of the recording could not be
+    used.
     """
 
     log: str
@@ -81,6 +82,7 @@ class Site:
     empty: float
     sentences: tuple[str, ...]
     shown: tuple[ExampleFrame, ...]
+    problems: tuple[str, ...]
     notes: tuple[str, ...]
 
 
@@ -203,7 +205,7 @@ def as_document(site: Site) -> dict[str, Any]:
         "layouts": [{"seed": one.seed, "landmarks": one.landmark_count} for one in site.layouts],
         "claims_per_100_as_it_is": round(site.empty, 4),
         "summary": list(site.sentences),
-        "notes": list(site.notes),
+        "notes": [*site.problems, *site.notes],
         "contrasts": [
             {
                 "contrast_db": one.contrast_db,

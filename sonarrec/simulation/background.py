@@ -35,6 +35,7 @@ from sonarrec.records import (
     SonarrecError,
     UsageError,
     name_as_text,
+    number_of,
 )
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
@@ -242,6 +243,15 @@ def draw_layout(
             f"= {landmarks.radius_m:g}; see whether the geometry is right: sonarrec info --preview"
         )
     return layout
+
+
+def without_room(layouts: Sequence[Layout], count: int | None) -> list[str]:
+    """A line if a layout has fewer landmarks than were asked for. count: None if none was."""
+    least = min(layout.landmark_count for layout in layouts)
+    if count is None or least >= count:
+        return []
+    where = " in a layout" if len(layouts) > 1 else ""
+    return [f"there was room for only {least} of {number_of(count, 'landmark')}{where}"]
 
 
 @dataclass(frozen=True, slots=True)

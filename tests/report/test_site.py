@@ -126,6 +126,27 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path: Path) 
     assert asis["landmarks"] == laid["landmarks"]
 
 
+def test_what_there_was_no_room_for_and_what_cannot_be_read_is_told_once(tmp_path: Path) -> None:
+    scene = replace(random_scene(5, "no_landmark"), frames=4, objects=())
+    write_recording(scene, tmp_path / "floor")
+    (tmp_path / "floor" / "000001.png").write_bytes(b"no image")
+    out = tmp_path / "out"
+    told = sonarrec(
+        *("site", tmp_path / "floor", "--contrast", "10", "--layouts", "2", "--count", "90"),
+        *("-o", out),
+        code=3,
+    ).stderr
+    assert told.count("000001.png: unreadable image") == 1
+    document = json.loads((out / "site.json").read_text())
+    laid = min(layout["landmarks"] for layout in document["layouts"])
+    room = f"there was room for only {laid} of 90 landmarks in a layout"
+    assert told.count(room) == 1
+    page = (out / "site.html").read_text()
+    for text in (room, "000001.png: unreadable image, skipped"):
+        assert text in document["notes"]
+        assert page.count(text) == 1
+
+
 def test_a_run_toml_of_the_log_tells_topic_and_time(tmp_path: Path) -> None:
     scene = replace(random_scene(5, "no_landmark"), frames=6, objects=())
     write_recording(scene, tmp_path / "floor")
