@@ -72,18 +72,35 @@ def read_parts(path: Path, rows: int | None) -> tuple[list[str], Iterator[Any]]:
     def parts() -> Iterator[Any]:
         try:
             if rows is None:
-                yield file.read().to_pandas()
+                yield _plain(file.read())
             else:
                 any_rows = False
                 for batch in file.iter_batches(rows):
                     any_rows = True
-                    yield batch.to_pandas()
+                    yield _plain(pa.Table.from_batches([batch]))
                 if not any_rows:
-                    yield file.schema_arrow.empty_table().to_pandas()
+                    yield _plain(file.schema_arrow.empty_table())
         except (OSError, pa.ArrowException) as error:
             raise _unreadable(path, error) from None
 
     return list(map(str, file.schema_arrow.names)), parts()
+
+
+def _plain(table: Any) -> Any:
+    """An Arrow table as a data frame of plain numbers and text, as read from a CSV.
+
+    What pandas noted beside the columns is passed over: a column that it took for its index, or
+    whole numbers with blanks. Text that was written as bytes, as some programs do, becomes text.
+    Raises ArrowException where it is not UTF-8.
+    """
+    import pyarrow as pa
+
+    binary = (pa.types.is_binary, pa.types.is_large_binary)
+    fields = [
+        field.with_type(pa.string()) if any(kind(field.type) for kind in binary) else field
+        for field in table.schema
+    ]
+    return table.cast(pa.schema(fields)).to_pandas(ignore_metadata=True)
 
 
 def _unreadable(path: Path, error: Exception) -> SonarrecError:

@@ -7,6 +7,7 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -165,6 +166,31 @@ def test_the_other_form_is_made_anew_and_takes_the_place(
     assert there == {"frames.csv", "estimates.parquet", "sightings.csv", "run.toml"}
     again = call("run", SAMPLE, "--tables", "parquet", "-o", tmp_path / "out")
     assert "up to date" in again.output
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda table: table.set_index("frame"),
+        lambda table: table.assign(
+            object=table["object"].astype("Int64").where(table["object"] > 0)
+        ),
+        lambda table: table.assign(declared=table["declared"].astype("boolean")),
+        lambda table: table.assign(method=table["method"].astype("category")),
+        lambda table: table.assign(method=table["method"].str.encode("utf-8")),
+    ],
+    ids=["index", "blanks", "flags", "categories", "bytes"],
+)
+def test_parquet_of_other_programs(both: dict[str, Path], tmp_path: Path, changed: Any) -> None:
+    """As pandas writes it: its columns are those of the CSV, whatever pandas notes beside them."""
+    table = changed(pd.read_csv(both["csv"] / "estimates.csv"))
+    shutil.copytree(both["csv"], tmp_path / "pan")
+    (tmp_path / "pan" / "estimates.csv").unlink()
+    table.to_parquet(tmp_path / "pan" / "estimates.parquet")
+    expected, found = read_log(both["csv"]), read_log(tmp_path / "pan")
+    assert found.methods == expected.methods
+    for name in ("method", "frame_index", "landmark_index", "score", "declared", "position"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_damaged_parquet_is_one_line(both: dict[str, Path], tmp_path: Path) -> None:
