@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
@@ -29,6 +29,7 @@ _PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECA
 _LAST_NUMBER = re.compile(r"(?<![0-9])(?<![0-9]\.)[0-9]{1,18}$")
 """In an image's name; not the fraction of a time in seconds."""
 _BY_NUMBER = "frames by the number that ends every image name"
+_BY_ORDER = "frames by the natural order of the images listed; give --log where it has more"
 _FEW = 5  # most names in a message
 MOST_LETTERS = 255
 """Of a file's name, on any disk."""
@@ -45,12 +46,13 @@ class LogImages:
     """What a log says about the images that were annotated.
 
     sonar, fan: its geometry, and that of its fan images. names: its image files in frame order;
-    empty for a log in one file, whose frames have no names.
+    empty for a log in one file, whose frames have no names. frame_count: None if unknown.
     """
 
     sonar: Sonar
     fan: Fan
     names: tuple[str, ...]
+    frame_count: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,7 @@ class ConversionReport:
     """What became of the annotations.
 
     format: which it was. counts: rows written per ID. notes: what was done on the way.
-    unused: what could not be used, one line each.
+    unused: what could not be used, or does not fit the log, one line each.
     """
 
     format: str
@@ -74,7 +76,8 @@ def look_at(log: Log) -> LogImages:
     """
     fan = next(iter(log)).fan
     files = find_log(log.path).files
-    return LogImages(log.sonar, fan, tuple(file.name for file in files if is_image(file)))
+    names = tuple(file.name for file in files if is_image(file))
+    return LogImages(log.sonar, fan, names, log.frame_count)
 
 
 def convert(
@@ -112,6 +115,8 @@ def convert(
     used = [s for s in found.shapes if s.label in ids and s.frame in frames]
     if unused and not used:
         raise SonarrecError(f"{source}: nothing can be used: {'; '.join(unused)}")
+    if log is not None and key == "frame":
+        unused += _not_as_in_log(log, [frames[s.frame] for s in used], len(found.images), rule)
     sizes = {size for name, size in found.sizes.items() if name is None or name in frames}
     x, y, visible = _in_fan_pixels(source, sizes, used, log, landmarks.radius_m)
     # Tracks drawn in overlapping parts of one job hold a shape twice, hidden perhaps in one only.
@@ -202,6 +207,29 @@ def _frame_numbers(
     return key, frames, rule
 
 
+def _not_as_in_log(log: LogImages, frames: Sequence[int], listed: int, rule: str) -> Iterator[str]:
+    """A line for each thing that shows that frames are numbered otherwise in the log.
+
+    frames: of the shapes. listed: number of images. rule: by which the frames were found.
+    Nothing is left out for it: the count that a video states is not always right.
+    """
+    count = log.frame_count
+    if not count:
+        return
+    beyond = Counter(str(frame) for frame in frames if frame >= count)
+    if beyond:
+        yield (
+            f"{number_of(beyond.total(), 'shape')} beyond the log's last frame, {count - 1}: frame "
+            f"{_some(beyond)}; {rule}. Is --first-frame right, and is this the log?"
+        )
+    if rule == _BY_ORDER and listed < count:
+        yield (
+            f"{number_of(listed, 'image')} listed, but the log has {number_of(count, 'frame')}: in "
+            "their order they were taken for its first ones; name them by the numbers of their "
+            "frames"
+        )
+
+
 def _frames_of_images(
     images: Sequence[str], log_names: Sequence[str]
 ) -> tuple[str, FrameNumbers, str]:
@@ -239,8 +267,7 @@ def _frames_of_images(
     numbers: FrameNumbers = {name: int(end[0]) for name, end in ends.items() if end}
     if len(numbers) == len(ends):
         return "frame", numbers, _BY_NUMBER
-    rule = "frames by the natural order of the images listed; give --log where it has more"
-    return "frame", {name: n for n, name in enumerate(order)}, rule
+    return "frame", {name: n for n, name in enumerate(order)}, _BY_ORDER
 
 
 def _path(name: str, log_names: Sequence[str]) -> Path:

@@ -573,6 +573,40 @@ def test_frames_by_natural_order_of_all_images(tmp_path: Path) -> None:
     assert converted(tmp_path, coco(tmp_path, annotations, names)) == [(2, 1, 4, 0, 1.0)]
 
 
+SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"  # 128 frames
+
+
+def test_frames_beyond_the_log_are_told(tmp_path: Path) -> None:
+    """Of hashes that export tools put into names the last digits were frame numbers, unsaid."""
+    for names, count in (["x127.png", "y3.png"], 0), (["34_png.rf.c998812.jpg", "x127.png"], 1):
+        annotations = [BBOX | {"image_id": 7 + n} for n in range(2)]
+        images = coco(tmp_path, annotations, names)
+        document = json.loads(images.read_text())
+        for image in document["images"]:
+            image |= {"width": 191, "height": 256}
+        images.write_text(json.dumps(document))
+        done = run(images, "--log", SAMPLE, "--out", tmp_path / f"{count}.csv")
+        assert done.exit_code == 3 * count
+        beyond = "1 shape beyond the log's last frame, 127: frame 998812; frames by the number"
+        assert done.stderr.count(beyond) == count
+    log = image_folder(tmp_path / "log", frames(2, 80, 100))
+    drawn = cvat(tmp_path, track(BOX.format(1, 0, 0, 10, 20), BOX.format(2, 0, 0, 10, 20)))
+    done = run(drawn, "--log", log, "--out", tmp_path / "folder.csv")
+    assert "1 shape beyond the log's last frame, 1: frame 2; frames as numbered" in done.stderr
+
+
+def test_an_order_of_fewer_images_than_the_log_has_frames_is_told(tmp_path: Path) -> None:
+    for listed, code in (2, 3), (128, 0):
+        source = coco(tmp_path, [BBOX | {"image_id": 7}], [f"a{n}left.png" for n in range(listed)])
+        document = json.loads(source.read_text())
+        for image in document["images"]:
+            image |= {"width": 191, "height": 256}
+        source.write_text(json.dumps(document))
+        done = run(source, "--log", SAMPLE, "--out", tmp_path / f"{listed}.csv")
+        assert done.exit_code == code, done.output
+        assert ("2 images listed, but the log has 128 frames" in done.stderr) == (code == 3)
+
+
 @pytest.mark.parametrize(
     "name", ["1700000000123456789", "ping_1700000000.123456789", "20231114-221320.123456789Z"]
 )
