@@ -23,6 +23,7 @@ from sonarrec.records import (
     BoolArray,
     FloatArray,
     Frame,
+    IntArray,
     SonarrecError,
     UsageError,
     number_of,
@@ -56,7 +57,7 @@ class LearningReport:
     track showed it and the number of such tracks. before, after: mean log likelihood of the truth,
     in nats per track and frame, by the built-in model and by one learned without the track; None
     with fewer than FOLDS tracks of landmarks, or of others. problems: what could not be used.
-    notes: what the recordings do not teach.
+    notes: what the recordings do not teach. gain_error: standard error of after - before.
     """
 
     model: AppearanceModel
@@ -68,6 +69,7 @@ class LearningReport:
     after: float | None
     problems: list[str]
     notes: list[str]
+    gain_error: float | None = None
 
     def summary(self) -> list[str]:
         """Lines to print on what the model was learned from, and how good it is."""
@@ -89,6 +91,11 @@ class LearningReport:
             lines.append(
                 "log likelihood per track and frame, on tracks left out: "
                 f"built-in model {self.before:.3f}, learned {self.after:.3f}"
+            )
+        if self.before is not None and self.after is not None and self.gain_error is not None:
+            lines.append(
+                f"gain {self.after - self.before:+.3f}, with a standard error of "
+                f"{self.gain_error:.3f} over tracks"
             )
         return lines
 
@@ -142,7 +149,7 @@ def learn(
     prior = None if from_scratch else built_in_model()
     model = fit(parts, prior)
     seen = _seen(parts, landmarks)
-    before, after = _left_out(parts, prior)
+    before, after, gain_error = _left_out(parts, prior)
     # Of one log a truth of several is used as it is.
     others = of_other_logs(table, names, "they teach nothing") if len(paths) > 1 else []
     return LearningReport(
@@ -159,6 +166,7 @@ def learn(
             *(line for lesson in lessons for line in lesson.notes),
             *_not_taught(landmarks, seen, before, after),
         ],
+        gain_error=gain_error,
     )
 
 
@@ -303,18 +311,20 @@ def _seen(parts: Sequence[Samples], landmarks: LandmarkSet) -> tuple[tuple[int, 
 
 def _left_out(
     parts: Sequence[Samples], prior: AppearanceModel | None
-) -> tuple[float | None, float | None]:
-    """Mean log likelihood by the built-in model and by models learned from the other tracks.
+) -> tuple[float | None, float | None, float | None]:
+    """Mean log likelihood by the built-in model and by models learned from the other tracks, and
+    the standard error of the difference.
 
     The tracks are dealt into FOLDS parts; tracks of landmarks and others are dealt separately, so
-    that every part has both. None, None with fewer than FOLDS tracks of either.
+    that every part has both. All None with fewer than FOLDS tracks of either.
     """
-    folds = []
+    folds, tracks = [], []  # of each part: (n,) the fold; (n,) the track, counted over all parts
     count = np.zeros(2, np.int64)  # of other tracks, of landmarks' tracks
     for part in parts:
         numbers, track = np.unique(part.track, return_inverse=True)
         kinds = np.zeros(len(numbers), np.int64)
         np.maximum.at(kinds, track, part.label < part.features.shape[1])
+        tracks.append(count.sum() + track)
         fold = np.empty(len(numbers), np.int64)
         for kind in (0, 1):
             mine = np.flatnonzero(kinds == kind)
@@ -322,16 +332,29 @@ def _left_out(
             count[kind] += len(mine)
         folds.append(fold[track])
     if count.min() < FOLDS:
-        return None, None
+        return None, None, None
     built_in = built_in_model()
-    before, after = [], []
+    before, after, of_track = [], [], []
     for k in range(FOLDS):
         taught = [_part(p, fold != k) for p, fold in zip(parts, folds, strict=True)]
         left_out = [_part(p, fold == k) for p, fold in zip(parts, folds, strict=True)]
         learned = fit(taught, prior)
         before += [_log_likelihood(built_in, p) for p in left_out]
         after += [_log_likelihood(learned, p) for p in left_out]
-    return float(np.concatenate(before).mean()), float(np.concatenate(after).mean())
+        of_track += [track[fold == k] for track, fold in zip(tracks, folds, strict=True)]
+    was, now = np.concatenate(before), np.concatenate(after)
+    error = _standard_error(now - was, np.concatenate(of_track))
+    return float(was.mean()), float(now.mean()), error
+
+
+def _standard_error(values: FloatArray, cluster: IntArray) -> float:
+    """Standard error of the mean of (n,) values that depend on each other within a cluster.
+
+    cluster: (n,) numbers from 0, without a gap; two or more.
+    """
+    sums = np.bincount(cluster, values - values.mean())
+    count = len(sums)
+    return float(np.sqrt(count / (count - 1) * np.sum(sums**2)) / len(values))
 
 
 def _part(samples: Samples, mask: BoolArray) -> Samples:

@@ -12,7 +12,14 @@ import pytest
 
 from sonarrec.config import preset
 from sonarrec.landmarks import BUILT_IN, load_landmarks
-from sonarrec.learning.calibrate import FOLDS, LearningReport, _labelled, _not_taught, learn
+from sonarrec.learning.calibrate import (
+    FOLDS,
+    LearningReport,
+    _labelled,
+    _not_taught,
+    _standard_error,
+    learn,
+)
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3_features.description import FEATURES
@@ -465,6 +472,21 @@ def test_worse_is_told_only_where_the_printed_figures_differ():
 
     assert told(-0.0162, -0.0158) == told(-0.0158, -0.0162) == told(None, None) == []
     assert "judges the tracks left out better" in told(-0.015, -0.017)[0]
+
+
+def test_the_standard_error_of_the_gain_is_that_of_drawing_whole_tracks():
+    rng = np.random.default_rng(4)
+    alone = rng.normal(0, 1, 400)
+    assert _standard_error(alone, np.arange(400)) == pytest.approx(alone.std(ddof=1) / 20)
+    size = rng.integers(5, 40, 80)  # tracks of many frames that share most of what they say
+    track = np.repeat(np.arange(80), size)
+    values = np.repeat(rng.normal(0, 1, 80), size) + rng.normal(0, 0.3, len(track))
+    order = rng.permutation(len(track))
+    sums = np.stack([np.bincount(track, values), size])
+    drawn = sums[:, rng.integers(0, 80, (4000, 80))].sum(axis=2)
+    error = _standard_error(values[order], track[order])
+    assert error == pytest.approx((drawn[0] / drawn[1]).std(), rel=0.1)
+    assert error > 3 * values.std() / np.sqrt(len(values))  # as if frames were independent
 
 
 def test_a_model_without_use_is_refused(tmp_path):
