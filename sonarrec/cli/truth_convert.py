@@ -76,8 +76,8 @@ def convert(
     ANNOTATIONS is a CVAT XML 1.1 (video or images), a COCO JSON, a MOTChallenge gt.txt, or a
     LabelMe JSON or a folder of them. With --log, frames are found by image name, shapes drawn on
     polar images are converted to the fan, and `visible` is at most the share of the disc inside the
-    fan. Exit code 3: labels or images that could not be used were
-    left out, or frames lie beyond the log.
+    fan. Exit code 3: labels or images that could not be used were left out, or frames lie beyond
+    the log.
 
     \b
     Examples:
