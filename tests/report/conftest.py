@@ -1,10 +1,11 @@
-"""The sample log's results and pages, made once."""
+"""A browser, and the sample log's results and pages, made once."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from sonarrec.records import ByteImage
 from sonarrec.report import frames, pictures, site_page
+from tests.support.browser import chromium
 from tests.support.command import SAMPLE, sonarrec
 
 
@@ -51,3 +53,9 @@ def pages(results: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     sonarrec("report", results, *scored, "-o", folder / "full.html")
     sonarrec("report", results, "-o", folder / "bare.html")
     return {name: folder / f"{name}.html" for name in ("full", "bare")}
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with chromium(tmp_path_factory.mktemp("profile")) as driver:
+        yield driver

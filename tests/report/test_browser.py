@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.browser import COLOURS, chromium, contrast, look
+from tests.support.browser import COLOURS, contrast, look
 from tests.support.command import SAMPLE, sonarrec
 
 SCREENS = [(width, scheme) for width in (1280, 400) for scheme in ("light", "dark")]
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    with chromium(tmp_path_factory.mktemp("profile")) as driver:
-        yield driver
 
 
 @pytest.mark.parametrize(("width", "scheme"), SCREENS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomli_w
@@ -15,7 +16,7 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.records import UsageError
 from sonarrec.report.build import write_report
 from sonarrec.report.logs import MOST_LOGS
-from tests.support.browser import chromium, look
+from tests.support.browser import look
 from tests.support.command import sonarrec
 from tests.support.made_up import make_logs
 
@@ -112,14 +113,11 @@ def test_the_page_stays_small(page: Path, made: Path) -> None:
 
 
 @pytest.mark.parametrize("width", [1280, 400])
-def test_it_opens_quickly_in_a_browser(
-    page: Path, width: int, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    with chromium(tmp_path_factory.mktemp("profile")) as browser:
-        begun = time.monotonic()
-        found = look(browser, page, width, "light")
-        took = time.monotonic() - begun
-        browser.save_screenshot(str(page.with_suffix(f".{width}.png")))
+def test_it_opens_quickly_in_a_browser(browser: Any, page: Path, width: int) -> None:
+    begun = time.monotonic()
+    found = look(browser, page, width, "light")
+    took = time.monotonic() - begun
+    browser.save_screenshot(str(page.with_suffix(f".{width}.png")))
     assert (found["console"], found["wide"], found["outside"]) == ([], 0, []) or found["wide"] < 0
     assert took < 10  # a second where nothing else runs
 

@@ -6,7 +6,6 @@ import csv
 import json
 import math
 import tomllib
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from sonarrec.landmarks import BUILT_IN
 from sonarrec.report.site_results import ContrastResults, sentences
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
-from tests.support.browser import chromium, look
+from tests.support.browser import look
 from tests.support.command import sonarrec
 from tests.support.logs import PERIOD_NS, cdr_image, mcap_file
 
@@ -230,12 +229,6 @@ def test_the_sentence_says_where_nothing_reaches() -> None:
     assert "at most 4.0 in 100 frames, at 6 dB" in told
     assert "in 90% of the frames" in (near := sentences([at(0, [0.8971])], 0, 9)[0])
     assert "at best in 89.7%" in near
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    with chromium(tmp_path_factory.mktemp("profile")) as driver:
-        yield driver
 
 
 @pytest.mark.parametrize("width", [1280, 400])
