@@ -11,6 +11,7 @@ import pytest
 
 import sonarrec  # noqa: F401 - before numpy: it has BLAS run in one thread, as users have it
 from sonarrec.batch.cores import cores
+from tests.support.one_core import one_core
 
 # Before OpenCV is loaded, here and in what tests start: there are more test processes than cores,
 # and their threads would wait for each other. test_same_bytes.py has several threads.
@@ -19,6 +20,14 @@ os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Begun in the background of a script: the programs that tests stop by Ctrl-C would inherit it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_core() -> Iterator[None]:
+    """The tests' own processes are large: to copy one for a run takes longer than many a run.
+    test_together.py has the same runs on one core and on two."""
+    with one_core():
+        yield
 
 
 PICTURES = ("draw_roc", "draw_roc_by_id", "draw_det", "draw_reliability")

@@ -144,7 +144,6 @@ def test_commands_in_order_print_what_is_shown(
     document: Path, fresh: Once, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(fresh.folder)
-    monkeypatch.setattr("sonarrec.batch.cores.cores", lambda: 1)  # no processes: they take longest
     found = examples(document)
     assert any("sonarrec" in command for command, _ in found)
     for command, shown in found:

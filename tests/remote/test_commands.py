@@ -30,9 +30,7 @@ def sonarrec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sonarrec:
     monkeypatch.chdir(tmp_path / "here")
 
     def invoke(*words: str) -> Result:
-        # Without worker processes, which take longest, but where a test asks for them.
-        alone = ["-j", "1"] if words[0] == "run" and "-j" not in words else []
-        result = CliRunner().invoke(main, [*words, *alone, "--cache", str(tmp_path / "cache")])
+        result = CliRunner().invoke(main, [*words, "--cache", str(tmp_path / "cache")])
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert "Traceback" not in result.stderr

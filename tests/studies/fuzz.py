@@ -34,6 +34,7 @@ from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.logs import SONAR_TOML
 from tests.support.messages import WRITERS
+from tests.support.one_core import one_core
 from tests.support.sonar_files import (
     aris_file,
     didson_file,
@@ -293,8 +294,11 @@ def peak_mb() -> float:
 def run_batch(
     numbers: range, keep: Path | None, form: str = "mcap", base: Path | None = None
 ) -> None:
-    """Make and run the files; a line for each: number, exit codes, seconds, peak MB, failure."""
-    with tempfile.TemporaryDirectory(prefix="sonarrec_fuzz_") as name:
+    """Make and run the files; a line for each: number, exit codes, seconds, peak MB, failure.
+
+    On one core, so that a hang and the memory are those of this process, in all stages.
+    """
+    with one_core(), tempfile.TemporaryDirectory(prefix="sonarrec_fuzz_") as name:
         folder = Path(name)
         mcap = form == "mcap"
         kinds = [recorded(kind, folder) for kind in (*SCHEMAS, *FLATBUFFERS)] if mcap else []

@@ -14,13 +14,9 @@ SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan"
 def sonarrec(*arguments: str | Path, code: int = 0, **options: str) -> Result:
     """One command; a traceback or another exit code than `code` fails the test.
 
-    `run` does several logs in this process where it is not told how many at a time: to start
-    others takes longest. options: of CliRunner.invoke, such as `input`.
+    options: of CliRunner.invoke, such as `input`.
     """
-    words = [str(a) for a in arguments]
-    told = {"-j", "--jobs", "--scheduler"} & set(words)
-    alone = ["-j", "1"] if words[0] == "run" and not told else []
-    result = CliRunner().invoke(main, [*words, *alone], **options)  # type: ignore[arg-type]
+    result = CliRunner().invoke(main, [str(a) for a in arguments], **options)  # type: ignore[arg-type]
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     assert result.exit_code == code, result.output
