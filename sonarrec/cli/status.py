@@ -62,7 +62,7 @@ def _tell(path: Path, out: Path | str, as_json: bool) -> None:
     say(
         f"{number_of(figures['frames'], 'frame')}, {figures['unusable']} unusable, "
         f"{number_of(figures['declared'], 'pass', 'es')} declared"
-        + (f"; {rate:.0f} frames/s a process" if rate else "")
+        + (f"; {number_of(round(rate), 'frame')}/s a process" if rate else "")
     )
     for row in rows:
         if row.message:  # failed, partial or stopped

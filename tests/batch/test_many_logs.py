@@ -478,3 +478,8 @@ def test_a_rate_is_of_the_rows_that_tell_a_time(seconds: str, tmp_path: Path) ->
     assert document["logs"][0]["seconds"] == 0
     (tmp_path / "logs.csv").write_text(f"{header}\na,a,done,100,0,{seconds},0,\n")
     assert "frames/s" not in sonarrec("status", tmp_path).stdout
+
+
+def test_a_rate_of_one_is_told_in_the_singular(tmp_path: Path) -> None:
+    (tmp_path / "logs.csv").write_text(f"{','.join(COLUMNS)}\na,a,done,24,0,20.0,0,\n")
+    assert "; 1 frame/s a process" in sonarrec("status", tmp_path).stdout
