@@ -24,6 +24,7 @@ from sonarrec.config import preset
 from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.results.run_file import LogOptions
 from tests.support.batch import SAMPLE, command, environment, made, rows, tables
+from tests.support.command import sonarrec
 
 if TYPE_CHECKING:
     from distributed import LocalCluster  # by those who need it: to load it takes long
@@ -89,7 +90,7 @@ def test_a_worker_is_killed_and_no_log_is_lost(
     assert states == {**dict.fromkeys(["a", "b", "slow", "c", "d"], "done"), "dies": "failed"}
     assert "SIGKILL" in rows(out)["dies"]["message"]
     here = tmp_path / "here"
-    subprocess.run(command("run", *logs[:3], *logs[4:], "-o", here, "-q"), check=True)
+    sonarrec("run", *logs[:3], *logs[4:], "-o", here, "-q")
     assert all(tables(out / n) == tables(here / n) for n in ("a", "b", "slow", "c", "d"))
 
 
