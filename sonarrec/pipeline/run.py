@@ -217,7 +217,7 @@ def _recognise(
         if isinstance(error, ChildProcessError):
             raise SonarrecError(
                 f"{name_as_text(job.log.path)}: the process that follows its objects was killed, "
-                "perhaps for lack of memory; logs take less one at a time, with --jobs 1"
+                "perhaps for lack of memory; run it again where more is free"
             ) from None
         raise
 
