@@ -12,11 +12,7 @@ import numpy as np
 from sonarrec.evaluation.counting.parts import part_of, score_all
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pool
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.matching.fit import (
-    TruthCheck,
-    left_out,
-    scorable_logs,
-)
+from sonarrec.evaluation.matching.fit import TruthCheck, left_out, scorable_logs
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (

@@ -22,14 +22,7 @@ from sonarrec.readers.grey import (
     single_channel,
     to_grey8,
 )
-from sonarrec.readers.ping_geometry import (
-    agree,
-    as_stated,
-    as_wide,
-    extent,
-    same_view,
-    shows,
-)
+from sonarrec.readers.ping_geometry import agree, as_stated, as_wide, extent, same_view, shows
 from sonarrec.readers.raw import RawFrame, UnusableError, showing
 from sonarrec.records import ByteImage, Fan, SonarrecError
 from sonarrec.sonar import BeamOrder, Geometry, PingGeometry, Sonar
