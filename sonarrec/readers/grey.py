@@ -28,7 +28,7 @@ import numpy as np
 
 from sonarrec.readers.colour_maps import LUMINANCE, map_levels
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import ByteImage, SonarrecError
+from sonarrec.records import ByteImage, FloatArray, SonarrecError
 from sonarrec.sonar import Sonar
 
 DYNAMIC_RANGE_DB = 50.0
@@ -171,33 +171,41 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
     so dim that distant echoes are next to black is taken for amplitudes too: if it holds
     logarithms, little is lost. Measured in small blocks; False if too few show speckle.
     """
-    rows, columns = _BLOCK
     # The content may fill only a small part of 16 bits: its brightest pixel counts as white.
     deep = bool(images) and images[0].dtype != np.uint8
-    white = np.float32(max(image.max() for image in images) if deep else 255)
-    parts = [np.empty((0, rows * columns), np.float32)]
-    for image in images:
-        down, across = image.shape[0] // rows, image.shape[1] // columns
-        blocks = image[: down * rows, : across * columns].reshape(down, rows, across, columns)
-        block = blocks.swapaxes(1, 2).reshape(-1, rows * columns).astype(np.float32)
-        parts.append(block * 255 / white if deep else block)
-    block = np.concatenate(parts)
-    level, spread = block.mean(axis=1), block.std(axis=1)
-    # Black has no speckle, and clipping at either end changes it.
-    whole = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
-    whole &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
-    if np.count_nonzero(whole) < _LEAST_BLOCKS:
+    white = np.float32(max(image.max() for image in images)) if deep else None
+    parts = [_speckle(image, white) for image in images]
+    level, spread, skews = np.concatenate([np.empty((3, 0), np.float32), *parts], axis=1)
+    if len(level) < _LEAST_BLOCKS:
         return False
-    block, level, spread = block[whole], level[whole], spread[whole]
     dim = not deep and np.median(level) < _DIM * 256
     if dim and np.median(spread / level) > _LEAST_SPECKLE:
         return True
     if np.log(level).std() < _LEAST_RANGE:  # levels too similar to find a slope
         return False
     slope = np.polyfit(np.log(level), np.log(spread), 1)[0]  # 1 of amplitudes, 0 of logarithms
+    return bool(slope + np.median(skews) > _AMPLITUDES)
+
+
+def _speckle(image: np.ndarray, white: np.float32 | None) -> FloatArray:
+    """(3, n) level, spread and skew of an image's blocks, without those that show no speckle.
+
+    white: what counts as 255; None: 255 itself.
+    """
+    rows, columns = _BLOCK
+    down, across = image.shape[0] // rows, image.shape[1] // columns
+    blocks = image[: down * rows, : across * columns].reshape(down, rows, across, columns)
+    block = blocks.swapaxes(1, 2).reshape(-1, rows * columns).astype(np.float32)
+    if white is not None:
+        block = block * 255 / white
+    level, spread = block.mean(axis=1), block.std(axis=1)
+    # Black has no speckle, and clipping at either end changes it.
+    whole = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
+    whole &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
+    block, level, spread = block[whole], level[whole], spread[whole]
     off = (block - level[:, None]) / spread[:, None]
-    skew = np.median((off * off * off).mean(axis=1))  # ** 3 takes twenty times as long
-    return bool(slope + skew > _AMPLITUDES)
+    skew = (off * off * off).mean(axis=1)  # ** 3 takes twenty times as long
+    return np.stack([level, spread, skew])
 
 
 def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
