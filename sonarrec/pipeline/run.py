@@ -248,10 +248,7 @@ def _notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) 
 
 def _doubts(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:
     """Contradictions between pictures and geometry, and a line if there is no candidate at all."""
-    sonar = job.log.sonar
-    doubts = plausibility.contradictions(
-        polar=sonar.layout == "polar", height_stated=sonar.height_m is not None
-    )
+    doubts = plausibility.contradictions(height_stated=job.log.sonar.height_m is not None)
     if not writer.candidates:
         width = disc_width_px(job.fan, job.landmarks)
         frames = number_of(writer.frames, "frame")

@@ -323,7 +323,7 @@ def _images(
     layout = geometry.pop("layout")
     polar = raw.polar or layout == "polar"
     height_stated = log.sonar.height_m is not None
-    doubts = [] if lacks else plausibility.contradictions(polar=polar, height_stated=height_stated)
+    doubts = [] if lacks else plausibility.contradictions(height_stated=height_stated)
     images = Images(
         topic=topic,
         frames=raw.frame_count if quick else raw.frames,
@@ -342,7 +342,7 @@ def _images(
         origins=origins,
         assumed={} if lacks or log.fan is None else _assumed(log.sonar, log.fan, polar, raw.timed),
         lacks=lacks,
-        outline=None if polar else plausibility.outline,
+        outline=plausibility.outline,
         notes=[*log.notes, *doubts],
         problems=[p for p in problems if p not in raw.faults],
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.geometry import fan_mask, pixel_from_polar
 from sonarrec.readers.fan_outline import BACKGROUND, FanOutline, above_background, find_outline
-from sonarrec.records import Fan, FloatArray, Frame
+from sonarrec.records import ByteImage, Fan, FloatArray, Frame, PolarImages
 
 FRAMES = 5
 """Number of first frames that are used. Each costs one addition of an image."""
@@ -42,6 +42,8 @@ class Plausibility:
 
     def __init__(self) -> None:
         self._fan: Fan | None = None
+        self._polar = False
+        # Of fan images, or of what `_cells` finds in polar ones.
         self._sum: FloatArray | None = None
         self._frames = 0
 
@@ -50,36 +52,38 @@ class Plausibility:
         if self._frames == FRAMES:
             return
         self._frames += 1
+        picture = frame.pixels if frame.polar is None else _cells(frame, frame.polar)
         if self._sum is None:
-            self._fan, self._sum = frame.fan, np.zeros(frame.image.shape, np.float32)
-        self._sum += frame.image
+            self._fan, self._polar = frame.fan, frame.polar is not None
+            self._sum = np.zeros(picture.shape, np.float32)
+        self._sum += picture
 
     def _picture(self) -> FloatArray:
-        """(rows, columns) mean of the frames so far, of which there is one at least."""
+        """Mean of the frames so far, of which there is one at least."""
         assert self._sum is not None
         return np.asarray(self._sum / self._frames)
 
     @cached_property
     def outline(self) -> FanOutline | None:
-        """The fan's outline as the pictures show it, if they do. They must be fan images.
+        """The fan's outline as the pictures show it, if they do and are fan images.
 
         It is looked for once: ask when all frames were added.
         """
-        return None if self._sum is None else find_outline(self._picture())
+        return None if self._sum is None or self._polar else find_outline(self._picture())
 
-    def contradictions(self, *, polar: bool, height_stated: bool = True) -> list[str]:
+    def contradictions(self, *, height_stated: bool = True) -> list[str]:
         """A line for each contradiction of the stated geometry, with the keys to look at.
 
-        polar: whether the log's images are read as polar. height_stated: whether the fan's height
-        is stated, or was estimated from these very images.
+        height_stated: whether the fan's height is stated, or was estimated from these very images.
         """
         if self._sum is None or self._fan is None:
             return []
         picture = self._picture()
-        polar_picture = as_polar(picture, self._fan)
-        if polar:
+        if self._polar:
+            polar_picture = picture
             shape = _polar_outline(polar_picture)
         else:
+            polar_picture = as_polar(picture, self._fan)
             shape = _fan_outline(picture, self._fan, self.outline)
         # If the outline is wrong, ranges in the picture mean nothing.
         return shape or (_floor(polar_picture, self._fan) if height_stated else [])
@@ -93,7 +97,7 @@ def _rings_and_bearings(fan: Fan) -> tuple[FloatArray, FloatArray]:
     return (fan.range_min_m + share * fan.window_m)[:, None], bearings
 
 
-def as_polar(picture: FloatArray, fan: Fan) -> FloatArray:
+def as_polar(picture: FloatArray | ByteImage, fan: Fan) -> FloatArray:
     """(rings, beams) grey levels of the fan; NaN outside of the picture."""
     column, row = (
         np.rint(at).astype(int) for at in pixel_from_polar(fan, *_rings_and_bearings(fan))
@@ -101,6 +105,15 @@ def as_polar(picture: FloatArray, fan: Fan) -> FloatArray:
     inside = (column >= 0) & (column < fan.columns) & (row >= 0) & (row < fan.rows)
     cells = picture[np.clip(row, 0, fan.rows - 1), np.clip(column, 0, fan.columns - 1)]
     return np.where(inside, cells, np.nan)
+
+
+def _cells(frame: Frame, polar: PolarImages) -> FloatArray:
+    """As `as_polar`, of a frame of polar pixels; 0 where they show nothing. The fan image, which
+    may have many times their number, is not made.
+    """
+    beam, range_bin, seen = polar.pixel(*np.broadcast_arrays(*_rings_and_bearings(frame.fan)))
+    cells = frame.pixels[np.rint(range_bin).astype(int), np.rint(beam).astype(int)]
+    return np.where(seen, cells, 0)
 
 
 def levels_by_range(picture: FloatArray, fan: Fan) -> tuple[FloatArray, FloatArray]:

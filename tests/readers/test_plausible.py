@@ -15,9 +15,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
-from sonarrec.readers.plausible import FRAMES, Plausibility, _floor, as_polar
+from sonarrec.readers.plausible import FRAMES, Plausibility, _cells, _floor, as_polar
 from sonarrec.records import Fan, Frame
 from sonarrec.sonar import Sonar
 from tests.support.drawn import draw_on_floor, make_fan, speckled
@@ -32,13 +33,22 @@ def doubts(log: Path, **stated: float | str) -> list[str]:
     with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
         for frame in islice(opened, FRAMES):
             plausibility.look(frame)
-        return plausibility.contradictions(polar=opened.sonar.layout == "polar")
+        return plausibility.contradictions()
 
 
-def of_picture(image: np.ndarray, fan: Fan, *, polar: bool = False) -> list[str]:
+def of_picture(image: np.ndarray, fan: Fan) -> list[str]:
     plausibility = Plausibility()
     plausibility.look(Frame(0, 0, image, fan))
-    return plausibility.contradictions(polar=polar)
+    return plausibility.contradictions()
+
+
+def polar_frame(pixels: np.ndarray) -> Frame:
+    """A polar image of 40 degrees from 1 to 4 m."""
+    sonar = Sonar(
+        layout="polar", range_min_m=1.0, range_max_m=4.0, field_of_view_deg=40.0, tilt_deg=20.0
+    )
+    polar = PolarToFan(sonar.complete("here"), *pixels.shape)
+    return Frame(0, 0, pixels, polar.fan, polar=polar)
 
 
 def floor(fan: Fan) -> np.ndarray:
@@ -179,7 +189,21 @@ def test_pictures_of_nothing_tell_nothing(make: Callable[..., np.ndarray]) -> No
     fan = make_fan(rows=120, height_m=2.5)
     image = make((fan.rows, fan.columns), np.uint8)
     assert not [line for line in of_picture(image, fan) if "outside" in line]
-    assert of_picture(np.zeros_like(image), fan, polar=True) == []
+    plausibility = Plausibility()
+    plausibility.look(polar_frame(make((120, 48), np.uint8)))
+    assert plausibility.contradictions() == []
+    assert plausibility.outline is None
+
+
+def test_polar_pixels_are_seen_as_in_their_fan_image() -> None:
+    """Cells of a smooth picture are those of the fan image, to within a range bin and a beam."""
+    row, column = np.mgrid[:150, :64]
+    frame = polar_frame((row + 1.5 * column + 4).astype(np.uint8))
+    assert frame.polar is not None
+    of_fan = as_polar(frame.image.astype(float), frame.fan)
+    outermost = slice(1, -1)  # there the fan image is mixed with the black beside it
+    cells = _cells(frame, frame.polar)
+    np.testing.assert_allclose(cells[:, outermost], of_fan[:, outermost], atol=2.5)
 
 
 def test_only_the_first_frames_are_looked_at() -> None:
@@ -188,7 +212,7 @@ def test_only_the_first_frames_are_looked_at() -> None:
     for _ in range(FRAMES):
         plausibility.look(Frame(0, 0, floor(fan), fan))
     plausibility.look(Frame(0, 0, np.full((fan.rows, fan.columns), 255, np.uint8), fan))
-    assert plausibility.contradictions(polar=False) == []
+    assert plausibility.contradictions() == []
 
 
 # What the commands make of it
