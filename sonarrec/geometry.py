@@ -307,6 +307,9 @@ class PolarToFan(PolarImages):
     def __call__(self, polar: ByteImage) -> ByteImage:
         return self._resampling(polar)
 
+    def forget(self) -> None:
+        self.__dict__.pop("_resampling", None)
+
 
 # The floor. Eq. 1 squeezes a floor circle along the range by cos(tilt). On a flat floor the exact
 # relation is ground range^2 = slant range^2 - height^2 at the same bearing: radially the circle

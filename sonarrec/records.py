@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import Field, dataclass, fields
-from functools import cached_property
 from typing import Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -185,6 +184,10 @@ class PolarImages(Protocol):
         """(range bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""
         ...
 
+    def forget(self) -> None:
+        """Free what a call prepares for the next ones; it is prepared anew if there are any."""
+        ...
+
     def pixel(
         self, range_m: FloatArray, bearing_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -195,7 +198,7 @@ class PolarImages(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Frame:
     """One ping, with the fan in which it lies.
 
@@ -213,9 +216,9 @@ class Frame:
     stamps: Stamps = NO_STAMPS
     polar: PolarImages | None = None
 
-    @cached_property
+    @property
     def image(self) -> ByteImage:
-        """The fan image, (fan.rows, fan.columns) uint8."""
+        """The fan image, (fan.rows, fan.columns) uint8; made anew each time of polar pixels."""
         return self.pixels if self.polar is None else self.polar(self.pixels)
 
 

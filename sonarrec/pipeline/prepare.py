@@ -102,7 +102,7 @@ def prepare(
             table["model"] = learned.as_table()
         yield PreparedRun(
             log=log,
-            frames=chain(begin, frames),
+            frames=chain(_each_once(begin), frames),
             frame_count=_count(log, span),
             fan=fan,
             landmarks=landmarks,
@@ -178,6 +178,12 @@ def _results_of(log: Path, out: Path, name: str) -> tuple[Path, list[str]]:
         f"{name_as_text(folder)}: `{command}` writes into this folder, too; give it an --out, or "
         "rename the log"
     ]
+
+
+def _each_once(frames: list[Frame]) -> Iterator[Frame]:
+    """The frames, which leave the list: none is kept as long as the run."""
+    while frames:
+        yield frames.pop(0)
 
 
 def _count(log: Log, span: tuple[int, int | None]) -> int | None:

@@ -33,8 +33,8 @@ def height_from_images(images: Sequence[ByteImage], fan: Fan) -> float | None:
     bright near the sonar may be noise, and a window may begin beyond the nearest floor.
     """
     assert fan.height_m is None
-    picture = np.mean(images, axis=0)
-    range_m, levels = levels_by_range(as_polar(picture, fan), fan)
+    picture = np.mean([as_polar(image, fan) for image in images], axis=0)
+    range_m, levels = levels_by_range(picture, fan)
     bright = float(np.quantile(levels, 0.9)) if levels.size else 0.0
     if bright < DARK:
         return None

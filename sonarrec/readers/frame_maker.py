@@ -117,6 +117,8 @@ class FrameMaker:
                     images.append(image if polar is None else polar(image))
         if self.fan is not None and images:
             self.fan = replace(self.fan, height_m=height_from_images(images, self.fan))
+        if self._to_fan is not None:
+            self._to_fan.forget()  # a run makes no more fan images
 
     def _find_colours(self, first: Sequence[RawFrame]) -> None:
         """Find the colour map of images in false colour, and add a note."""

@@ -7,7 +7,7 @@ landmarks, light and the floor's own pattern change slowly; a mean along the ran
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import cv2
@@ -56,8 +56,11 @@ def with_beams(
     if stated_deg is not None:
         width, how = stated_deg, "the log states"
     else:
-        width, measured = beam_width_deg(fan, [f.image for f in begin if f.fan == fan])
+        width, measured = beam_width_deg(fan, (f.image for f in begin if f.fan == fan))
         how = "the first frames show" if measured else ""
+        for polar in {f.polar for f in begin}:
+            if polar is not None:
+                polar.forget()  # a run makes no more fan images
     found = [
         replace(c, features=replace(c.features, beam_width_deg=width)) if need else c
         for c, need in zip(configs, needs, strict=True)
@@ -74,7 +77,7 @@ def usual_beam_width_deg(fan: Fan) -> float:
     return next(width for widest, width in USUAL_DEG if view_deg <= widest)
 
 
-def beam_width_deg(fan: Fan, images: Sequence[ByteImage]) -> tuple[float, bool]:
+def beam_width_deg(fan: Fan, images: Iterable[ByteImage]) -> tuple[float, bool]:
     """(width, whether it was measured): the usual one, unless the images clearly show another.
 
     images: the first few of a log, (fan.rows, fan.columns).
@@ -85,7 +88,7 @@ def beam_width_deg(fan: Fan, images: Sequence[ByteImage]) -> tuple[float, bool]:
     return round(found, 2), True
 
 
-def measured_width_deg(fan: Fan, images: Sequence[ByteImage]) -> float | None:
+def measured_width_deg(fan: Fan, images: Iterable[ByteImage]) -> float | None:
     """The width that the images show; None if they do not show it."""
     pixel_deg = np.degrees(fan.metres_per_pixel / fan.range_max_m)
     last = fan.range_max_m - 0.03 * fan.window_m

@@ -81,6 +81,7 @@ def _follow(
         try:
             for each in islice(left, FRAMES_AT_ONCE):
                 tracked.append([r.stage2(x) for r, x in zip(recognisers, each, strict=True)])
+                del each  # its maps are large: free them before the next are made
         except BaseException as error:
             broken = error
         if not tracked:

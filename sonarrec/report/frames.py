@@ -165,7 +165,7 @@ def _shown_frame(
 ) -> ShownFrame:
     log = reported.results
     image = shrunk(frame.image, LARGEST)
-    scale = image.shape[1] / frame.image.shape[1]
+    scale = image.shape[1] / frame.fan.columns
     row = int(np.searchsorted(log.frame, frame.index))
 
     def outlines(marked: Sequence[tuple[Estimate | Mark, str, bool]], size: float) -> list[Outline]:

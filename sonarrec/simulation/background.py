@@ -275,12 +275,11 @@ def compose(
     )
     for frame in background.frames():
         pose = background.path[frame.index]
-        surface = composer.surface(frame.image)
+        image = frame.image
+        surface = composer.surface(image)
         shapes = [composer.footprint(disc, pose) for disc in layout.discs]
         in_view = [shape for shape in shapes if shape is not None]
-        images = {
-            db: composer.lay(frame.image, surface, in_view, db, look.plate_db) for db in contrasts
-        }
+        images = {db: composer.lay(image, surface, in_view, db, look.plate_db) for db in contrasts}
         yield ComposedFrame(frame.index, images, truth_of(background, layout, frame.index))
 
 
