@@ -37,6 +37,7 @@ LEAST_SPREAD = 4.0  # grey levels
 # many pixels, up to the factor EVEN. Other pictures have few pixels in the first and last span.
 SPANS, EVEN = 8, 2.0  # other pictures: 6.5 at least
 OUTERMOST = 0.002
+INNERMOST, LEVELS = np.array([OUTERMOST, 1 - OUTERMOST]), np.arange(256.0)
 MEAN, SPREAD = 128.0, 40.0  # of the levels that it is given
 
 
@@ -75,19 +76,19 @@ class Levels:
         """
         for frame in frames:
             self.seen += 1
-            counts = self._counts(frame)
-            first = saturated_from(counts)
+            up_to = self._echoes(frame)
+            first = saturated_from(up_to)
             if first is not None:
                 self.saturated += 1
-                yield replace(frame, pixels=self._lift(frame, first, _spread(counts)))
-            elif evenly_spread(counts):
+                yield replace(frame, pixels=self._lift(frame, first, _spread(up_to)))
+            elif evenly_spread(up_to):
                 self.equalised += 1
-                yield replace(frame, pixels=np.asarray(cv2.LUT(frame.pixels, _gaussian(counts))))
+                yield replace(frame, pixels=np.asarray(cv2.LUT(frame.pixels, _gaussian(up_to))))
             else:
                 yield frame
 
-    def _counts(self, frame: Frame) -> IntArray:
-        """(256,) how many of some pixels within the fan have each level."""
+    def _echoes(self, frame: Frame) -> IntArray:
+        """(256,) how many of some pixels within the fan hold an echo of up to each level."""
         if (frame.fan, frame.pixels.shape) != self._shown_of:
             self._shown_of = frame.fan, frame.pixels.shape
             shown = np.full(frame.pixels.shape, 255, np.uint8)
@@ -96,7 +97,8 @@ class Levels:
             self._shown = np.ascontiguousarray(shown[::SAMPLED, ::SAMPLED])
         some = np.ascontiguousarray(frame.pixels[::SAMPLED, ::SAMPLED])
         counts = cv2.calcHist([some], [0], self._shown, [256], [0, 256])
-        return np.asarray(counts.ravel(), np.int64)
+        counts[: BLACK + 1] = 0
+        return counts.cumsum(dtype=np.int64)
 
     def _lift(self, frame: Frame, first: int, spread: float) -> ByteImage:
         """first: the level from which on pixels are saturated. spread: of speckle, in levels."""
@@ -123,43 +125,41 @@ def _box(sigma: float) -> int:
     return max(3, 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1)
 
 
-def saturated_from(counts: IntArray) -> int | None:
+def saturated_from(up_to: IntArray) -> int | None:
     """The level from which on pixels are saturated; None of a picture that is not saturated.
 
-    counts: (256,) of its pixels, by level.
+    up_to: (256,) how many of its pixels hold an echo of up to each level.
     """
-    echoes = int(counts[BLACK + 1 :].sum())
+    echoes = int(up_to[-1])
     if not echoes:
         return None
-    first = int(np.flatnonzero(counts)[-1]) - HIGHEST + 1
+    first = int(up_to.searchsorted(echoes)) - HIGHEST + 1
     if first - NEXT <= BLACK:
         return None
-    excess = counts[first:].sum() - HIGHEST * counts[first - NEXT : first].mean()
+    below, before = int(up_to[first - NEXT - 1]), int(up_to[first - 1])
+    excess = echoes - before - HIGHEST * (before - below) / NEXT
     return first if excess >= LEAST_SHARE * echoes else None
 
 
-def evenly_spread(counts: IntArray) -> bool:
-    """Whether a picture is equalised, by how many of its pixels, (256,), have each level."""
-    up_to = np.cumsum(counts[BLACK + 1 :])
-    lowest, highest = np.searchsorted(up_to, np.array([OUTERMOST, 1 - OUTERMOST]) * up_to[-1])
+def evenly_spread(up_to: IntArray) -> bool:
+    """Whether a picture is equalised. up_to: as in `saturated_from`."""
+    lowest, highest = up_to.searchsorted(INNERMOST * up_to[-1]).tolist()
     if highest - lowest < 4 * SPANS:
         return False
-    ends = np.linspace(lowest, highest, SPANS + 1)
-    within = np.diff(np.interp(ends, np.arange(len(up_to)), up_to))
+    ends = lowest + (highest - lowest) / SPANS * np.arange(SPANS + 1)
+    within = np.diff(np.interp(ends, LEVELS, up_to))
     return bool(within.max() <= EVEN * within.min())
 
 
-def _gaussian(counts: IntArray) -> ByteImage:
+def _gaussian(up_to: IntArray) -> ByteImage:
     """(256,) the level that each level of such a picture becomes."""
-    echoes = np.where(np.arange(256) > BLACK, counts, 0)
-    rank = (np.cumsum(echoes) - echoes / 2 + 0.5) / (echoes.sum() + 1)
+    rank = (up_to - np.diff(up_to, prepend=0) / 2 + 0.5) / (up_to[-1] + 1)
     normal = NormalDist(MEAN, SPREAD)
     levels = [normal.inv_cdf(r) for r in rank[BLACK + 1 :].tolist()]
     return np.concatenate([np.zeros(BLACK + 1), np.clip(np.rint(levels), 1, 255)]).astype(np.uint8)
 
 
-def _spread(counts: IntArray) -> float:
+def _spread(up_to: IntArray) -> float:
     """The standard deviation of the speckle, in levels: from the median down, where none is cut."""
-    echoes = np.cumsum(counts[BLACK + 1 :])
-    low, middle = np.searchsorted(echoes, [0.16 * echoes[-1], 0.5 * echoes[-1]])
+    low, middle = up_to.searchsorted([0.16 * up_to[-1], 0.5 * up_to[-1]])
     return max(float(middle - low), LEAST_SPREAD)

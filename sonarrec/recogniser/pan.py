@@ -134,6 +134,6 @@ class PanEstimator:
         bend = left - 2 * match[best] + right
         part = 0.5 * (left - right) / bend if bend < 0 else 0.0
         return (
-            float((self._shift[best] + np.clip(part, -0.5, 0.5)) * self._step_deg),
-            float(np.clip(match[best], 0, 1)),
+            float((self._shift[best] + min(max(part, -0.5), 0.5)) * self._step_deg),
+            min(max(float(match[best]), 0.0), 1.0),
         )

@@ -114,9 +114,10 @@ class Plane(ABC):
         x, y = column - self.apex[0], row - self.apex[1]
         pan = math.radians(motion.pan_deg)
         cos, sin = math.cos(pan), math.sin(pan)
-        return np.stack(
-            [self.apex[0] + x * cos + y * sin, self.apex[1] - x * sin + y * cos], axis=-1
-        )
+        after = np.empty(position.shape, x.dtype)
+        after[..., 0] = self.apex[0] + x * cos + y * sin
+        after[..., 1] = self.apex[1] - x * sin + y * cos
+        return after
 
     def sight_turned(self, before: FloatArray, after: FloatArray, motion: Motion) -> FloatArray:
         """(n,) by how much a motion turns the line of sight to still objects over the floor, deg.

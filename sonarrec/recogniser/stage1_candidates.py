@@ -83,9 +83,11 @@ class CandidateSelector:
         """(n, 2) peaks that score enough, with sub-pixel positions, and (n,) scores; best first."""
         peaks, score = maps.peaks, maps.peak_score
         # Few pixels score enough: only these are compared with their neighbours.
-        row, column = np.divmod(np.flatnonzero(score >= self._config.threshold), score.shape[1])
-        last_row, last_column = score.shape[0] - 1, score.shape[1] - 1
-        near = peaks[(row + BESIDE[0]).clip(0, last_row), (column + BESIDE[1]).clip(0, last_column)]
+        found = np.divmod(np.flatnonzero(score >= self._config.threshold), score.shape[1])
+        row, column = found
+        last = np.array(score.shape)[:, None, None] - 1
+        beside = np.minimum(np.maximum(np.stack(found)[:, None] + BESIDE, 0), last)
+        near = peaks[beside[0], beside[1]]
         top = peaks[row, column] >= near.max(axis=0)
         row, column = row[top], column[top]
         order = np.lexsort((-peaks[row, column], -score[row, column]))[: self._most_peaks]

@@ -49,6 +49,7 @@ class ContinuityFilter:
         self._share = cv2.copyMakeBorder(
             plane.disc_share(), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=-1
         )
+        self._last_share = np.array(self._share.shape[::-1]) - 1
         self._next = 1
         self._groups = self._new(np.empty(0, np.int64), np.empty((0, 2)), *np.empty((2, 0)))
         self._lost = _no_lost_groups()
@@ -331,9 +332,11 @@ class ContinuityFilter:
 
     def _shares(self, positions: FloatArray) -> FloatArray:
         """(n,) share of the disc inside the fan; -1 beyond the image."""
-        rows, columns = self._share.shape
-        column, row = np.rint(positions).astype(int).T + 1
-        return np.asarray(self._share[row.clip(0, rows - 1), column.clip(0, columns - 1)])
+        pixel = np.rint(positions).astype(int) + 1
+        column, row = np.minimum(
+            np.maximum(pixel, 0), self._last_share
+        ).T  # clip takes twice as long
+        return np.asarray(self._share[row, column])
 
     def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(len(a), len(b)) distances in disc diameters, as measured on the disc's own ellipse."""
