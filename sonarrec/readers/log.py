@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -12,7 +13,7 @@ from typing import Any
 from sonarrec.readers.colour_maps import LUMINANCE
 from sonarrec.readers.find import Source
 from sonarrec.readers.frame_maker import FrameMaker
-from sonarrec.readers.images import MAX_FILE_BYTES, is_image
+from sonarrec.readers.images import MAX_FILE_BYTES, names_an_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, showing
 from sonarrec.records import Clock, Fan, Frame, SonarrecError, name_as_text, number_of
 from sonarrec.sonar import Sonar
@@ -213,18 +214,19 @@ def digest_of(log: Source) -> tuple[int, str]:
     is too large for an image, only the name counts. Raises SonarrecError if a log of one file
     cannot be read.
     """
-    size, digest = 0, hashlib.sha256()
+    size, digest, block = 0, hashlib.sha256(), memoryview(bytearray(2**20))
     several = log.files != [log.path]
     for path in log.files:
         if several:
             digest.update(path.name.encode(errors="surrogateescape") + b"\0")
         try:
-            if several and is_image(path) and path.stat().st_size > MAX_FILE_BYTES:
-                continue
-            with path.open("rb") as file:
-                while block := file.read(2**20):
-                    size += len(block)
-                    digest.update(block)
+            with path.open("rb", buffering=0) as file:
+                held = os.fstat(file.fileno()).st_size
+                if several and held > MAX_FILE_BYTES and names_an_image(path.name):
+                    continue
+                while count := file.readinto(block):
+                    size += count
+                    digest.update(block[:count])
         except OSError as error:
             if several:  # reported when the frame was read
                 continue
