@@ -134,12 +134,14 @@ def in_image(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> BoolArra
     return np.asarray(shown & (column >= -1) & (column <= fan.columns))
 
 
+@functools.lru_cache(maxsize=1)  # three parts of a run need it
 def fan_mask(fan: Fan) -> ByteImage:
-    """(rows, columns) uint8: 255 where the image holds sonar data, 0 outside the fan."""
+    """(rows, columns) uint8: 255 where the image holds sonar data, 0 outside the fan. Read-only."""
     mask = np.empty((fan.rows, fan.columns), np.uint8)
     for band, row, column in row_bands(mask.shape):
         mask[band] = in_fan(fan, *polar_from_pixel(fan, column, row))
     mask *= 255
+    mask.setflags(write=False)
     return mask
 
 
