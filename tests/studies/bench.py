@@ -233,18 +233,23 @@ def peak_mb(command: list[str]) -> float:
 
 
 def memory(work: Path, images: list[np.ndarray]) -> None:
-    """Print the peak memory of `sonarrec run` on a short and on a long log."""
+    """Print the peak memory of `sonarrec run` on a short and on a long log, and on a wide one."""
     print("\nPeak memory of `sonarrec run` on a raw MCAP (the scene's frames over and over)\n")
+
+    def peak(log: Path) -> float:
+        command = [sys.executable, "-m", "sonarrec", "run", str(log), "-q"]
+        return peak_mb([*command, "--out", str(work / "long")])
+
     peaks = []
     for frames in LONG:
         log = work / f"long_{frames}.mcap"
         repeated = (images[n % len(images)] for n in range(frames))
         write_mcap(log, repeated, "none", work / "fan" / "sonar.toml")
-        command = [sys.executable, "-m", "sonarrec", "run", str(log), "-q"]
-        peaks.append(peak_mb([*command, "--out", str(work / "long")]))
+        peaks.append(peak(log))
         log.unlink()
         judge(f"{frames} frames", peaks[-1], 150, " MB")
     judge(f"{LONG[1]} / {LONG[0]} frames", peaks[1] / peaks[0], 1.05)
+    judge(f"{FRAMES} PNGs, 130 deg", peak(work / "wide"), 150, " MB")
 
 
 def start() -> None:
