@@ -241,7 +241,7 @@ def _notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) 
     if doubts:
         look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
         yield f"{path}: {'; '.join(doubts)}; look at {look}"
-    yield from (f"{path}: {line}" for line in job.recogniser.about_pictures())
+    yield from (f"{path}: {line}" for line in job.recogniser.about_pictures(job.log.found_white))
     if job.log.untimed:
         yield f"{path}: frames carry no time, so 1 Hz is assumed; give frame_rate_hz"
 

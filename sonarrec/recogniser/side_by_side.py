@@ -120,8 +120,11 @@ class SideBySide:
         each = (r.odometry.notes() for r in self._recognisers.values())
         return list(dict.fromkeys(chain.from_iterable(each)))
 
-    def about_pictures(self) -> list[str]:
-        """What was done to the pictures before stage 1, so far: see `Unchanging` and `Levels`."""
+    def about_pictures(self, found_white: float | None = None) -> list[str]:
+        """What was done to the pictures before stage 1, so far: see `Unchanging` and `Levels`.
+
+        found_white: the full_scale of their pixels, where it follows from the first frame.
+        """
         done = []
         if self._unchanging.share:
             done.append(
@@ -130,9 +133,12 @@ class SideBySide:
             )
         levels = self._levels
         if levels.saturated:
+            better = "a lower gain"
+            if found_white is not None:
+                better = f"a higher --full-scale than {found_white:.4g}, as the first frame has it,"
             done.append(
                 f"{levels.saturated / levels.seen:.0%} of the frames are saturated; how strong the "
-                "strongest echoes are is estimated from how many there are; a lower gain is better"
+                f"strongest echoes are is estimated from how many there are; {better} is better"
             )
         if levels.equalised:
             done.append(
