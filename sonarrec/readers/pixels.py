@@ -154,8 +154,12 @@ def _tiff_white_is_zero(data: memoryview) -> bool:
     return any((tag, value) == (_PHOTOMETRIC, _WHITE_IS_ZERO) for tag, _, _, value in fields)
 
 
+# Of any type, without alpha, and turned by EXIF data as viewers and annotation tools show it.
+_FLAGS = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+
+
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
-    """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as stored.
+    """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as viewers show it.
 
     Raises UnusableError if OpenCV cannot read it whole, if its header states too many pixels, or if
     it is a TIFF of several images.
@@ -171,7 +175,7 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     try:
         warnings = _warnings_file()
         with _stderr_to(warnings.fileno()):
-            image = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
+            image = cv2.imdecode(buffer, _FLAGS)
         warning = b""
         if warnings.tell():
             warnings.seek(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import struct
@@ -12,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from PIL import Image, ImageOps
 
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
@@ -316,3 +318,21 @@ def test_a_tiff_whose_0_is_white_is_turned_over(order: str, depth: int) -> None:
     directory = struct.pack(f"{order}H", len(tags)) + b"".join(entries) + bytes(4)
     head = {"<": b"II*\0", ">": b"MM\0*"}[order] + struct.pack(f"{order}I", 8 + len(data))
     np.testing.assert_array_equal(decode_image(head + data + directory), ~image)
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [("JPEG", "L"), *((kind, mode) for kind in ("PNG", "TIFF") for mode in ("L", "RGBA", "I;16"))],
+)
+def test_an_image_is_turned_as_viewers_turn_it(kind: str, mode: str) -> None:
+    """By all eight EXIF orientations, as Pillow does."""
+    grey = np.zeros((24, 40), np.uint8)
+    grey[:8], grey[8:16, :8] = 120, 250  # looks otherwise in each of the eight
+    picture = Image.fromarray(grey.astype(np.uint16) * 257 if mode == "I;16" else grey)
+    for orientation in range(1, 9):
+        file, exif = io.BytesIO(), Image.Exif()
+        exif[274] = orientation
+        (picture.convert(mode) if mode == "RGBA" else picture).save(file, kind, exif=exif)
+        shown = np.asarray(ImageOps.exif_transpose(Image.open(file)).convert(picture.mode))
+        found = single_channel(decode_image(file.getvalue()))
+        np.testing.assert_allclose(found, shown, atol=2)
