@@ -8,6 +8,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+from hypothesis import settings
 
 import sonarrec  # noqa: F401 - before numpy: it has BLAS run in one thread, as users have it
 from sonarrec.batch.cores import cores
@@ -16,6 +17,10 @@ from tests.support.one_core import one_core
 # Before OpenCV is loaded, here and in what tests start: there are more test processes than cores,
 # and their threads would wait for each other. test_same_bytes.py has several threads.
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
+
+# An example may take as long as it does: a slow machine must fail no test.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Begun in the background of a script: the programs that tests stop by Ctrl-C would inherit it.
