@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 import re
@@ -159,8 +160,9 @@ def test_a_call_is_stopped_though_a_log_hangs(
     sent: signal.Signals, code: int, tmp_path: Path
 ) -> None:
     logs = made(tmp_path, "a", "hangs")
-    call = command("run", *logs, "-j", 2, "-o", tmp_path / "out", "-q")
-    with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
+    call = ["run", *logs, "-o", tmp_path / "out", "-q"]
+    words = command(*call, "-j", 2)
+    with subprocess.Popen(words, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
         while not (tmp_path / "hanging").is_file():
             assert running.poll() is None, "ended before it was stopped"
             time.sleep(0.05)
@@ -170,9 +172,20 @@ def test_a_call_is_stopped_though_a_log_hangs(
             assert running.wait(GRACE_S + 5) == code, running.stderr.read().decode()
         finally:
             running.kill()
-    while subprocess.run(call, capture_output=True).returncode:  # its log's process holds the part
+    while not ended(tmp_path / "hanging"):
         assert time.monotonic() < patience
-        time.sleep(0.5)
+        time.sleep(0.1)
+    sonarrec(*call)
+
+
+def ended(hanging: Path) -> bool:
+    """Whether the log's process has, which holds the file."""
+    with hanging.open() as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+    return True
 
 
 def test_shares_make_up_the_whole(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from ruamel.yaml import YAML
 
 from tests.support.batch import rows
 from tests.support.logs import cdr_image, frames, mcap_file
+from tests.support.one_core import one_core_for_others
 from tests.test_docs import PAGES, code_lines
 
 BIN = Path(sys.executable).parent
@@ -47,6 +48,13 @@ def recipe(beginning: str) -> str:
     text = "\n".join(code_lines(PAGES["cluster"]))
     (found,) = [b for b in re.split(r"\n\n+", text) if re.search(f"(?m)^{beginning}", b)]
     return found + "\n"
+
+
+@pytest.fixture
+def small() -> Iterator[None]:
+    """The machines have one core each."""
+    with one_core_for_others():
+        yield
 
 
 @pytest.fixture
@@ -86,6 +94,7 @@ def assert_once(shares: Sequence[str], out: Path) -> None:
     assert {name: row["status"] for name, row in rows(out).items()} == dict.fromkeys(LOGS, "done")
 
 
+@pytest.mark.usefixtures("small")
 def test_a_slurm_array(shared: Path) -> None:
     script = shared / "job.sh"
     script.write_text(recipe("#SBATCH"))
@@ -98,6 +107,7 @@ def test_a_slurm_array(shared: Path) -> None:
     assert "2 up to date" in task(1)
 
 
+@pytest.mark.usefixtures("small")
 def test_a_kubernetes_job(shared: Path) -> None:
     """Volumes are folders here, in place of the paths at which a container sees them."""
     job = YAML(typ="safe").load(recipe("kind: Job"))
@@ -118,6 +128,7 @@ def test_a_kubernetes_job(shared: Path) -> None:
     assert_once(shares, shared / "results")
 
 
+@pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("beginning", ["for i in", "seq"])
 def test_machines_over_ssh(shared: Path, beginning: str) -> None:
     text = recipe(beginning)

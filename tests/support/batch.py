@@ -14,7 +14,7 @@ GRACE_S = 3.0
 """So long a process that is to end has in the tests, in place of `task.GRACE_S`."""
 BEHAVIOUR = '''
 """Read by every process at its start: logs of these names misbehave while they are read."""
-import os, signal, sys, time
+import fcntl, os, signal, sys, time
 if "sonarrec" in "".join(sys.orig_argv):
     from sonarrec.batch import task
     from sonarrec.readers import log
@@ -27,7 +27,8 @@ if "sonarrec" in "".join(sys.orig_argv):
             yield frame
             if self.name == "hangs":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
-                (self.path.parent / "hanging").touch()
+                held = (self.path.parent / "hanging").open("w")
+                fcntl.flock(held, fcntl.LOCK_EX)  # as long as the process lives
                 time.sleep(1000)
             if self.name == "slow":
                 time.sleep(0.2)
