@@ -103,11 +103,15 @@ def _names(path: Path, expected: str) -> list[str]:
         return read_parts(path, None)[0]
     _check_shape(path, expected)
 
-    def read() -> Any:
-        with _NonBlankLines(_opened(path)) as text:
-            return pd.read_csv(text, nrows=0, **_OPTIONS)
+    def read() -> list[str]:
+        with _opened(path) as file:
+            lines = (line for line in file if line.strip(_BLANK))
+            for cells in csv.reader(lines, skipinitialspace=True):
+                return cells
+        raise pd.errors.EmptyDataError
 
-    return list(map(str, _parse(path, expected, read).columns))
+    names: list[str] = _parse(path, expected, read)
+    return names
 
 
 def read_tables(
@@ -123,11 +127,13 @@ def read_tables(
     """
     names = _names(path, expected)
     header = {name.strip(): name for name in names}
-    for name in kinds:  # pandas calls the second of equal names NAME.1
-        if f"{name}.1" in header or sum(other.strip() == name for other in names) > 1:
+    for name in kinds:
+        if sum(other.strip() == name for other in names) > 1:
             raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
     missing = [name for name in required if name not in header]
     if missing:
+        if path.suffix != PARQUET:
+            _parse(path, expected, lambda: [*_csv_parts(path, {}, None)])  # if it is one at all
         found = printable(",".join(header))
         found = found if len(found) <= MOST_SHOWN else f"{found[:MOST_SHOWN]}..."
         raise SonarrecError(
@@ -146,8 +152,10 @@ def read_tables(
     labels: dict[Any, int] = {}
     first = 0
     while (part := _parse(path, expected, lambda: next(parts, None))) is not None:
-        part = part.astype(dict.fromkeys(text, "category"))
-        columns = {name: part[column] for name, column in used.items()}
+        columns = {
+            name: part[column].astype("category") if column in text else part[column]
+            for name, column in used.items()
+        }
         table, fault = _table(path, first, columns, kinds, labels)
         yield first, table
         if fault is not None:

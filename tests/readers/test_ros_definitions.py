@@ -9,6 +9,7 @@ import time
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -247,13 +248,17 @@ def _watch(event: str, arguments: tuple[Any, ...]) -> None:
         COMPILED.append(source.decode() if isinstance(source, bytes) else str(source))
 
 
-sys.addaudithook(_watch)  # cannot be taken away again
+@cache
+def watch() -> None:
+    """It cannot be taken away again, and slows whatever comes after."""
+    sys.addaudithook(_watch)
 
 
 @contextmanager
 def compiled() -> Iterator[list[str]]:
     """Every source that Python compiles meanwhile."""
     global COMPILED
+    watch()
     COMPILED = []
     try:
         yield COMPILED
