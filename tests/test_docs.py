@@ -102,27 +102,31 @@ def run(command: str, folder: Path) -> str:
 class Once:
     """As `run`, but a run of the sample that another document shows, too, is done once.
 
-    Its results are kept, and put where they were; so all documents have the same folder.
+    Its results are kept, and put where they were or where --out says; so all documents have the
+    same folder. What a run with -q writes, one without it has written.
     """
 
     def __init__(self, folder: Path, kept: Path) -> None:
         self.folder, self.kept = folder, kept
-        self.done: dict[str, tuple[str, Path]] = {}
+        self.done: dict[tuple[str, ...], tuple[str, Path]] = {}
 
     def __call__(self, command: str) -> str:
         words = shlex.split(command)
-        out = self.folder / (words[words.index("-o") + 1] if "-o" in words else "sonarrec_out")
+        at = words.index("-o") if "-o" in words else len(words)
+        out = self.folder / (words[at + 1] if words[at:] else "sonarrec_out")
         files = [word for word in words if (self.folder / word).exists()]
         sample = files and all(file.startswith("sample_data/") for file in files)
         if words[:2] != ["sonarrec", "run"] or not sample or out.exists():
             return run(command, self.folder)
-        if command in self.done:
-            printed, kept = self.done[command]
+        asked = (*words[:at], *words[at + 2 :])
+        loud = tuple(word for word in asked if word != "-q")
+        if known := self.done.get(asked) or self.done.get(loud):
+            printed, kept = known
             shutil.copytree(kept, out)
-        else:
-            printed, kept = run(command, self.folder), self.kept / str(len(self.done))
-            shutil.copytree(out, kept)
-            self.done[command] = printed, kept
+            return printed.replace("OUT/", f"{out.name}/")
+        printed, kept = run(command, self.folder), self.kept / str(len(self.done))
+        shutil.copytree(out, kept)
+        self.done[asked] = printed.replace(f"{out.name}/", "OUT/"), kept
         return printed
 
 

@@ -51,10 +51,12 @@ def disc_pattern(
 
     def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         radius = np.hypot(x, y)
-        share = np.mod(np.arctan2(y, x) - turn_rad, 2 * np.pi) / (2 * np.pi)
+        bright = (radius >= RING[0]) & (radius <= RING[1])
+        inside = radius <= SYMBOL[1]  # angles take longest
+        share = np.mod(np.arctan2(y[inside], x[inside]) - turn_rad, 2 * np.pi) / (2 * np.pi)
         sector = np.minimum((share * len(sectors)).astype(int), len(sectors) - 1)
-        lit = (radius <= SYMBOL[1]) & (np.asarray(sectors)[sector] == 1)
-        return ((radius >= RING[0]) & (radius <= RING[1]) | lit).astype(float)
+        bright[inside] = np.asarray(sectors)[sector] == 1
+        return bright.astype(float)
 
     return pattern
 
@@ -197,12 +199,10 @@ def smeared_matrix(
     axis = (np.arange(size) + 0.5) / pixels - reach
     x, y = np.meshgrid(axis, -axis)
     radius = np.hypot(x, y)
-    level = np.where(pattern(x, y) > 0, 10.0, -8.0)
-    level = np.where((radius >= RING[0]) & (radius <= RING[1]), 12.0, level)
-    level = np.where(radius > RING[1], 0.0, level)
-    power = cv2.GaussianBlur(
-        10 ** (level / 10), (0, 0), sigmaX=across * pixels, sigmaY=along * pixels
-    )
+    power = np.where(pattern(x, y) > 0, 10**1.0, 10**-0.8)
+    power = np.where((radius >= RING[0]) & (radius <= RING[1]), 10**1.2, power)
+    power = np.where(radius > RING[1], 1.0, power)
+    power = cv2.GaussianBlur(power, (0, 0), sigmaX=across * pixels, sigmaY=along * pixels)
     grey = 10 * np.log10(power + 10**-0.6)
     angle = (np.arange(angles) + 0.5) * 2 * np.pi / angles
     column = (-np.outer(radii, np.sin(angle)) + reach) * pixels - 0.5
