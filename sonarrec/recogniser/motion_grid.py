@@ -70,8 +70,10 @@ class MotionGrid:
         rows, columns = self.BLOCKS
         parts = later[: rows * high, : columns * wide].reshape(rows, high, columns, wide)
         parts = parts.swapaxes(1, 2)
-        spectrum = np.fft.rfft2(windows[:rows, :columns]) * np.fft.rfft2(parts, size).conj()
-        found = np.fft.irfft2(spectrum, size)[..., : 2 * down + 1, : 2 * across + 1]
+        filled = tuple(map(cv2.getOptimalDFTSize, size))  # with 0: quickly transformed
+        spectrum = np.fft.rfft2(windows[:rows, :columns], filled)
+        spectrum *= np.fft.rfft2(parts, filled).conj()
+        found = np.fft.irfft2(spectrum, filled)[..., : 2 * down + 1, : 2 * across + 1]
         alike = np.append(found.astype(np.float32).ravel(), np.float32(0))
         return np.asarray(self._motions[int(alike[self._place].sum(axis=1).argmax())])
 
