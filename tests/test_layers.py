@@ -98,17 +98,24 @@ SOURCES: Sources = {
 }
 
 
-@cache
-def imported(source: str, top_level_only: bool) -> frozenset[tuple[str, str]]:
+def imported(source: str, top_level_only: bool) -> set[tuple[str, str]]:
     """What a module imports: (a, "") of `import a`, (a, b) of `from a import b`."""
+    return {name for name, is_top in imports(source) if is_top or not top_level_only}
+
+
+@cache
+def imports(source: str) -> frozenset[tuple[tuple[str, str], bool]]:
+    """As `imported`, and whether it does where it is loaded."""
     tree = ast.parse(source)
-    found = set()
-    for node in tree.body if top_level_only else ast.walk(tree):
+    found: set[tuple[tuple[str, str], bool]] = set()
+    top = set(map(id, tree.body))
+    for node in ast.walk(tree):
+        is_top = id(node) in top
         if isinstance(node, ast.Import):
-            found |= {(alias.name, "") for alias in node.names}
+            found |= {((alias.name, ""), is_top) for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             module = "." * node.level + (node.module or "")
-            found |= {(module, alias.name) for alias in node.names}
+            found |= {((module, alias.name), is_top) for alias in node.names}
     return frozenset(found)
 
 

@@ -87,8 +87,8 @@ def _squared(table: FloatArray, colours: np.ndarray) -> np.ndarray:
     """
     colours, table = colours.astype(np.float32), table.astype(np.float32)
     squared = colours @ (-2 * table.T)
-    squared += (table**2).sum(axis=1)
-    squared += (colours**2).sum(axis=1)[:, None]
+    for rows, shape in ((table, (1, -1)), (colours, (-1, 1))):
+        squared += np.einsum("nc,nc->n", rows, rows).reshape(shape)
     return np.asarray(squared)
 
 
