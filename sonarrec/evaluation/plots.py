@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, NullFormatter
 
 from sonarrec.evaluation.counting.curves import macro_curve
 from sonarrec.evaluation.counting.pooled import PooledScored
@@ -196,6 +197,9 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
         axes.grid(color="0.9")
         bars.bar(middles, np.maximum(top.count, 0.5), width=0.09, color=COLOURS[0])
         bars.set(xlabel="probability stated", yscale="log", ylim=(0.5, None))
+        # As plain text, 10, 100, 1k: formulas, as powers of ten are, take as long as all the rest.
+        bars.yaxis.set_major_formatter(EngFormatter(sep=""))
+        bars.yaxis.set_minor_formatter(NullFormatter())
     panels[0, 0].set_ylabel("share that is right")
     panels[1, 0].set_ylabel("estimates")
     panels[0, 0].legend(fontsize=7, loc="upper left")
