@@ -154,8 +154,9 @@ def _tiff_white_is_zero(data: memoryview) -> bool:
     return any((tag, value) == (_PHOTOMETRIC, _WHITE_IS_ZERO) for tag, _, _, value in fields)
 
 
-# Of any type, without alpha, and turned by EXIF data as viewers and annotation tools show it.
-_FLAGS = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+# Of any type, and turned by EXIF data as viewers and annotation tools show it. A TIFF is turned in
+# any case, and one of four channels of floats can only be read unchanged.
+_AS_SHOWN = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
 
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
@@ -171,11 +172,12 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("unreadable image")
     if _tiff_holds_several(buffer.data):
         raise UnusableError("a TIFF of several images; one image a file is read")
+    flags = cv2.IMREAD_UNCHANGED if buffer[:4].tobytes() in _TIFFS else _AS_SHOWN
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         warnings = _warnings_file()
         with _stderr_to(warnings.fileno()):
-            image = cv2.imdecode(buffer, _FLAGS)
+            image = cv2.imdecode(buffer, flags)
         warning = b""
         if warnings.tell():
             warnings.seek(0)
