@@ -174,6 +174,29 @@ def test_a_skeleton_and_its_points_are_no_landmark(tmp_path: Path) -> None:
     assert converted(tmp_path, cvat(tmp_path, body), code=3) == [(0, 1, 14.5, 14.5, 1.0)]
 
 
+def test_cvat_shapes_without_one_centre_are_counted_and_the_others_used(tmp_path: Path) -> None:
+    """Every shape that CVAT writes; the last of a track is marked as outside, and is none."""
+    corners = " ".join(
+        f'{a}{b}{n}="1"' for a in "xy" for b in ("tl", "bl", "tr", "br") for n in "12"
+    )
+    at = 'frame="{}" outside="{}" occluded="0" keyframe="1"'
+    shapes = [
+        f'<points {at} points="1,2;3,4"/>',
+        f'<polyline {at} points="1,2;3,4"/>',
+        f"<cuboid {at} {corners}/>",
+        f'<skeleton {at}><points label="1" points="3,4"/></skeleton>',
+    ]
+    tracks = (track(s.format(0, 0), s.format(1, 0), s.format(2, 1)) for s in shapes)
+    source = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20)) + "".join(tracks))
+    assert [row[:4] for row in converted(tmp_path, source, code=3)] == [(0, 1, 14.5, 14.5)]
+    (tmp_path / "gt.csv").unlink()
+    report = convert(source, tmp_path / "gt.csv", BASIN)
+    assert report.unused == [
+        f"{kind}: 2 shapes without one centre passed over"
+        for kind in ("several points", "polyline", "cuboid", "skeleton")
+    ]
+
+
 BOMB = """<?xml version="1.0"?>
 <!DOCTYPE annotations [<!ENTITY a "{}">{}]>
 <annotations><track label="&j;"/></annotations>
@@ -204,7 +227,10 @@ def test_entity_bombs_are_refused_before_they_go_off(tmp_path: Path) -> None:
         (track('<box frame="0" xtl="1" ytl="2" xbr="3"/>'), "lacks the attribute 'ybr'"),
         (track('<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/>'), "line 6: 'a' is no coordinate"),
         (track('<box frame="0" xtl="nan" ytl="2" xbr="3" ybr="4"/>'), "'nan' is no coordinate"),
-        (track('<points frame="0" points="1,2;3,4"/>'), "marked by one point, not 2"),
+        (
+            track('<points frame="0" points="1,2;3,4"/>'),
+            "nothing can be used: several points: 1 shape without one centre passed over",
+        ),
         (track('<polygon frame="0" points="1,2;3"/>'), "line 6: points must be x,y;x,y and so on"),
         (track('<polygon frame="0" points="1,2;3,4"/>'), "line 6: 2 points, which is no polygon"),
         (

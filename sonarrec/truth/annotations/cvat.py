@@ -93,20 +93,19 @@ def _polygon(a: Mapping[str, str]) -> tuple[float, float]:
     return centre_of_area(points)
 
 
-def _point(a: Mapping[str, str]) -> tuple[float, float]:
-    points = _points(a)
-    if len(points) != 1:
-        raise ValueError(f"a landmark is marked by one point, not {len(points)}")
-    return points[0]
+def _point(a: Mapping[str, str]) -> tuple[float, float] | None:
+    points = _points(a)  # several are one shape, and each may be of another thing
+    return points[0] if len(points) == 1 else None
 
 
-_CENTRES: dict[str, Callable[[Mapping[str, str]], tuple[float, float]]] = {
+_CENTRES: dict[str, Callable[[Mapping[str, str]], tuple[float, float] | None]] = {
     "box": _box,
     "ellipse": lambda a: (coordinate(a["cx"]), coordinate(a["cy"])),
     "mask": _mask,
     "polygon": _polygon,
     "points": _point,
 }
+"""The centre of each shape; None if it has no one centre."""
 _OTHER_SHAPES = {"polyline", "cuboid", "skeleton", "tag"}
 
 
@@ -152,7 +151,7 @@ class _Reader:
         elif tag in _CENTRES:
             self._told = {}
         elif tag in _OTHER_SHAPES and len(self._open) == 3:
-            self.found.unused[tag] += 1
+            self._pass_over(tag, attributes)
 
     def text(self, text: str) -> None:
         self._text += text
@@ -175,13 +174,21 @@ class _Reader:
             self._close_shape(tag, attributes)
 
     def _close_shape(self, tag: str, attributes: dict[str, str]) -> None:
-        x, y = (value - HALF_A_PIXEL for value in _CENTRES[tag](attributes))
+        centre = _CENTRES[tag](attributes)
+        if centre is None:
+            self._pass_over(f"several {tag}", attributes)
+            return
+        x, y = (value - HALF_A_PIXEL for value in centre)
         visible = stated_visible({"occluded": attributes.get("occluded"), **self._told})
         if self._places is not None:
             outside = attributes.get("outside") == "1"
             self._places.append(_Place(whole(attributes["frame"]), x, y, visible, outside))
         elif self._image is not None:
             self.found.shapes.append(Shape(self._image, attributes["label"], x, y, visible))
+
+    def _pass_over(self, what: str, attributes: Mapping[str, str]) -> None:
+        if attributes.get("outside") != "1":  # else it only says where a track ends
+            self.found.unused[what] += 1
 
     def _close_track(self, places: list[_Place]) -> None:
         def add(frame: int, x: float, y: float, visible: float | None) -> None:
