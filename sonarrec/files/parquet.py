@@ -6,7 +6,7 @@ It needs pyarrow (pip install 'sonarrec[parquet]'), which is imported only when 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -53,37 +53,51 @@ def convert(table: Path, parquet: Path) -> None:
     table.unlink()
 
 
-def read_parts(path: Path, rows: int | None) -> tuple[list[str], Iterator[Any]]:
-    """The names of the columns, and data frames of at most `rows` rows; None: one of all rows.
+def read_names(path: Path) -> list[str]:
+    """The names of the columns. Raises SonarrecError if it cannot be read as Parquet."""
+    return list(map(str, _opened(path).schema_arrow.names))
 
-    Raises SonarrecError if it cannot be read as Parquet.
+
+def read_parts(path: Path, columns: Sequence[str] | None, rows: int | None) -> Iterator[Any]:
+    """Data frames of at most `rows` rows; None: one of all rows.
+
+    columns: those that are read as numbers or text; None: all, whatever they hold.
+    Raises SonarrecError if the file cannot be read as Parquet, or if one of `columns` holds lists.
     """
+    file = _opened(path)
+    import pyarrow as pa
+
+    for name in columns or ():
+        if pa.types.is_nested(kind := file.schema_arrow.field(name).type):
+            raise SonarrecError(
+                f"{name_as_text(path)}: column {name} holds {kind}, not numbers or text"
+            )
+    try:
+        if rows is None:
+            yield _plain(file.read(columns))
+        else:
+            any_rows = False
+            for batch in file.iter_batches(rows, columns=columns):
+                any_rows = True
+                yield _plain(pa.Table.from_batches([batch]))
+            if not any_rows:
+                yield _plain(file.schema_arrow.empty_table())
+    except (OSError, pa.ArrowException) as error:
+        raise _unreadable(path, error) from None
+
+
+def _opened(path: Path) -> Any:
+    """A pyarrow.parquet.ParquetFile. Raises SonarrecError if it cannot be read as Parquet."""
     check_parquet()
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        file = pq.ParquetFile(path)
+        return pq.ParquetFile(path)
     except FileNotFoundError:
         raise SonarrecError(f"{path}: no such file") from None
     except (OSError, pa.ArrowException) as error:
         raise _unreadable(path, error) from None
-
-    def parts() -> Iterator[Any]:
-        try:
-            if rows is None:
-                yield _plain(file.read())
-            else:
-                any_rows = False
-                for batch in file.iter_batches(rows):
-                    any_rows = True
-                    yield _plain(pa.Table.from_batches([batch]))
-                if not any_rows:
-                    yield _plain(file.schema_arrow.empty_table())
-        except (OSError, pa.ArrowException) as error:
-            raise _unreadable(path, error) from None
-
-    return list(map(str, file.schema_arrow.names)), parts()
 
 
 def _plain(table: Any) -> Any:
@@ -95,12 +109,25 @@ def _plain(table: Any) -> Any:
     """
     import pyarrow as pa
 
-    binary = (pa.types.is_binary, pa.types.is_large_binary)
-    fields = [
-        field.with_type(pa.string()) if any(kind(field.type) for kind in binary) else field
-        for field in table.schema
-    ]
-    return table.cast(pa.schema(fields)).to_pandas(ignore_metadata=True)
+    for k, field in enumerate(table.schema):
+        category = pa.types.is_dictionary(field.type)
+        values = field.type.value_type if category else field.type
+        if _is_bytes(values):
+            as_text = table.column(k).cast(values).cast(pa.binary()).cast(pa.string())
+            table = table.set_column(k, field.name, as_text)
+    return table.to_pandas(ignore_metadata=True)
+
+
+def _is_bytes(kind: Any) -> bool:
+    """Whether an Arrow type is one of those of bytes."""
+    from pyarrow import types
+
+    return bool(
+        types.is_binary(kind)
+        or types.is_large_binary(kind)
+        or types.is_binary_view(kind)
+        or types.is_fixed_size_binary(kind)
+    )
 
 
 def _unreadable(path: Path, error: Exception) -> SonarrecError:

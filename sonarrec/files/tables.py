@@ -15,7 +15,7 @@ from typing import Any, Literal, TextIO
 import numpy as np
 import pandas as pd
 
-from sonarrec.files.parquet import PARQUET, read_parts
+from sonarrec.files.parquet import PARQUET, read_names, read_parts
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, printable
 
 Kind = Literal[
@@ -100,7 +100,7 @@ def read_header(path: Path, expected: str) -> list[str]:
 def _names(path: Path, expected: str) -> list[str]:
     """The names of all columns, as they are written. Raises SonarrecError as `read_tables` does."""
     if path.suffix == PARQUET:
-        return read_parts(path, None)[0]
+        return read_names(path)
     _check_shape(path, expected)
 
     def read() -> list[str]:
@@ -145,7 +145,7 @@ def read_tables(
     # Not as "category", which turns the name 007 into a number. Not with `usecols`, which accepts
     # rows that are longer than the header.
     parts = (
-        read_parts(path, rows)[1]
+        read_parts(path, list(used.values()), rows)
         if path.suffix == PARQUET
         else _csv_parts(path, dict.fromkeys(text, object), rows)
     )
@@ -378,6 +378,8 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
             values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
         except OverflowError:  # a number of hundreds of digits
             values = pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float)
+        if column.dtype.kind == "O":  # in a column of text, as Parquet may have it
+            blank = blank | (column == "nan").to_numpy(dtype=bool, na_value=False)
     bad = ~np.isfinite(values)
     if kind in ("blank or number", "blank or place", "share"):
         bad &= ~blank

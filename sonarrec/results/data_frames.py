@@ -43,8 +43,7 @@ def read_results(folder: str | Path) -> Tables:
 def _table(path: Path, expected: str) -> pd.DataFrame:
     """One table, CSV or Parquet. expected: a header for the error message."""
     if path.suffix == PARQUET:
-        _, parts = read_parts(path, None)
-        return next(parts)
+        return next(read_parts(path, None, None))
     try:
         return pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
     except FileNotFoundError:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner, Result
@@ -178,11 +179,15 @@ def test_the_other_form_is_made_anew_and_takes_the_place(
         lambda table: table.assign(declared=table["declared"].astype("boolean")),
         lambda table: table.assign(method=table["method"].astype("category")),
         lambda table: table.assign(method=table["method"].str.encode("utf-8")),
+        lambda table: table.assign(range_sigma_m=table["range_sigma_m"].astype(str)),
     ],
-    ids=["index", "blanks", "flags", "categories", "bytes"],
+    ids=["index", "blanks", "flags", "categories", "bytes", "nan as text"],
 )
 def test_parquet_of_other_programs(both: dict[str, Path], tmp_path: Path, changed: Any) -> None:
-    """As pandas writes it: its columns are those of the CSV, whatever pandas notes beside them."""
+    """As pandas writes it: its columns are those of the CSV, whatever pandas notes beside them.
+
+    polars makes text of a column of estimates.csv whose first 100 cells are nan.
+    """
     table = changed(pd.read_csv(both["csv"] / "estimates.csv"))
     shutil.copytree(both["csv"], tmp_path / "pan")
     (tmp_path / "pan" / "estimates.csv").unlink()
@@ -191,6 +196,48 @@ def test_parquet_of_other_programs(both: dict[str, Path], tmp_path: Path, change
     assert found.methods == expected.methods
     for name in ("method", "frame_index", "landmark_index", "score", "declared", "position"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+_BYTES = [pa.binary(), pa.large_binary(), pa.binary(3)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "category"),
+    [(kind, category) for kind in _BYTES for category in (False, True)]
+    + [(pa.binary_view(), False)],  # as categories pyarrow does not write them
+    ids=str,
+)
+def test_text_as_bytes_of_every_kind(
+    both: dict[str, Path], tmp_path: Path, kind: pa.DataType, category: bool
+) -> None:
+    """Also as categories, which Arrow notes beside the columns."""
+    shutil.copytree(both["csv"], tmp_path / "pan")
+    source = tmp_path / "pan" / "estimates.csv"
+    source.write_text(source.read_text("utf-8").replace(",framework,", ",née,"), "utf-8")
+    table = pa.Table.from_pandas(pd.read_csv(source))
+    names = table["method"].to_pylist()
+    if kind == pa.binary(3):  # of one length, as "née" is not
+        names = [name if name == "smi" else "abc" for name in names]
+    method = pa.array([name.encode() for name in names], kind)
+    method = method.dictionary_encode() if category else method
+    source.unlink()
+    table = table.set_column(table.column_names.index("method"), "method", method)
+    notes = pa.array([[1.0]] * len(table))  # a column of its own, which no one reads
+    pq.write_table(table.append_column("notes", notes), source.with_suffix(".parquet"))
+    found = read_log(tmp_path / "pan")
+    assert [found.methods[k] for k in found.method] == names
+    assert list(read_results(tmp_path / "pan").estimates["method"]) == names
+
+
+def test_a_column_of_lists_is_one_line(both: dict[str, Path], tmp_path: Path) -> None:
+    shutil.copytree(both["parquet"], tmp_path / "pan")
+    path = tmp_path / "pan" / "estimates.parquet"
+    table = pq.read_table(path)
+    for name in ("method", "score"):
+        lists = pa.array([[cell] for cell in table[name].to_pylist()])
+        pq.write_table(table.set_column(table.column_names.index(name), name, lists), path)
+        with pytest.raises(SonarrecError, match=f"column {name} holds list<.*>, not numbers or"):
+            read_log(tmp_path / "pan")
 
 
 def test_damaged_parquet_is_one_line(both: dict[str, Path], tmp_path: Path) -> None:
