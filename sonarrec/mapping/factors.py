@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ import numpy as np
 from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import SiteMap
-from sonarrec.mapping.join import MappedLog
+from sonarrec.mapping.join import MappedLog, frame_shares
 from sonarrec.mapping.passes import (
     COMMON_SHARE,
     HEIGHT_SIGMA_M,
@@ -44,7 +46,8 @@ class Factors:
     landmark. slant_m: (n,) slant range. measured: (n, 3) ground range (m), bearing and orientation
     (deg, as in estimates.csv; NaN if not known). If the symbol looks the same after a turn, it is
     the orientation next to the map's. sigma: (n, 3) standard errors, so large that all measurements
-    of a pass, taken as independent, weigh as much as the pass.
+    of a pass, taken as independent, weigh as much as the pass, and passes that share frames as much
+    as one.
     """
 
     log: IntArray
@@ -59,8 +62,12 @@ def factors(site: SiteMap) -> Factors:
     """The measurements of every landmark of the map: at most PER_PASS from each of its passes."""
     rows: list[FloatArray] = [np.empty((0, 10))]
     for number, landmark in enumerate(site.landmarks):
-        for g, k in landmark.members:
-            rows.append(_of_pass(site, number, g, k))
+        for g, members in groupby(landmark.members, key=itemgetter(0)):
+            passes = [k for _, k in members]
+            for k, share in zip(passes, frame_shares(site.logs[g], passes), strict=True):
+                of_pass = _of_pass(site, number, g, k)
+                of_pass[:, 7:] /= math.sqrt(share)
+                rows.append(of_pass)
     table = np.concatenate(rows)
     table = table[np.lexsort([table[:, 2], table[:, 1], table[:, 0]])]
     log, row, number = table[:, :3].astype(np.int64).T

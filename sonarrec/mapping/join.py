@@ -126,6 +126,18 @@ class _Pool:
         )
 
 
+def frame_shares(log: MappedLog, passes: Sequence[int]) -> FloatArray:
+    """(n,) how much each of these passes of one landmark counts: 1, or less if they share frames.
+
+    Where several tracks lie on one disc at a time, they see the same speckle of it, and are no
+    more than one measurement. Each then counts by its part of each frame.
+    """
+    rows = [log.rows_of(k) for k in passes]
+    _, frame, tracks = np.unique(np.concatenate(rows), return_inverse=True, return_counts=True)
+    ends = np.cumsum([len(r) for r in rows])[:-1]
+    return np.array([parts.mean() for parts in np.split(1 / tracks[frame], ends)])
+
+
 def join(logs: Sequence[MappedLog], landmark_set: LandmarkSet) -> list[Landmark]:
     """The landmarks of a map, in the order of the IDs in the set."""
     pool = _pool(logs, landmark_set)
@@ -192,6 +204,7 @@ def _of_one_id(pool: _Pool, passes: IntArray, radius_m: float) -> list[list[int]
 def _place_group(pool: _Pool, group: Sequence[int]) -> Landmark:
     """Place a landmark by its passes, weighted by their own errors and those of the path.
 
+    Passes that share frames share their weight too.
     The passes of one log share the path's error up to the first of them; different logs share none.
     The error of the stated height, and a part of the orientation's error, are common to all passes.
     """
@@ -200,13 +213,14 @@ def _place_group(pool: _Pool, group: Sequence[int]) -> Landmark:
         of_log = np.array([i for i in group if pool.log[i] == log])
         path, row = pool.logs[log].path, pool.middle[of_log]
         first = np.repeat(row[:1], len(row))
-        added = path.place_covariance(row, pool.place[of_log], first)
+        share = frame_shares(pool.logs[log], pool.index[of_log].tolist())
+        own = pool.covariance[of_log] + path.place_covariance(row, pool.place[of_log], first)
         place, covariance, lean = _fused(
-            pool.place[of_log], pool.covariance[of_log] + added, pool.lean[of_log]
+            pool.place[of_log], own / share[:, None, None], pool.lean[of_log]
         )
         covariance = covariance + path.place_covariance(row[:1], place[None])[0]
-        turns = pool.turn[of_log], pool.variance[of_log] + path.yaw_variance(row, first)
-        turn, variance = _fused_turn(*turns, pool.period[group[0]])
+        own_turn = pool.variance[of_log] + path.yaw_variance(row, first)
+        turn, variance = _fused_turn(pool.turn[of_log], own_turn / share, pool.period[group[0]])
         variance += path.yaw_variance(row[:1])[0]
         parts.append((place, covariance, lean, turn, variance))
     places, covariances, leans, turned, variances = map(np.array, zip(*parts, strict=True))

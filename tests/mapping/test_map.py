@@ -28,8 +28,10 @@ from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.landmarks import load_landmarks
-from sonarrec.mapping.build import MapOptions, make_map
-from sonarrec.mapping.factors import Factors, Graph, write_g2o
+from sonarrec.mapping.build import MapOptions, SiteMap, make_map
+from sonarrec.mapping.factors import Factors, Graph, factors, write_g2o
+from sonarrec.mapping.join import MappedLog, frame_shares, join
+from sonarrec.mapping.passes import HEIGHT_SIGMA_M, DeclaredEstimates, find_passes
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, path_from_poses
 from sonarrec.mapping.tables import CHI2_95, GeographicOrigin, ellipse, rings_at_180
 from sonarrec.poses import pose_table
@@ -425,6 +427,75 @@ def test_the_truth_lies_in_the_ellipse_as_often_as_is_said(tmp_path: Path) -> No
     assert 0.90 <= np.mean(inside) <= 1
 
 
+def still_pass(rng: np.random.Generator, tracks: int) -> MappedLog:
+    """A disc at (0, 2.3) m in 60 frames of a sonar that stands, on so many tracks in each frame.
+
+    The tracks have the same errors, for they see the same frames: one half of the pass, the other
+    of six frames each. The height that is stated is off by its standard error.
+    """
+    frames = 60
+    frame = np.arange(frames)
+    path = measured_path(frame, frame, np.zeros((frames, 3)), np.zeros((frames, 3)))
+    exact = (math.hypot(2.3, HEIGHT + rng.normal(0, HEIGHT_SIGMA_M)), 0.0, 40.0)
+    noise = rng.normal(0, SIGMA) + rng.normal(0, SIGMA, (frames // 6, 3)).repeat(6, axis=0)
+    polar = np.tile(exact + math.sqrt(0.5) * noise, (tracks, 1))
+    n = len(polar)
+    declared = DeclaredEstimates(
+        row=np.tile(frame, tracks),
+        landmark=np.ones(n, np.int64),
+        track=np.repeat(np.arange(tracks), frames),
+        score=np.ones(n),
+        polar=polar,
+        sigma=np.tile(SIGMA, (n, 1)),
+        strays=0,
+    )
+    passes = find_passes(declared, path, BASIN, FAN)
+    return MappedLog("dive", path, declared, passes, FAN, ros_axes=False)
+
+
+def test_tracks_on_one_disc_at_a_time_are_no_more_than_one() -> None:
+    """They see the same speckle. As often as is said the truth lies in the ellipse, which is that
+    of one track. Taken as independent, as they were, four leave it outside in a fifth of cases."""
+    inside = np.zeros(2)
+    tries = 150
+    for seed in range(tries):
+        log = still_pass(np.random.default_rng(seed), 4)
+        (one,) = join([log], BASIN)
+        assert len(one.members) == 4
+        height = HEIGHT_SIGMA_M**2 * np.outer(*log.passes.lean[[0, 0]])
+        independent = (one.covariance - height) / 4 + height
+        off = one.place - (0, 2.3)
+        inside += [off @ np.linalg.inv(c) @ off < CHI2_95 for c in (one.covariance, independent)]
+    assert 0.93 <= inside[0] / tries <= 0.99
+    assert inside[1] / tries < 0.9
+    (alone,) = join([still_pass(np.random.default_rng(seed), 1)], BASIN)
+    np.testing.assert_allclose(one.place, alone.place)
+    np.testing.assert_allclose(one.covariance, alone.covariance)
+    assert one.turn_sigma_deg == pytest.approx(alone.turn_sigma_deg)
+
+
+def test_factors_of_two_tracks_on_one_disc_hold_as_much_as_those_of_one() -> None:
+    information = []
+    for tracks in (1, 2):
+        log = still_pass(np.random.default_rng(0), tracks)
+        site = SiteMap(BASIN, join([log], BASIN), 0, [log], [], [], ros_axes=False)
+        information.append((factors(site).sigma ** -2.0).sum(axis=0))
+    np.testing.assert_allclose(information[1], information[0])
+
+
+def test_tracks_that_share_a_part_of_their_frames_count_by_it(tmp_path: Path) -> None:
+    """By hand: of 60 frames of one track and 80 of the other, 20 are the same."""
+    still = np.zeros((120, 3))
+    folder = results(tmp_path / "dive", still, still, [Disc(1, 0.0, 2.3, 40.0)])
+    rows = table(folder / "estimates.csv")
+    assert [int(row["frame"]) for row in rows] == [*range(120)]
+    first, second = ([row | {"object": str(n)} for row in rows] for n in (1, 2))
+    write_table(folder / "estimates.csv", [*first[:60], *second[40:]])
+    (log,) = make_map([folder]).logs
+    np.testing.assert_allclose(frame_shares(log, [0, 1]), [50 / 60, 70 / 80])
+    np.testing.assert_allclose(frame_shares(log, [1]), [1])
+
+
 # What drifts
 
 
@@ -730,6 +801,17 @@ def test_geojson_keeps_to_its_side_of_the_180th_meridian(mapped: Path, latitude:
     for (a, here), (b, there) in pairwise(zip(points, rows, strict=True)):
         apart = np.linalg.norm(lies(*a) - lies(*b))
         assert apart == pytest.approx(math.dist(here, there), rel=0.01)
+
+
+def test_headings_count_from_north_at_the_origin(mapped: Path) -> None:
+    """Also two metres from a pole, as the help page says, where north is another one everywhere."""
+    told = []
+    for latitude in (54.3233, 89.99998):
+        sonarrec("map", mapped.parent, f"--origin={latitude},10.1394,87", "-q")
+        features = json.loads((mapped / "map.geojson").read_text())["features"]
+        points = [f for f in features if f["geometry"]["type"] == "Point"]
+        told.append([f["properties"]["heading_deg"] for f in points])
+    assert told[0] == told[1]
 
 
 def test_an_ellipse_round_a_pole_is_left_out() -> None:
