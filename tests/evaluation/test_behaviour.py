@@ -18,6 +18,7 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation.counting.uncertainty import Figure
 from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.evaluation.matching.joined import seconds_of_frames
 from sonarrec.evaluation.summary import Summary, _notes, summarise, units_text
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.landmarks import load_landmarks
@@ -139,6 +140,30 @@ def test_frames_of_one_time_share_it(tmp_path: Path, tick_s: float) -> None:
     found = summary.figure("strict", "m", "false_claims_per_min")
     assert found is not None
     assert found.value == pytest.approx(3)
+
+
+@pytest.mark.parametrize(
+    ("steps_s", "recorded_s"),
+    [
+        ([0.25] * 9, 2.5),
+        ([0.1, 0.9] * 20 + [0.1], 20.2),  # pairs: the median alone said 4.2
+        ([0.1, 0.1, 0.8] * 20, 20.1),
+        ([0.25] * 8 + [0.5] * 4, 4.25),  # a third of the frames was lost for a while
+        ([0.25] * 9 + [2.5] + [0.25] * 9, 7.25),  # ten steps: no pause yet
+        ([0.25] * 9 + [2.75] + [0.25] * 9, 5.0),
+        (([0.1] * 9 + [59.1]) * 5 + [0.1] * 9, 6.0),  # bursts of a second
+        ([3600.0], 7200.0),
+    ],
+)
+def test_a_minute_is_one_of_recording(steps_s: list[float], recorded_s: float) -> None:
+    times = 1_700_000_000 * 10**9 + np.cumsum([0, *(round(1e9 * step) for step in steps_s)])
+    seconds = seconds_of_frames(times, len(times))
+    assert seconds.sum() == pytest.approx(recorded_s, rel=1e-6)
+    np.testing.assert_array_equal(
+        seconds_of_frames(np.repeat(times, 2), 2 * len(times))[::2] * 2, seconds
+    )
+    assert np.isnan(seconds_of_frames(times[:1].repeat(3), 3)).all()
+    assert np.isnan(seconds_of_frames(None, 3)).all()
 
 
 def test_switches_of_id_and_track() -> None:

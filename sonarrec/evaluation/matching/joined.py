@@ -14,6 +14,8 @@ from sonarrec.truth.match import Truth
 
 ROUNDING_M = 1e-9
 """A claim exactly on the gate counts as inside, despite rounding."""
+PAUSE = 10
+"""Median steps from frame to frame; after as many frames a pass ends, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,7 @@ class Joined:
     frame: IntArray
     """(F,) frame number in its log."""
     seconds: FloatArray
-    """(F,) duration of a frame, NaN if the log has no times or only one."""
+    """(F,) duration of each frame, see `seconds_of_frames`."""
     truth_frame_index: IntArray
     """(T,) into frame."""
     truth_landmark_index: IntArray
@@ -111,7 +113,7 @@ def _frames_and_claims(
         probability = np.full((n, k + 1), np.nan, dtype=np.float32)
     return {
         "frame": log.frame,
-        "seconds": np.full(len(log.frame), _seconds_per_frame(log)),
+        "seconds": seconds_of_frames(log.timestamp_ns, len(log.frame)),
         "method_index": of_method[log.method],
         "claim_frame_index": log.frame_index,
         "claim_landmark_index": of_id[log.landmark_index],
@@ -151,15 +153,22 @@ def _is_placed(log: LogResults, truth: Truth) -> bool:
     return truth.position is not None and (log.position is not None or not len(log.frame_index))
 
 
-def _seconds_per_frame(log: LogResults) -> float:
-    """The median time between frames; a median, so that pauses do not count.
+def seconds_of_frames(timestamp_ns: IntArray | None, frames: int) -> FloatArray:
+    """(frames,) the time from each frame to the next; NaN if the log has no times, or only one.
 
-    Frames of one time share it: a clock may tick more slowly than frames come.
+    A step of more than PAUSE is a pause in the recording. The frame before it, and the last frame,
+    take the median step. Frames of one time share it: a clock may tick more slowly than frames
+    come.
     """
-    times = np.unique([] if log.timestamp_ns is None else log.timestamp_ns)
+    times, frame, together = np.unique(
+        [] if timestamp_ns is None else timestamp_ns, return_inverse=True, return_counts=True
+    )
     if len(times) < 2:
-        return np.nan
-    return float(np.median(np.diff(times))) / 1e9 * (len(times) / len(log.frame))
+        return np.full(frames, np.nan)
+    steps = np.diff(times) / 1e9
+    usual = np.median(steps)
+    lasting = np.append(np.where(steps > PAUSE * usual, usual, steps), usual)
+    return np.asarray((lasting / together)[frame])
 
 
 def nearest_truth(
