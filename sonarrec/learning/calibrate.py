@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 
@@ -13,17 +13,15 @@ from sonarrec.config import Config
 from sonarrec.files.outputs import MODEL_MARK
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
-from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label
+from sonarrec.learning.left_out import FOLDS, gain_on_the_rest, part_of
+from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
 from sonarrec.readers import open_log
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
 from sonarrec.records import (
-    BoolArray,
-    FloatArray,
     Frame,
-    IntArray,
     SonarrecError,
     UsageError,
     number_of,
@@ -44,9 +42,14 @@ from sonarrec.truth.fits import (
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
-FOLDS = 5
-"""Parts of the tracks; each is left out once, to measure the model on it. With fewer tracks of
-landmarks, or of others, the model is not measured."""
+
+@dataclass(frozen=True, slots=True)
+class Labelled:
+    """How much the truth holds. positions: rows in which something is seen. landmarks: IDs of each
+    log, whose discs are taken for one."""
+
+    positions: int
+    landmarks: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +58,10 @@ class LearningReport:
 
     frames: of all logs. seen: per ID of the set, then for 'none of these', the frames in which a
     track showed it and the number of such tracks. before, after: mean log likelihood of the truth,
-    in nats per track and frame, by the built-in model and by one learned without the track; None
-    with fewer than FOLDS tracks of landmarks, or of others. problems: what could not be used.
-    notes: what the recordings do not teach. gain_error: standard error of after - before.
+    in nats per track and frame, by the built-in model and by one learned without the landmark or
+    other track; None if it is not measured, see `gain_on_the_rest`. problems: what could not be
+    used. notes: what the recordings do not teach. gain_error: standard error of after - before.
+    labelled: what the truth has in the frames that were read, and what of it a track lay on.
     """
 
     model: AppearanceModel
@@ -70,6 +74,7 @@ class LearningReport:
     problems: list[str]
     notes: list[str]
     gain_error: float | None = None
+    labelled: tuple[Labelled, Labelled] | None = None
 
     def summary(self) -> list[str]:
         """Lines to print on what the model was learned from, and how good it is."""
@@ -82,20 +87,27 @@ class LearningReport:
             f"{tracks:>4} {'track' if tracks == 1 else 'tracks'}"
             for name, (frames, tracks) in zip(names, self.seen, strict=True)
         ]
+        if self.labelled is not None:
+            whole, lain_on = self.labelled
+            lines.append(
+                f"tracks lay on {lain_on.positions} of "
+                f"{number_of(whole.positions, 'labelled position')}, and on {lain_on.landmarks} of "
+                f"{number_of(whole.landmarks, 'landmark')} (each ID of a log counts as one)"
+            )
         if self.before is None or self.after is None:
             lines.append(
-                f"with fewer than {FOLDS} tracks of landmarks, or of others, the gain over the "
-                "built-in model is not measured"
+                f"with fewer than {FOLDS} tracks of landmarks, or of others, or with one landmark, "
+                "the gain over the built-in model is not measured"
             )
         else:
             lines.append(
-                "log likelihood per track and frame, on tracks left out: "
+                "log likelihood per track and frame, on landmarks and other tracks left out: "
                 f"built-in model {self.before:.3f}, learned {self.after:.3f}"
             )
         if self.before is not None and self.after is not None and self.gain_error is not None:
             lines.append(
                 f"gain {self.after - self.before:+.3f}, with a standard error of "
-                f"{self.gain_error:.3f} over tracks"
+                f"{self.gain_error:.3f} over landmarks and other tracks"
             )
         return lines
 
@@ -149,7 +161,7 @@ def learn(
     prior = None if from_scratch else built_in_model()
     model = fit(parts, prior)
     seen = _seen(parts, landmarks)
-    before, after, gain_error = _left_out(parts, prior)
+    before, after, gain_error = gain_on_the_rest(parts, prior)
     # Of one log a truth of several is used as it is.
     others = of_other_logs(table, names, "they teach nothing") if len(paths) > 1 else []
     return LearningReport(
@@ -167,7 +179,16 @@ def learn(
             *_not_taught(landmarks, seen, before, after),
         ],
         gain_error=gain_error,
+        labelled=(
+            _sum(lesson.labelled for lesson in used),
+            _sum(lesson.lain_on for lesson in used),
+        ),
     )
+
+
+def _sum(parts: Iterable[Labelled]) -> Labelled:
+    counts = [(part.positions, part.landmarks) for part in parts]
+    return Labelled(*map(sum, zip(*counts, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,13 +196,16 @@ class _Lesson:
     """What one log teaches.
 
     log: its name. samples: of its tracks. frames: how many were read. rows: of truth for it.
-    misfit: why its truth cannot be that of the log, so that nothing is learned; None if it can.
+    labelled: what that holds. lain_on: what of it a track lay on. misfit: why its truth cannot be
+    that of the log, so that nothing is learned; None if it can.
     """
 
     log: str
     samples: Samples
     frames: int
     rows: int
+    labelled: Labelled
+    lain_on: Labelled
     misfit: str | None
     problems: list[str]
     notes: list[str]
@@ -220,7 +244,27 @@ def _lesson(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
                 f"was read of {name}; they teach nothing"
             )
-    return _Lesson(name, samples, len(tracks.frame), truth.rows, unlike, problems, notes)
+    return _Lesson(
+        name,
+        samples,
+        len(tracks.frame),
+        truth.rows,
+        *_counted(tracks, truth),
+        unlike,
+        problems,
+        notes,
+    )
+
+
+def _counted(tracks: Tracks, truth: Truth) -> tuple[Labelled, Labelled]:
+    """(what the truth holds, what of it a track lay on)."""
+    assert truth.position is not None
+    shown = truth.visible > 0
+    taught = shown & lain_on(tracks, truth.frame_index, truth.position)
+    return (
+        Labelled(int(shown.sum()), len(np.unique(truth.landmark_index[shown]))),
+        Labelled(int(taught.sum()), len(np.unique(truth.landmark_index[taught]))),
+    )
 
 
 def _truth_with_places(path: Path, logs: int) -> TruthTable:
@@ -280,7 +324,7 @@ def _labelled(tracks: Tracks, truth: Truth) -> Samples:
     samples = label(tracks, truth.frame_index, landmark, truth.position)
     other = samples.label == len(tracks.landmarks.ids)
     unsure = other & np.isin(samples.track, samples.track[~other])
-    return _part(samples, ~unsure & (samples.label != HIDDEN))
+    return part_of(samples, ~unsure & (samples.label != HIDDEN))
 
 
 def _no_track_on_a_row(
@@ -307,63 +351,3 @@ def _seen(parts: Sequence[Samples], landmarks: LandmarkSet) -> tuple[tuple[int, 
         tracks = [p.track[p.label == label_index] for p in parts]
         counts.append((sum(map(len, tracks)), sum(len(np.unique(t)) for t in tracks)))
     return tuple(counts)
-
-
-def _left_out(
-    parts: Sequence[Samples], prior: AppearanceModel | None
-) -> tuple[float | None, float | None, float | None]:
-    """Mean log likelihood by the built-in model and by models learned from the other tracks, and
-    the standard error of the difference.
-
-    The tracks are dealt into FOLDS parts; tracks of landmarks and others are dealt separately, so
-    that every part has both. All None with fewer than FOLDS tracks of either.
-    """
-    folds, tracks = [], []  # of each part: (n,) the fold; (n,) the track, counted over all parts
-    count = np.zeros(2, np.int64)  # of other tracks, of landmarks' tracks
-    for part in parts:
-        numbers, track = np.unique(part.track, return_inverse=True)
-        kinds = np.zeros(len(numbers), np.int64)
-        np.maximum.at(kinds, track, part.label < part.features.shape[1])
-        tracks.append(count.sum() + track)
-        fold = np.empty(len(numbers), np.int64)
-        for kind in (0, 1):
-            mine = np.flatnonzero(kinds == kind)
-            fold[mine] = (count[kind] + np.arange(len(mine))) % FOLDS
-            count[kind] += len(mine)
-        folds.append(fold[track])
-    if count.min() < FOLDS:
-        return None, None, None
-    built_in = built_in_model()
-    before, after, of_track = [], [], []
-    for k in range(FOLDS):
-        taught = [_part(p, fold != k) for p, fold in zip(parts, folds, strict=True)]
-        left_out = [_part(p, fold == k) for p, fold in zip(parts, folds, strict=True)]
-        learned = fit(taught, prior)
-        before += [_log_likelihood(built_in, p) for p in left_out]
-        after += [_log_likelihood(learned, p) for p in left_out]
-        of_track += [track[fold == k] for track, fold in zip(tracks, folds, strict=True)]
-    was, now = np.concatenate(before), np.concatenate(after)
-    error = _standard_error(now - was, np.concatenate(of_track))
-    return float(was.mean()), float(now.mean()), error
-
-
-def _standard_error(values: FloatArray, cluster: IntArray) -> float:
-    """Standard error of the mean of (n,) values that depend on each other within a cluster.
-
-    cluster: (n,) numbers from 0, without a gap; two or more.
-    """
-    sums = np.bincount(cluster, values - values.mean())
-    count = len(sums)
-    return float(np.sqrt(count / (count - 1) * np.sum(sums**2)) / len(values))
-
-
-def _part(samples: Samples, mask: BoolArray) -> Samples:
-    """The samples that an (n,) mask chooses."""
-    return Samples(*(getattr(samples, f.name)[mask] for f in fields(Samples)))
-
-
-def _log_likelihood(model: AppearanceModel, samples: Samples) -> FloatArray:
-    """(n,) log probability of each sample's label."""
-    likely = model.probabilities(samples.features, samples.smear)
-    of_truth = likely[np.arange(len(samples.label)), samples.label]
-    return np.asarray(np.log(np.maximum(of_truth, 1e-12)))

@@ -14,7 +14,7 @@ from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.recogniser.unchanging import Unchanging
-from sonarrec.records import Fan, FloatArray, Frame, IntArray
+from sonarrec.records import BoolArray, Fan, FloatArray, Frame, IntArray
 
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
 # does not. Those between are left out.
@@ -108,6 +108,19 @@ def describe(
         plane_from_polar(*np.array(polar).reshape(-1, 2).T),
         np.concatenate(features),
         np.concatenate(smear),
+    )
+
+
+def lain_on(tracks: Tracks, row: IntArray, place: FloatArray) -> BoolArray:
+    """(T,) whether a track lies on each landmark. row, place: as in `label`."""
+    first, end = (np.searchsorted(tracks.row, row, side) for side in ("left", "right"))
+    most = ON * 2 * tracks.landmarks.radius_m
+    return np.array(
+        [
+            bool((np.linalg.norm(tracks.position[a:b] - where, axis=1) <= most).any())
+            for a, b, where in zip(first, end, place, strict=True)
+        ],
+        dtype=bool,
     )
 
 

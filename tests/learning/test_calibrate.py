@@ -17,13 +17,15 @@ from sonarrec.landmarks import BUILT_IN, LandmarkSet, load_landmarks
 from sonarrec.learning import calibrate
 from sonarrec.learning.calibrate import (
     FOLDS,
+    Labelled,
     LearningReport,
+    _counted,
     _labelled,
     _not_taught,
-    _standard_error,
     learn,
 )
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
+from sonarrec.learning.left_out import _standard_error, gain_on_the_rest
 from sonarrec.learning.samples import Samples, Tracks, describe, label
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import (
@@ -215,6 +217,101 @@ def test_a_hidden_landmark_teaches_neither_its_id_nor_none():
     samples = _labelled(tracks, truth)
     taught = list(zip(samples.track.tolist(), samples.label.tolist(), strict=True))
     assert taught == [(8, 1), (9, 4), (9, 4)]
+
+
+def test_how_much_of_the_truth_a_track_lay_on_is_counted():
+    """Of frames 0 and 1: a landmark on a track twice, one beside it, one hidden, one just within
+    a quarter of a disc."""
+    diameter = 2 * BASIN.radius_m
+    tracks = Tracks(
+        name="log",
+        landmarks=BASIN,
+        fan=None,
+        frame=np.arange(2),
+        timestamp_ns=np.arange(2),
+        row=np.array([0, 0, 1]),
+        number=np.array([7, 8, 7]),
+        position=np.array([[0.0, 2], [1, 2], [0, 2]]),
+        features=np.zeros((3, 4, len(FEATURES))),
+        smear=np.zeros(3),
+    )
+    truth = Truth(
+        frame_index=np.array([0, 0, 0, 1, 1]),
+        landmark_index=np.array([0, 1, 3, 0, 2]),
+        visible=np.array([1.0, 0.0, 0.5, 1.0, 1.0]),
+        position=np.array([[0.0, 2], [1, 2], [1 + 0.24 * diameter, 2], [0, 2], [1, 2]]),
+        orientation=None,
+        rows=5,
+        unprocessed=0,
+        between=0,
+        tolerance_ns=None,
+    )
+    assert _counted(tracks, truth) == (Labelled(4, 3), Labelled(3, 2))
+
+
+def samples_of(tracks: list[tuple[int, int]]) -> Samples:
+    """One log, whose tracks have an ID's index or 4, and a number of frames."""
+    labels = np.concatenate([np.full(n, label) for label, n in tracks])
+    number = np.repeat(np.arange(len(tracks)), [n for _, n in tracks])
+    features = np.random.default_rng(0).normal(0, 1, (len(labels), 4, len(FEATURES)))
+    return Samples(features, np.zeros(len(labels)), labels, number)
+
+
+def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
+    """Some of its tracks were learned from while others of it were held out."""
+    logs = [
+        samples_of([(0, 3), (4, 2), (1, 3), (0, 5), (4, 4), (0, 2), (1, 1)]),
+        samples_of([(4, 2), (0, 3), (2, 4), (4, 1), (0, 3), (4, 6), (4, 1)]),
+    ]
+    # A track that is on a landmark and then beside it is that landmark's.
+    logs[0].label[np.flatnonzero(logs[0].track == 3)[-1]] = 4
+    built_in = built_in_model()
+    lessons = []
+
+    def seen(parts: list[Samples], _prior: object) -> AppearanceModel:
+        lessons.append(parts)
+        return built_in
+
+    monkeypatch.setattr("sonarrec.learning.left_out.fit", seen)
+    before, after, error = gain_on_the_rest(logs, None)
+    assert before == after
+    assert error == 0
+    assert len(lessons) == FOLDS
+    left_out = [0, 0]
+    for parts in lessons:
+        for n, (log, taught) in enumerate(zip(logs, parts, strict=True)):
+            rest = ~np.isin(log.features[:, 0, 0], taught.features[:, 0, 0])
+            left_out[n] += rest.sum()
+            assert not set(log.track[rest]) & set(taught.track)
+            assert not (set(log.label[rest]) & set(taught.label)) - {4}
+    assert left_out == [len(log.label) for log in logs]
+    # Twice the same disc is nothing that a model could be tried on.
+    alone = [samples_of([(0, 3), (4, 2)] * 6)]
+    assert gain_on_the_rest(alone, None) == (None, None, None)
+
+
+def test_what_is_measured_is_what_landmarks_elsewhere_bring():
+    """Each landmark looks in its own way, the same in all its tracks. The truth is -.31 nats, and
+    what was learned from is judged at -.10; of parts of tracks -.15 was measured."""
+    rng = np.random.default_rng(3)
+
+    def logs(count: int) -> list[Samples]:
+        parts = []
+        for _ in range(count):
+            labels = np.repeat([0, 0, 0, 1, 1, 1, 4, 4, 4, 4], 8)
+            features = rng.normal(0, 1, (80, 4, len(FEATURES)))
+            for i in (0, 1):
+                features[labels == i, i] += rng.normal(0.5, 1.5, len(FEATURES))
+            parts.append(Samples(features, np.zeros(80), labels, np.repeat(np.arange(10), 8)))
+        return parts
+
+    here = logs(8)
+    _, after, _ = gain_on_the_rest(here, None)
+    learned = fit(here, None)
+    elsewhere = np.mean([log_likelihood(learned, part) for part in logs(30)])
+    own = np.mean([log_likelihood(learned, part) for part in here])
+    assert after is not None
+    assert 2 * elsewhere < after < (elsewhere + own) / 2
 
 
 # Recordings
