@@ -95,7 +95,7 @@ def painted(picture: np.ndarray, colour: tuple[int, int, int], within: int = 0) 
 # Where a disc is drawn
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     height=st.floats(0.2, 1.0),
     range_m=st.floats(1.4, 3.5),
@@ -229,7 +229,7 @@ def test_colours_are_told_apart_with_any_colour_vision(kind: str) -> None:
     assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(lab, 2)) > 12
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     rows=st.integers(2, 700),
     x=st.floats(-1e4, 1e4) | st.floats(-1e15, 1e15),

@@ -60,7 +60,7 @@ def table_of(scene: Scene, path: Path) -> Path:
 pose = st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
     before=pose,

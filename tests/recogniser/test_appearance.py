@@ -63,7 +63,7 @@ def groups(*in_view, remembered=(), sight_deg=None) -> Groups:
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), memory=st.sampled_from([1.0, 5.0, 20.0]))
 def test_the_average_is_the_fading_sum_over_what_was_seen(seed, memory):
     rng = np.random.default_rng(seed)
@@ -166,7 +166,7 @@ def random_matrices(seed: int, n: int = 3) -> tuple[np.ndarray, np.ndarray]:
     return average, np.where(hidden, 0.0, count)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), turn=st.integers(0, ANGLES - 1))
 def test_turning_a_disc_turns_the_answer_and_leaves_the_features(seed, turn):
     average, count = random_matrices(seed)
@@ -182,7 +182,7 @@ def test_turning_a_disc_turns_the_answer_and_leaves_the_features(seed, turn):
     np.testing.assert_allclose(off, 0, atol=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_what_was_never_seen_does_not_matter_and_order_does_not(seed):
     average, count = random_matrices(seed)
@@ -343,7 +343,7 @@ def by_hand(x: float, at, values) -> float:
     return values[-1]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([0.1, 1.0, 5.0]))
 def test_probabilities_are_the_softmax_of_the_curves_written_out(seed, scale):
     """Of sharp pictures, of smeared ones, and of one a quarter of the way between."""

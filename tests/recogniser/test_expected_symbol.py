@@ -88,7 +88,7 @@ def test_through_a_wide_beam_the_smeared_symbol_fits_better_than_the_sharp_one()
         assert knowing.max(axis=0).argmax() == k
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), turn=st.integers(0, ANGLES - 1))
 def test_through_a_sharp_beam_turning_the_symbol_turns_the_answer(seed: int, turn: int) -> None:
     rng = np.random.default_rng(seed)
@@ -97,7 +97,7 @@ def test_through_a_sharp_beam_turning_the_symbol_turns_the_answer(seed: int, tur
     np.testing.assert_allclose(turned, np.roll(still, turn, axis=0), atol=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), smear=st.floats(0, 0.6))
 def test_the_correlation_is_one_at_most_and_blind_to_gain_and_offset(
     seed: int, smear: float
@@ -109,7 +109,7 @@ def test_the_correlation_is_one_at_most_and_blind_to_gain_and_offset(
     np.testing.assert_allclose(correlation(3 * matrix + 7, smear), found, atol=1e-9)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1), hidden=st.integers(0, ANGLES - 4), smear=st.floats(0, 0.4))
 def test_it_is_the_correlation_of_generalised_least_squares(
     seed: int, hidden: int, smear: float

@@ -32,7 +32,7 @@ def still_circle(range_m, bearing_deg, height_m, radius_m=0.15):
     return np.sqrt(x**2 + y**2 + height_m**2), np.degrees(np.arctan2(x, y)), angle
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
     window=st.sampled_from(WINDOWS),
@@ -95,7 +95,7 @@ def test_a_drawn_disc_comes_out_round_and_where_it_is(rows, range_m, bearing_deg
     assert across == pytest.approx(along, rel=0.05)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
     range_m=st.floats(1.3, 3.7),
@@ -263,7 +263,7 @@ def test_line_of_sight_points_straight_away_from_the_sonar(kind):
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
     ahead_m=st.floats(1.0, 3.0),

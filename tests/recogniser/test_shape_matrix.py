@@ -45,7 +45,7 @@ def identified(
     return identify(grey, seen, sampler.bands, TURNED)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(landmark=st.sampled_from(sorted(SECTORS)), turn=st.floats(0, 2 * np.pi))
 def test_an_ideal_disc_gives_the_ideal_row_at_any_rotation(landmark, turn):
     found = identified(picture(disc_pattern(SECTORS[landmark], turn)))
@@ -121,7 +121,7 @@ def test_a_squeezed_disc_needs_its_own_axes():
     assert wrong.ring[0] < 0.6
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(landmark=st.sampled_from(sorted(SECTORS)), column=st.integers(40, 140), fill=st.booleans())
 def test_what_lies_outside_the_fan_counts_for_nothing(landmark, column, fill):
     image = picture(disc_pattern(SECTORS[landmark], 3 * STEP))
@@ -162,7 +162,7 @@ def best_split(values):
     return best
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_identify_is_the_counting_of_cells_written_out(seed):
     rng = np.random.default_rng(seed)
@@ -186,7 +186,7 @@ def test_identify_is_the_counting_of_cells_written_out(seed):
         assert found.ring[n] == pytest.approx(np.mean(bright))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(data=st.data())
 def test_otsu_parts_8_bit_values_as_opencv_does(data):
     size = data.draw(st.integers(2, 60))

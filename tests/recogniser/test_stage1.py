@@ -63,7 +63,7 @@ def miss(plane: Plane, selection: Selection, range_m: float, bearing_deg: float)
     return float(np.hypot(*(selection.positions - truth).T).min(initial=math.inf))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 2**32 - 1), range_m=st.floats(1.7, 3.2), bearing_deg=st.floats(-9.5, 9.5)
 )

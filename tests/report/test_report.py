@@ -847,7 +847,7 @@ def test_sightings_of_the_sample(results: Path) -> None:
 
 
 @given(st.lists(st.floats(0, 1) | st.just(np.nan), min_size=1, max_size=3000), st.integers(2, 400))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_thinning_keeps_peaks_and_dips(values: list[float], most: int) -> None:
     y = np.array(values)
     kept = svg.thinned(y, most)

@@ -276,7 +276,7 @@ def test_truth_without_positions(tmp_path: Path, log: Path) -> None:
     assert not (tmp_path / "sheet.png").exists()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(range_m=st.floats(1.3, 3.7), bearing_deg=st.floats(-20, 20), margin=st.floats(-0.08, 0.08))
 def test_visible_of_the_simulator_is_always_sound(
     tmp_path_factory: pytest.TempPathFactory, range_m: float, bearing_deg: float, margin: float

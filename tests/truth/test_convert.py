@@ -776,7 +776,7 @@ def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
     assert [row[4] for row in rows] == pytest.approx([1.0, 0.5, 0.0], abs=0.01)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(1.6, 3.4), st.floats(-16, 16), st.floats(0.05, 0.2))
 def test_share_inside_a_bearing_edge_is_a_circular_segment(
     range_m: float, bearing_deg: float, radius_m: float
@@ -957,7 +957,7 @@ def as_labelme(rows: list[Row], folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("write", [as_cvat_video, as_cvat_images, as_coco, as_mot, as_labelme])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(drawn=st.sets(places, min_size=1, max_size=12))
 def test_the_same_truth_in_every_format(
     tmp_path_factory: pytest.TempPathFactory, write, drawn: set[tuple[int, int, int, int]]
