@@ -18,9 +18,14 @@ from tests.support.one_core import one_core
 # and their threads would wait for each other. test_same_bytes.py has several threads.
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 
-# An example may take as long as it does: a slow machine must fail no test.
-settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("untimed")
+# The same examples each time; and each may take as long as it does: a slow machine fails no test.
+settings.register_profile(
+    "ours",
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("ours")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Begun in the background of a script: the programs that tests stop by Ctrl-C would inherit it.

@@ -69,7 +69,6 @@ def test_stated_scale_and_apex_count() -> None:
     assert [float(v) for v in pixel_from_polar(fan, 1.0, 0.0)] == [262, 469]
 
 
-@settings(deadline=None, derandomize=True)
 @given(sonars, st.floats(0.01, 50), st.floats(-89, 89))
 def test_round_trip(sonar: Sonar, range_m: float, bearing: float) -> None:
     for fan in (
@@ -80,7 +79,7 @@ def test_round_trip(sonar: Sonar, range_m: float, bearing: float) -> None:
         np.testing.assert_allclose(back, (range_m, bearing), atol=1e-8)
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(sonars, st.integers(20, 120))
 def test_the_polar_fan_holds_the_whole_window(sonar: Sonar, bins: int) -> None:
     """Every point of the window falls into the image, and no row or column is there for nothing."""

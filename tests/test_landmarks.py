@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
@@ -76,7 +76,6 @@ def landmark_tables(draw: st.DrawFn) -> dict[str, Any]:
     }
 
 
-@settings(deadline=None, derandomize=True)
 @given(landmark_tables(), st.floats(-50, 50))
 def test_codes_of_any_number_of_ids_and_sectors(table: dict[str, Any], angle: float) -> None:
     found = landmarks_from_table(table, "here")

@@ -66,7 +66,7 @@ def lz4_block(sequences: list[tuple[bytes, int, int]]) -> tuple[bytes, bytes, li
     return bytes(block), bytes(plain), known
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(data=st.data())
 def test_a_cut_lz4_block_is_decoded_to_its_last_byte(data: st.DataObject) -> None:
     sequences, length = [], 0

@@ -364,7 +364,7 @@ def test_counts_that_lie_are_only_counts(tmp_path: Path) -> None:
 # Overlap, order, memory
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_any_spread_over_chunks_gives_log_time_order(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory

@@ -193,7 +193,7 @@ DAMAGED += [("foxglove/RawImage", "json"), ("foxglove/CompressedImage", "json")]
 
 
 @pytest.mark.parametrize("kind", DAMAGED, ids=" ".join)
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=80)
 @given(data=st.data())
 def test_damaged_messages_never_escape(kind: tuple[str, str], data: st.DataObject) -> None:
     """Whatever the bytes, a decoder gives pixels or says that the frame cannot be used."""
@@ -376,7 +376,7 @@ def test_an_inflating_bomb_is_not_inflated(declared: int, tmp_path: Path) -> Non
     assert peak < 20 * 2**20
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_damaged_files_never_escape(data: st.DataObject, tmp_path_factory: object) -> None:
     """Bytes changed anywhere: frames, problem lines or one SonarrecError, never anything else."""
