@@ -164,19 +164,32 @@ def test_what_is_learned_fits_its_samples_no_worse_than_the_prior():
     assert log_likelihood(fit([samples], prior), samples) > log_likelihood(prior, samples)
 
 
-def test_tracks_are_labelled_by_where_they_lie():
-    """On a landmark to a quarter of a disc's diameter, off it from half of one, taught between."""
-    diameter = 2 * BASIN.radius_m
-    away = np.array([0.0, 0.2, 0.3, 0.6, 0.0])
-    tracks = Tracks(
+def in_two_frames(
+    row: list[int], number: list[int], position: np.ndarray, **looks: np.ndarray
+) -> Tracks:
+    """Tracks of a log of two frames. looks: what is seen of them, if it matters."""
+    nothing = {"features": np.zeros((len(row), 4, len(FEATURES))), "smear": np.zeros(len(row))}
+    return Tracks(
         name="log",
         landmarks=BASIN,
         fan=None,
         frame=np.arange(2),
         timestamp_ns=np.arange(2),
-        row=np.array([0, 0, 0, 0, 1]),
-        number=np.array([7, 8, 9, 10, 7]),
-        position=np.column_stack([away * diameter, np.full(5, 2.0)]),
+        row=np.array(row),
+        number=np.array(number),
+        position=position,
+        **nothing | looks,
+    )
+
+
+def test_tracks_are_labelled_by_where_they_lie():
+    """On a landmark to a quarter of a disc's diameter, off it from half of one, taught between."""
+    diameter = 2 * BASIN.radius_m
+    away = np.array([0.0, 0.2, 0.3, 0.6, 0.0])
+    tracks = in_two_frames(
+        [0, 0, 0, 0, 1],
+        [7, 8, 9, 10, 7],
+        np.column_stack([away * diameter, np.full(5, 2.0)]),
         features=np.arange(5 * 4 * len(FEATURES), dtype=float).reshape(5, 4, -1),
         smear=np.arange(5) / 10,
     )
@@ -191,17 +204,10 @@ def test_tracks_are_labelled_by_where_they_lie():
 
 def test_a_hidden_landmark_teaches_neither_its_id_nor_none():
     """Tracks 7 and 8 each lie on a landmark in frame 0; nothing is seen of that of track 7."""
-    tracks = Tracks(
-        name="log",
-        landmarks=BASIN,
-        fan=None,
-        frame=np.arange(2),
-        timestamp_ns=np.arange(2),
-        row=np.array([0, 0, 0, 1, 1, 1]),
-        number=np.array([7, 8, 9, 7, 8, 9]),
-        position=np.array([[0.0, 2], [1, 2], [2, 2]] * 2),
-        features=np.zeros((6, 4, len(FEATURES))),
-        smear=np.zeros(6),
+    tracks = in_two_frames(
+        [0, 0, 0, 1, 1, 1],
+        [7, 8, 9, 7, 8, 9],
+        np.array([[0.0, 2], [1, 2], [2, 2]] * 2),
     )
     truth = Truth(
         frame_index=np.array([0, 0]),
@@ -223,17 +229,10 @@ def test_how_much_of_the_truth_a_track_lay_on_is_counted():
     """Of frames 0 and 1: a landmark on a track twice, one beside it, one hidden, one just within
     a quarter of a disc."""
     diameter = 2 * BASIN.radius_m
-    tracks = Tracks(
-        name="log",
-        landmarks=BASIN,
-        fan=None,
-        frame=np.arange(2),
-        timestamp_ns=np.arange(2),
-        row=np.array([0, 0, 1]),
-        number=np.array([7, 8, 7]),
-        position=np.array([[0.0, 2], [1, 2], [0, 2]]),
-        features=np.zeros((3, 4, len(FEATURES))),
-        smear=np.zeros(3),
+    tracks = in_two_frames(
+        [0, 0, 1],
+        [7, 8, 7],
+        np.array([[0.0, 2], [1, 2], [0, 2]]),
     )
     truth = Truth(
         frame_index=np.array([0, 0, 0, 1, 1]),
