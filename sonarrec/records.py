@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import Field, dataclass, fields
+from operator import attrgetter
 from typing import Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -334,6 +335,13 @@ class Estimate:
     def followed(self) -> bool:
         """Whether the object is one that is followed from frame to frame."""
         return self.object >= 0 and follows(self.method)
+
+    def __reduce__(self) -> tuple[type[Estimate], tuple[Any, ...]]:
+        """For pickle, in half the time that a dataclass takes: all go from process to process."""
+        return Estimate, _of_estimate(self)
+
+
+_of_estimate = attrgetter(*(field.name for field in fields(Estimate)))
 
 
 @dataclass(frozen=True, slots=True)

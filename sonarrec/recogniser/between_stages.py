@@ -23,14 +23,20 @@ from sonarrec.records import (
 
 
 @dataclass(frozen=True, slots=True)
-class AfterStage1:
-    """One frame after stage 1; nothing in it depends on other frames."""
+class WorkingImage:
+    """One frame in the working plane, before stage 1."""
 
     frame: int
     """The frame's number."""
     timestamp_ns: int
     image: ByteImage
-    """The working image."""
+    """(rows, columns) of the plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class AfterStage1(WorkingImage):
+    """One frame after stage 1; nothing in it depends on other frames."""
+
     selection: Selection
 
 

@@ -1,4 +1,4 @@
-"""Does the rest of the work on some items in a process of its own, on another core.
+"""Shares the work on some items with a process of its own, on another core.
 
 Threads would take turns at what is done in Python itself, which is half of the recogniser's time.
 """
@@ -18,6 +18,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 import cv2
 
+Given = TypeVar("Given")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 CAN_FORK = sys.platform == "linux"
@@ -25,10 +26,12 @@ CAN_FORK = sys.platform == "linux"
 STOPS = signal.SIGINT, signal.SIGTERM
 DEPTH = 8
 """How many items may wait at most: the process must not run out of them, but images are large."""
+SCARCE = 3
+"""With fewer that wait, the process makes the next one: it would soon have nothing to do."""
 
 
-class OwnProcess(Generic[Item, Result]):
-    """A process that makes results of items which this process makes.
+class OwnProcess(Generic[Given, Item, Result]):
+    """A process that makes results of items; these are made by whichever process has time.
 
     It is a copy of this one, so that nothing has to be handed over but items and results; what the
     work changes in memory is changed in the copy alone. Items go through memory that both share.
@@ -36,11 +39,18 @@ class OwnProcess(Generic[Item, Result]):
     has none. Make it before any other thread.
     """
 
-    def __init__(self, work: Callable[[Iterator[Item]], Iterator[Result]], most_bytes: int) -> None:
-        """work: makes the results, in the process. most_bytes: of an item's arrays.
+    def __init__(
+        self,
+        make: Callable[[Given], Item],
+        work: Callable[[Iterator[Item]], Iterator[Result]],
+        most_bytes: int,
+    ) -> None:
+        """make: makes an item, whatever was made before it. work: makes the results.
 
-        Raises OSError where there is no room for another process.
+        most_bytes: that the arrays of an item take, or those of what it is made of. Raises OSError
+        where there is no room for another process.
         """
+        self._make = make
         self._memory = [mmap.mmap(-1, most_bytes) for _ in range(DEPTH)]
         self._pipe, its_end = Pipe()
         self._threads = cv2.getNumThreads()
@@ -51,18 +61,18 @@ class OwnProcess(Generic[Item, Result]):
             self._process = os.fork()
             if self._process == 0:
                 self._pipe.close()
-                _work(work, its_end, self._memory)
+                _work(make, work, its_end, self._memory)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         its_end.close()
 
-    def results(self, items: Iterable[Item]) -> Iterator[Result]:
-        """The results, as soon as they are made.
+    def results(self, given: Iterable[Given]) -> Iterator[Result]:
+        """The results, as soon as they are made. given: what the items are made of.
 
         An exception that the iterable raises is raised after the results of the items before it.
         Raises ChildProcessError where the process was killed.
         """
-        left, broken = iter(items), None
+        left, broken = iter(given), None
         free, ended = [*range(DEPTH)], False
         while True:
             while ended or not free or self._pipe.poll():
@@ -78,12 +88,14 @@ class OwnProcess(Generic[Item, Result]):
                 else:
                     raise what
             try:
-                item = next(left)
+                raw = next(left)
+                made = DEPTH - len(free) >= SCARCE
+                item = self._make(raw) if made else raw
             except BaseException as error:
                 ended, broken = True, None if isinstance(error, StopIteration) else error
                 self._tell(None)
             else:
-                self._tell((free[-1], *_put(item, self._memory[free[-1]])))
+                self._tell((free[-1], made, *_put(item, self._memory[free[-1]])))
                 free.pop()
 
     def _tell(self, message: object) -> None:
@@ -106,13 +118,16 @@ class OwnProcess(Generic[Item, Result]):
 
 
 def _work(
-    work: Callable[[Iterator[Any]], Iterator[Any]], pipe: Connection, memory: list[mmap.mmap]
+    make: Callable[[Any], Any],
+    work: Callable[[Iterator[Any]], Iterator[Any]],
+    pipe: Connection,
+    memory: list[mmap.mmap],
 ) -> NoReturn:
     """Make results until there are no more items, or nobody wants them; then end the process."""
     try:
         for stop in STOPS:
             signal.signal(stop, signal.SIG_IGN)  # the other one ends it
-        for result in work(_items(pipe, memory)):
+        for result in work(_items(make, pipe, memory)):
             pipe.send(("result", result))
         pipe.send(("end", None))
     except (EOFError, OSError):
@@ -124,13 +139,13 @@ def _work(
         os._exit(0)  # what else is to be done at the end, the other one does
 
 
-def _items(pipe: Connection, memory: list[mmap.mmap]) -> Iterator[Any]:
+def _items(make: Callable[[Any], Any], pipe: Connection, memory: list[mmap.mmap]) -> Iterator[Any]:
     """The items in order; each leaves its memory free for another."""
     while (told := pipe.recv()) is not None:
-        slot, sizes, rest = told
+        slot, made, sizes, rest = told
         item = _taken(memory[slot], sizes, rest)
         pipe.send(("free", slot))
-        yield item
+        yield item if made else make(item)
 
 
 def _put(item: object, memory: mmap.mmap) -> tuple[list[int], bytes]:

@@ -11,7 +11,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.beam_width import usual_beam_width_deg
-from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, Batch
+from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, Batch, WorkingImage
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
@@ -22,7 +22,7 @@ from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement
 from sonarrec.recogniser.stage3_features.model import built_in_model
 from sonarrec.recogniser.stage3_features.published import PublishedMeasurement
 from sonarrec.recogniser.stage3_features.smi import identify
-from sonarrec.records import ByteImage, Fan, Frame, FrameResult
+from sonarrec.records import Fan, Frame, FrameResult
 
 SMI = "smi"
 FRAMEWORK = "framework"
@@ -88,18 +88,20 @@ class ThreeStages:
 
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
-        return self.stage3([self.stage2(self.stage1(frame, self.working_image(frame)))])[0]
+        return self.stage3([self.stage2(self.stage1(self.working_image(frame)))])[0]
 
-    def working_image(self, frame: Frame) -> ByteImage:
+    def working_image(self, frame: Frame) -> WorkingImage:
         """The frame in the working plane, which stage 1 works on. Frames may come in any order."""
-        return self._plane.warp(frame.pixels, frame.polar)
+        image = self._plane.warp(frame.pixels, frame.polar)
+        return WorkingImage(frame.index, frame.timestamp_ns, image)
 
-    def stage1(self, frame: Frame, image: ByteImage) -> AfterStage1:
+    def stage1(self, frame: WorkingImage) -> AfterStage1:
         """Candidate selection (Section 3.2): where could a landmark's circle be?
 
-        image: the frame's `working_image`. Frames may come in any order.
+        Frames may come in any order.
         """
-        return AfterStage1(frame.index, frame.timestamp_ns, image, self._select(image))
+        selection = self._select(frame.image)
+        return AfterStage1(frame.frame, frame.timestamp_ns, frame.image, selection)
 
     def stage2(self, frame: AfterStage1) -> AfterStage2:
         """Continuity evaluation (Section 3.3): which candidates are objects that persist?

@@ -10,18 +10,15 @@ from itertools import islice
 
 import cv2
 
-from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2
+from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, WorkingImage
 from sonarrec.recogniser.odometry import PoseTally
 from sonarrec.recogniser.own_process import CAN_FORK, OwnProcess
 from sonarrec.recogniser.prefetch import Prefetcher
 from sonarrec.recogniser.three_stages import ThreeStages
-from sonarrec.records import ByteImage, Frame, FrameResult
+from sonarrec.records import Frame, FrameResult
 
 # Frames that stage 3 takes at once, which costs a third of one by one. More would save little.
 FRAMES_AT_ONCE = 16
-# Fewest pixels of a fan with which most of the work is done in OpenCV and numpy, where threads work
-# side by side. With fewer, half of it is done in Python, which takes a process of its own.
-LARGE = 2**18
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,35 +37,34 @@ def recognise_together(
     """Several recognisers over the same frames: for each frame, one result of each recogniser.
 
     Results come in bursts of FRAMES_AT_ONCE. An exception on the way, also Ctrl-C, is raised after
-    the results of all frames before it were yielded. ahead: whether frames are read and stage 1
-    runs on another core than the later stages; for LARGE fans reading has a third one. Raises
-    ChildProcessError where a process for that was killed.
+    the results of all frames before it were yielded. ahead: whether two cores share the work: one
+    reads the frames, the other does the later stages, and stage 1 is done by the one that has time.
+    Raises ChildProcessError where the process for that was killed.
     """
     cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
-    large = all(r.fan.rows * r.fan.columns >= LARGE for r in recognisers)
-    follow = partial(_follow, recognisers)
+    select, follow = partial(_select, recognisers), partial(_follow, recognisers)
     with ExitStack() as running:
-        process: OwnProcess[list[AfterStage1], Burst] | None = None
-        if ahead and CAN_FORK and not large:  # before anything runs ahead in a thread
+        process: OwnProcess[list[WorkingImage], list[AfterStage1], Burst] | None = None
+        if ahead and CAN_FORK:  # before anything runs ahead in a thread
             with suppress(OSError):  # no room for another process
-                process = OwnProcess(follow, sum(r.most_bytes for r in recognisers))
+                process = OwnProcess(select, follow, sum(r.most_bytes for r in recognisers))
                 running.callback(process.close)
-        seen: Iterable[tuple[Frame, list[ByteImage]]]
-        seen = ((frame, [r.working_image(frame) for r in recognisers]) for frame in frames)
-        if ahead and large:
-            seen = running.enter_context(closing(Prefetcher(seen)))
-        selected: Iterable[list[AfterStage1]]
-        selected = (
-            [r.stage1(frame, image) for r, image in zip(recognisers, images, strict=True)]
-            for frame, images in seen
-        )
+        images = ([r.working_image(frame) for r in recognisers] for frame in frames)
+        selected: Iterable[list[AfterStage1]] = map(select, images)
         if ahead and process is None:
             selected = running.enter_context(closing(Prefetcher(selected)))
-        bursts = follow(selected) if process is None else process.results(selected)
+        bursts = follow(selected) if process is None else process.results(images)
         for burst in bursts:
             for recogniser, tally in zip(recognisers, burst.tallies, strict=True):
                 recogniser.odometry.tally = tally
             yield from burst.results
+
+
+def _select(
+    recognisers: Sequence[ThreeStages], images: Sequence[WorkingImage]
+) -> list[AfterStage1]:
+    """Stage 1 of all recognisers over one frame."""
+    return [r.stage1(image) for r, image in zip(recognisers, images, strict=True)]
 
 
 def _follow(

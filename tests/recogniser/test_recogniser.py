@@ -372,7 +372,7 @@ def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     monkeypatch.setattr(
         ThreeStages,
         "stage1",
-        lambda self, frame, image: seen.append(frame.index) or stage1(self, frame, image),
+        lambda self, frame: seen.append(frame.frame) or stage1(self, frame),
     )
     log = still_log(3, 3)
     side_by_side(log, "default", "paper", "offline")

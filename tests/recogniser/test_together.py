@@ -22,21 +22,17 @@ from tests.support.batch import made, tables
 
 
 @pytest.mark.parametrize("damaged", [(), (5,), (0, 7, 8), range(12)])
-@pytest.mark.parametrize("large", [False, True])
 @pytest.mark.parametrize("fork", [False, True])
 def test_a_run_is_the_same_with_and_without(
     fork: bool,
-    large: bool,
     damaged: Sequence[int],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With a process or a thread more; for large fans with two threads."""
+    """With a process or a thread more."""
     if fork and not CAN_FORK:
         pytest.skip("this system has no processes of this kind")
     monkeypatch.setattr(together, "CAN_FORK", fork)
-    if large:
-        monkeypatch.setattr(together, "LARGE", 0)
     (log,) = made(tmp_path, "log", frames=12)
     for number in damaged:
         image = log / f"{number:06d}.png"
@@ -53,8 +49,8 @@ def test_a_run_is_the_same_with_and_without(
         done = CliRunner().invoke(main, ["run", str(log), "-o", str(out)])
         told[cores] = done.exit_code, done.output.replace(str(out), "OUT")
         used = (cores - 1) * (len(damaged) < 12)
-        assert len(processes) == (fork and not large) * used
-        assert len(threads) == (2 if large else not fork) * used
+        assert len(processes) == fork * used
+        assert len(threads) == (not fork) * used
         if len(damaged) < 12:
             told[cores] += (tables(out / "log"),)
     assert told[1] == told[2]

@@ -53,7 +53,7 @@ class Parts:
         self._index += 1
         frame = Frame(self._index, 0, image, self._fan)
         stages = self._recogniser
-        followed = stages.stage2(stages.stage1(frame, stages.working_image(frame)))
+        followed = stages.stage2(stages.stage1(stages.working_image(frame)))
         groups = followed.groups
         declare = self._config.features.declare
         found = identify(
