@@ -14,7 +14,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from sonarrec.records import BoolArray, ByteImage, Fan, FloatArray, PolarImages, SonarrecError
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray
+from sonarrec.records import Fan, PolarImages, SonarrecError
 from sonarrec.sonar import Geometry
 
 MAX_FAN_PIXELS = 2**24

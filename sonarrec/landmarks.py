@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.files.toml import (
     Positive,
     Share,
@@ -18,7 +19,7 @@ from sonarrec.files.toml import (
     named_file,
     read_toml,
 )
-from sonarrec.records import FloatArray, IntArray, SonarrecError, UsageError
+from sonarrec.records import SonarrecError, UsageError
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
 

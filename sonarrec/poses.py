@@ -13,7 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from sonarrec.records import FloatArray, IntArray, Motion
+from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.records import Motion
 
 GAP = 10
 """There is no pose between rows that are more than this many usual steps apart."""

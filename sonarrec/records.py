@@ -5,21 +5,14 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import Field, dataclass, fields
+from dataclasses import dataclass, fields
 from operator import attrgetter
-from typing import Any, ClassVar, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.floating]
-FloatImage = npt.NDArray[np.float32]
-ByteImage = npt.NDArray[np.uint8]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
-IndexArray = npt.NDArray[np.intp]
+if TYPE_CHECKING:  # a command's --help needs no numpy, whose import takes longer than all the rest
+    from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage, IntArray
 
 PART = ".part"
 """Ending of the name of a results folder whose run is not finished; no other folder has it."""
@@ -277,20 +270,6 @@ class Groups:
     sight_deg: FloatArray
     in_view: BoolArray
     remembered: IntArray
-
-
-class _Dataclass(Protocol):
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-
-Record = TypeVar("Record", bound=_Dataclass)
-
-
-def joined(parts: Sequence[Record]) -> Record:
-    """One record of several (at least one): each field is the concatenation of theirs."""
-    return type(parts[0])(
-        *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(parts[0]))
-    )
 
 
 def follows(method: str) -> bool:

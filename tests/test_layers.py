@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 FLOORS = (
-    {"records", "times"},
+    {"arrays", "times"},
+    {"records"},
     {"files"},
     {"config", "sonar", "landmarks", "poses"},
     {"geometry"},

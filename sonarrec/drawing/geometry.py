@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.pen import (
     FLOOR,
     GRID,
@@ -18,7 +19,7 @@ from sonarrec.drawing.pen import (
 )
 from sonarrec.geometry import floor_depth, pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import ByteImage, Fan, FloatArray
+from sonarrec.records import Fan
 
 
 def nice_steps(low: float, high: float, about: int) -> FloatArray:

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.files.outputs import replaced, with_mark, writing
 from sonarrec.geometry import (
     STEEPEST,
@@ -17,7 +18,7 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.records import ByteImage, Fan, FloatArray
+from sonarrec.records import Fan
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.geometry import draw_grid
 from sonarrec.drawing.pen import (
     TRUTH,
@@ -23,7 +24,7 @@ from sonarrec.drawing.pen import (
     pixel_unit,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import ByteImage, Estimate, Fan, FloatArray
+from sonarrec.records import Estimate, Fan
 from sonarrec.times import is_date, time_text
 
 AROUND = 1.15

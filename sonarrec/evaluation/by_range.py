@@ -12,12 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.evaluation.counting.behaviour import positive_is_claimed
 from sonarrec.evaluation.counting.passes import find_passes, find_units
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, bootstrap_weights, interval
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.records import FloatArray, IntArray
 
 SEED = 0
 

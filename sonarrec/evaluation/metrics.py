@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.evaluation.counting.behaviour import (
     FalseClaims,
     SwitchTotals,
@@ -33,7 +34,6 @@ from sonarrec.evaluation.counting.unit_sums import (
     UnitSums,
     rate_sums,
 )
-from sonarrec.records import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)

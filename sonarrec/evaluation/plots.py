@@ -12,13 +12,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, NullFormatter
 
+from sonarrec.arrays import FloatArray
 from sonarrec.evaluation.counting.curves import macro_curve
 from sonarrec.evaluation.counting.pooled import PooledScored
 from sonarrec.evaluation.counting.reliability import BINS, FEW, Reliability
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.roc import Point, fpr_end, roc
 from sonarrec.files.outputs import plain, write_figure
-from sonarrec.records import FloatArray
 
 # Okabe and Ito's colours, for any colour vision; line styles distinguish methods in grey print.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.evaluation.counting.curves import PUBLISHED
 from sonarrec.evaluation.counting.pooled import PooledScored
-from sonarrec.records import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

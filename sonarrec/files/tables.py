@@ -15,8 +15,9 @@ from typing import Any, Literal, TextIO
 import numpy as np
 import pandas as pd
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.files.parquet import PARQUET, read_names, read_parts
-from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, printable
+from sonarrec.records import SonarrecError, printable
 
 Kind = Literal[
     "whole",

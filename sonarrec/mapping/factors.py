@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import SiteMap
@@ -24,7 +25,6 @@ from sonarrec.mapping.passes import (
     TURN_SIGMA_DEG,
     periods_of,
 )
-from sonarrec.records import FloatArray, IntArray
 
 FACTOR_COLUMNS = (
     *("log", "frame", "timestamp_ns", "pose_vertex", "landmark_vertex", "number", "landmark"),

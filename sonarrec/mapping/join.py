@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.passes import (
     HEIGHT_SIGMA_M,
@@ -16,7 +17,7 @@ from sonarrec.mapping.passes import (
     periods_of,
 )
 from sonarrec.mapping.path import SonarPath
-from sonarrec.records import BoolArray, Fan, FloatArray, IntArray
+from sonarrec.records import Fan
 
 GATE = 16.27
 """Squared Mahalanobis distance of place and orientation that 99.9 % of the passes of one landmark

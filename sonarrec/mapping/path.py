@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.poses import PoseTable
-from sonarrec.records import FloatArray, IntArray
 
 # Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
 # depend on the stated height and on the floor being flat. The turn of a sonar that stands is

@@ -14,9 +14,10 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from sonarrec.arrays import FloatArray
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Estimate, Fan, FloatArray
+from sonarrec.records import Estimate, Fan
 
 FRAME_ID = "sonar"
 NAME = "vision_msgs/msg/Detection3DArray"

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import cv2
 
+from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import write_png
 from sonarrec.files.outputs import VIDEO_MARK, check_output
 from sonarrec.readers.video import opencv_name
-from sonarrec.records import ByteImage, SonarrecError, UsageError, number_of
+from sonarrec.records import SonarrecError, UsageError, number_of
 
 
 class VideoFile:

@@ -7,7 +7,7 @@ import math
 import cv2
 import numpy as np
 
-from sonarrec.records import ByteImage
+from sonarrec.arrays import ByteImage
 
 
 def looks_beam_major(image: ByteImage) -> bool:

@@ -12,7 +12,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from sonarrec.records import ByteImage, FloatArray
+from sonarrec.arrays import ByteImage, FloatArray
 
 # OpenCV's; matplotlib has most of them too. Ramps of one hue are left out: their luminance is good
 # enough.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sonarrec.records import BoolArray, FloatArray
+from sonarrec.arrays import BoolArray, FloatArray
 
 MOST_SIDE = 1024  # px; of larger pictures every second pixel is used, or every third, ...
 BACKGROUND = 6.0  # grey levels about the background that hold no echo

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from sonarrec.records import IntArray
+from sonarrec.arrays import IntArray
 
 # No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
 LEAST_STEP_NS = 5_000_000

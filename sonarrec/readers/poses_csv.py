@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.poses import PoseTable, pose_table
-from sonarrec.records import FloatArray, IntArray, SonarrecError
+from sonarrec.records import SonarrecError
 
 if TYPE_CHECKING:
     from sonarrec.files.tables import Table

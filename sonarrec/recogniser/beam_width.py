@@ -14,9 +14,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Config
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import ByteImage, Fan, FloatArray, Frame
+from sonarrec.records import Fan, Frame
 
 FRAMES_FOR_BEAMS = 4
 """How many of a log's first frames are looked at."""

@@ -7,19 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray, joined
 from sonarrec.recogniser.stage3_features import Evidence
-from sonarrec.records import (
-    BoolArray,
-    ByteImage,
-    Estimate,
-    FloatArray,
-    FrameResult,
-    Groups,
-    IntArray,
-    Motion,
-    Selection,
-    joined,
-)
+from sonarrec.records import Estimate, FrameResult, Groups, Motion, Selection
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray, FloatImage
 from sonarrec.geometry import floor_depth
-from sonarrec.records import Fan, FloatArray, FloatImage
+from sonarrec.records import Fan
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from sonarrec.arrays import FloatArray, FloatImage
 from sonarrec.recogniser.floor_cells import CellPlaces
-from sonarrec.records import FloatArray, FloatImage
 
 
 class MotionGrid:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import ByteImage, FloatArray, FloatImage
 
 RANGES = 128
 BEARINGS = 192

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.records import BoolArray, FloatArray, FloatImage, IndexArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, FloatImage, IndexArray, IntArray
 
 Rows = BoolArray | IndexArray
 """Which rows to take, in which order: a mask, or indices."""

@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 import cv2
 import numpy as np
 
+from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.geometry import (
     STEEPEST,
     Resampling,
@@ -25,15 +26,7 @@ from sonarrec.geometry import (
     row_bands,
     slant_range,
 )
-from sonarrec.records import (
-    ByteImage,
-    Fan,
-    FloatArray,
-    FloatImage,
-    Motion,
-    PolarImages,
-    SonarrecError,
-)
+from sonarrec.records import Fan, Motion, PolarImages, SonarrecError
 
 Values = FloatArray | float
 Pair = tuple[FloatArray, FloatArray]

@@ -23,10 +23,11 @@ import math
 import cv2
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined
 from sonarrec.config import Continuity
 from sonarrec.recogniser.particles import LostGroups, ParticleGroups
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import BoolArray, FloatArray, Groups, IntArray, Motion, Selection, joined
+from sonarrec.records import Groups, Motion, Selection
 
 NEW_EXISTENCE = 0.5  # of a group that has just begun
 WHOLE = 0.9  # share of a disc in view with which its object should show

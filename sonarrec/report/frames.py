@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import disc_outline
 from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.readers.log import Log
-from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError
+from sonarrec.records import Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
 from sonarrec.report.pictures import Picture, PictureRequest, as_webp, draw, ellipse, shrunk
 from sonarrec.results.folders import estimates_of

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from sonarrec.arrays import IntArray
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.matching.joined import Joined, nearest_truth
-from sonarrec.records import IntArray
 
 GAP = 4
 """An episode may have gaps of so many frames, since neighbouring frames are alike."""

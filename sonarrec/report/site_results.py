@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sonarrec.arrays import ByteImage
 from sonarrec.evaluation.by_range import Rate, RecognitionRates
 from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, unseen_share
 from sonarrec.files.outputs import write_csv, write_text, writing
-from sonarrec.records import ByteImage, number_of
+from sonarrec.records import number_of
 from sonarrec.simulation.background import Layout
 
 ENOUGH = 0.9

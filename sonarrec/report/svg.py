@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.drawing.pen import Colour
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import FloatArray, IntArray
 
 WIDTH, HEIGHT = 2000, 1000
 STYLES = 4

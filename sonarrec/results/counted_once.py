@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.records import IntArray
+from sonarrec.arrays import IntArray
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.run_file import RunFile
 

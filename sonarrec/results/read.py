@@ -10,20 +10,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.files.order import natural_order
 from sonarrec.files.tables import Table, cut, line_number, position_pair, read_table, read_tables
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import (
-    PART,
-    BoolArray,
-    Fan,
-    FloatArray,
-    IntArray,
-    MissingError,
-    SonarrecError,
-    printable,
-)
+from sonarrec.records import PART, Fan, MissingError, SonarrecError, printable
 from sonarrec.results.columns import (
     ESTIMATES_HEADER,
     FRAME_COLUMNS,

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, ByteImage
 from sonarrec.config import Config, preset
 from sonarrec.geometry import floor_depth, slant_range
 from sonarrec.landmarks import LandmarkSet
@@ -26,8 +27,6 @@ from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, usual_beam_width_de
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.records import (
-    BoolArray,
-    ByteImage,
     Clock,
     Fan,
     Frame,

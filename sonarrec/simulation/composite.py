@@ -22,6 +22,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.geometry import (
     fan_mask,
     floor_depth,
@@ -31,7 +32,7 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage
+from sonarrec.records import Fan
 from sonarrec.simulation.motion import Pose
 
 FINE, LIGHT = 1 / 3, 7 / 3  # scales, in radii of the disc

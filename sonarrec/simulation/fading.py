@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.records import FloatArray
+from sonarrec.arrays import FloatArray
 from sonarrec.simulation.motion import ar1
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.world import World

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.records import FloatArray
+from sonarrec.arrays import FloatArray
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.plane import Plane, within_a_turn
 from sonarrec.simulation.scene import Scene

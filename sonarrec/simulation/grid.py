@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from sonarrec.records import BoolArray, FloatArray, SonarrecError
+from sonarrec.arrays import BoolArray, FloatArray
+from sonarrec.records import SonarrecError
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import Scene
 

@@ -7,7 +7,7 @@ import math
 import cv2
 import numpy as np
 
-from sonarrec.records import BoolArray, FloatArray
+from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, smooth_noise
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
 

@@ -7,7 +7,7 @@ import math
 import cv2
 import numpy as np
 
-from sonarrec.records import FloatArray
+from sonarrec.arrays import FloatArray
 from sonarrec.simulation.scene import NO_ECHO_DB, Scene
 
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sonarrec.records import ByteImage, Fan, FloatArray
+from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.records import Fan
 from sonarrec.simulation.fading import Fading
 from sonarrec.simulation.fish import Shoal
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, corners

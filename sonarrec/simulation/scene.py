@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.files.toml import (
     AtLeastOne,
     Count,
@@ -29,7 +30,7 @@ from sonarrec.files.toml import (
 )
 from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.records import Fan, SonarrecError, UsageError
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
 from sonarrec.sonar import Sonar
 

@@ -7,8 +7,8 @@ import math
 import cv2
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import BoolArray, FloatArray
 
 LEARNED_SYMBOLS = ("wedges", "blobs")
 """Kinds that the built-in model learns from: wedges of any width, and patches of any shape."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.records import BoolArray, FloatArray
+from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.simulation.scene import KINDS, ROUND, SYMBOLS, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.symbols import symbol
 

@@ -9,8 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.geometry import in_image, pixel_from_polar, points_on_disc
-from sonarrec.records import Fan, FloatArray
+from sonarrec.records import Fan
 from sonarrec.simulation.fish import Fishes
 from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose

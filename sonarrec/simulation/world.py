@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sonarrec.records import FloatArray
+from sonarrec.arrays import FloatArray
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, smooth_noise
 from sonarrec.simulation.laid import RaisedDisc, ripples, silt_over
 from sonarrec.simulation.motion import Pose

@@ -10,9 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from sonarrec.arrays import ByteImage, FloatArray, IntArray
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
 from sonarrec.files.outputs import plain, write_figure, writing
-from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, name_as_text, number_of
+from sonarrec.records import Frame, name_as_text, number_of
 from sonarrec.truth.check import CheckedTruth
 
 TILES = 8

@@ -7,10 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.files.tables import line_number
 from sonarrec.geometry import pixel_from_plane, pixel_from_polar, plane_position
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.records import Fan, SonarrecError
 from sonarrec.truth.table import TruthTable
 
 

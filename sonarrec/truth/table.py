@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.files.outputs import replaced
 from sonarrec.files.tables import (
     POSITION_KINDS,
@@ -21,7 +22,7 @@ from sonarrec.files.tables import (
     read_header,
     read_table,
 )
-from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
+from sonarrec.records import SonarrecError
 
 HEADER = "frame,landmark,x_px,y_px,visible"
 TRACKED, FILLED_IN = "tracked", "interpolated"

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from sonarrec.arrays import FloatArray
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, wait_counts
 from sonarrec.evaluation.counting.curves import ratio
 from sonarrec.evaluation.counting.passes import MOST_UNITS, find_passes, find_units, log_units
@@ -27,7 +28,6 @@ from sonarrec.evaluation.counting.uncertainty import (
 from sonarrec.evaluation.counting.unit_sums import rate_sums
 from sonarrec.evaluation.metrics import METRICS, rates, tally, waits
 from sonarrec.evaluation.summary import over_units, summarise
-from sonarrec.records import FloatArray
 from tests.support.claims import evaluated, joined
 
 LABELS = ("strict", "m", "total")

@@ -24,6 +24,7 @@ from matplotlib.axes import Axes
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from sonarrec.arrays import FloatArray
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
@@ -36,7 +37,7 @@ from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path
 from sonarrec.mapping.tables import CHI2_95, GeographicOrigin, ellipse, rings_at_180
 from sonarrec.poses import pose_table
 from sonarrec.readers.poses_csv import read_poses
-from sonarrec.records import Estimate, FloatArray, FrameResult, SonarrecError, UsageError
+from sonarrec.records import Estimate, FrameResult, SonarrecError, UsageError
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar

@@ -13,11 +13,11 @@ import pytest
 import tomli_w
 from click.testing import CliRunner, Result
 
+from sonarrec.arrays import FloatArray
 from sonarrec.cli import main
 from sonarrec.mapping.build import make_map
 from sonarrec.mapping.tables import CHI2_95
 from sonarrec.readers.poses_csv import read_poses
-from sonarrec.records import FloatArray
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
 from tests.support.vehicle import RATE_HZ, VehicleRun, truth_of, vehicle_run

@@ -10,10 +10,11 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
+from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.records import ByteImage, Fan, FloatArray, Motion
+from sonarrec.records import Fan, Motion
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render

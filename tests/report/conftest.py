@@ -11,7 +11,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from sonarrec.records import ByteImage
+from sonarrec.arrays import ByteImage
 from sonarrec.report import frames, pictures, site_page
 from tests.support.browser import chromium
 from tests.support.command import SAMPLE, sonarrec

@@ -25,12 +25,12 @@ import gtsam
 import numpy as np
 from tqdm import tqdm
 
+from sonarrec.arrays import FloatArray
 from sonarrec.mapping.build import MapOptions, SiteMap, make_map
 from sonarrec.mapping.factors import Graph, factors, graph_of
 from sonarrec.mapping.path import Drift
 from sonarrec.mapping.tables import CHI2_95
 from sonarrec.mapping.write import write_all
-from sonarrec.records import FloatArray
 from tests.studies.scenes import judge, seeds, show
 from tests.support.vehicle import (
     VehicleRun,

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sonarrec.arrays import FloatArray
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.records import FloatArray
 
 SIGMAS = ["range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg"]
 BINS = 10

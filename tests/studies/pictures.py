@@ -20,6 +20,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
+from sonarrec.arrays import ByteImage
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import fan_mask
@@ -30,7 +31,7 @@ from sonarrec.readers.plausible import FRAMES as LOOKED_AT
 from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.recogniser.unchanging import Unchanging
-from sonarrec.records import ByteImage, Fan, Frame
+from sonarrec.records import Fan, Frame
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
-from sonarrec.records import FloatArray
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import Scene

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.arrays import IntArray
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, Scored, score
 from sonarrec.evaluation.counting.store import Store
 from sonarrec.evaluation.matching.joined import Joined
-from sonarrec.records import IntArray
 
 CHANGE = np.dtype([("frame", "i8"), ("landmark", "i8"), ("old", "i4", 3), ("new", "i4", 3)])
 VERDICTS = {"better": -1, "worse": 1, "other": 0}

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.evaluation.counting.passes import Passes, Units
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.counting.store import values_at_ranks
@@ -20,7 +21,7 @@ from sonarrec.evaluation.counting.unit_sums import (
     plain_sums,
 )
 from sonarrec.evaluation.matching.joined import Joined, distance, nearest_truth
-from sonarrec.records import BoolArray, FloatArray, IntArray, follows
+from sonarrec.records import follows
 
 
 @dataclass(frozen=True, slots=True)

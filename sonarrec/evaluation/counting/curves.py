@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.records import FloatArray, IntArray
+from sonarrec.arrays import FloatArray, IntArray
 
 FPR_POINTS = (0.01, 0.0276, 0.05)
 """FPRs for which the TPR is reported; .0276 is that of the paper's framework (Table 5)."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.evaluation.counting.behaviour import (
     PassOutcomes,
     Switches,
@@ -31,7 +32,6 @@ from sonarrec.evaluation.counting.passes import (
 from sonarrec.evaluation.counting.reliability import calibration
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, Scored, score
 from sonarrec.evaluation.matching.joined import Joined
-from sonarrec.records import BoolArray, FloatArray, IntArray
 
 CLAIM = np.dtype([("score", "f8"), ("unit", "i4"), ("effect", "i1", 4)])
 ERROR = np.dtype([("error", "f8"), ("unit", "i4")])

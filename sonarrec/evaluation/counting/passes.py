@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+from sonarrec.arrays import IntArray
 from sonarrec.evaluation.matching.joined import Joined
-from sonarrec.records import IntArray
 
 PASS_GAP = 10
 """A pass may have gaps of so many frames, so that a shake of the sonar does not end it."""

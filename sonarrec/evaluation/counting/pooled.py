@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.arrays import FloatArray, IntArray, joined
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, Switches
 from sonarrec.evaluation.counting.curves import Count, Curve
 from sonarrec.evaluation.counting.parts import Part, ScoredPart, Totals
@@ -22,7 +23,6 @@ from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKin
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.counting.store import Store, sum_by_value
 from sonarrec.evaluation.counting.unit_sums import Claims, Values
-from sonarrec.records import FloatArray, IntArray, joined
 from sonarrec.results.read import in_order
 
 

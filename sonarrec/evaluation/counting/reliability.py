@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.evaluation.counting.curves import ratio
 from sonarrec.evaluation.counting.passes import Units
 from sonarrec.evaluation.counting.unit_sums import UnitSums
 from sonarrec.evaluation.matching.joined import Joined
-from sonarrec.records import BoolArray, FloatArray, IntArray
 
 BINS = 10
 FEW = 10

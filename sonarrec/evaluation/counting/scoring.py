@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.evaluation.counting.curves import Count, Curve
 from sonarrec.evaluation.matching.joined import Joined, nearest_truth
-from sonarrec.records import BoolArray, FloatArray, IntArray
 
 PROTOCOLS = ("paper", "strict")
 NEGATIVE, POSITIVE, IGNORED = 0, 1, 2

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.records import FloatArray, IntArray
+from sonarrec.arrays import FloatArray, IntArray
 
 IN_MEMORY = 32_000_000
 """Bytes; more go to a temporary file, which is deleted with the store."""

@@ -15,8 +15,8 @@ from statistics import NormalDist
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.evaluation.counting.curves import ratio
-from sonarrec.records import FloatArray
 
 LEVEL = 0.95
 DRAWS = 1000

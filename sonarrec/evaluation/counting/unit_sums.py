@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.evaluation.counting.curves import FPR_POINTS, Curve, ratio
 from sonarrec.evaluation.counting.store import Blocks, values_at_ranks
-from sonarrec.records import BoolArray, FloatArray, IntArray
 
 FPR_GRID = np.unique(
     [

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.records import BoolArray, FloatArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.results.read import LogResults, in_order
 from sonarrec.truth.match import Truth
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.readers.mcap.decode import Decode, fields_decoder
 from sonarrec.readers.mcap.fields import Fields
 from sonarrec.readers.oculus.samples import oculus_geometry, oculus_samples
 from sonarrec.readers.pixels import decode_image, raw_pixels
 from sonarrec.readers.raw import Ping, UnusableError, ping_geometry
-from sonarrec.records import FloatArray
 from sonarrec.sonar import PingGeometry
 
 WIDEST_BEAM_DEG = 5.0

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.readers.raw import UnusableError, ping_geometry
-from sonarrec.records import FloatArray
 from sonarrec.sonar import PingGeometry
 
 

@@ -13,7 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from sonarrec.records import BoolArray, FloatArray, Groups, IndexArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from sonarrec.records import Groups
 
 
 @dataclass(frozen=True, slots=True)

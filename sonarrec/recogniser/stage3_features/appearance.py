@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, joined
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
@@ -21,7 +22,7 @@ from sonarrec.recogniser.stage3_features.description import Describer
 from sonarrec.recogniser.stage3_features.opinions import TrackBelief
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
-from sonarrec.records import BoolArray, FloatArray, Groups, joined
+from sonarrec.records import Groups
 
 # Frames of a track from which on an ID is declared, where enough of the disc is in view. Discs
 # fewer than FEW_BEAMS beams wide need more: a single frame hardly shows their symbol.

@@ -12,8 +12,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import BoolArray, ByteImage, FloatArray, IntArray
 
 ANGLES = 36
 STEP = 2 * np.pi / ANGLES

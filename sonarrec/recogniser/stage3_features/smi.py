@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 from sonarrec.recogniser.stage3_features import Beliefs
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands
-from sonarrec.records import BoolArray, FloatArray, IndexArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
@@ -19,7 +20,7 @@ from sonarrec.recogniser.stage3_features.published import (
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler, turned_codes
 from sonarrec.recogniser.stage3_features.smi import identify
 from sonarrec.recogniser.three_stages import ThreeStages
-from sonarrec.records import Estimate, Fan, FloatArray, Frame
+from sonarrec.records import Estimate, Fan, Frame
 from tests.studies.paper.choices import CHOSEN
 
 CONTINUITY = "continuity"

@@ -21,12 +21,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.uncertainty import LEVEL
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
-from sonarrec.records import FloatArray
 from tests.studies.paper.choices import LITERAL, named
 from tests.studies.paper.parts import BAYES, CONTINUITY, LEARNED, Parts
 from tests.studies.paper.published import CLEAR, FRAMES, IDS, IN_VIEW, TABLE_4, TABLE_5
