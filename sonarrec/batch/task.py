@@ -33,7 +33,7 @@ class Task:
     run_options: RunOptions
     overwrite: bool = False
     remote: RemotePlaces | None = None  # set if the log or its results lie on a server
-    ahead: bool = False  # whether other cores read frames and select candidates in advance
+    ahead: bool = False  # as in `recognise_together`
 
     def absolute(self) -> Task:
         """The same task with absolute paths, for another working folder."""

@@ -135,7 +135,7 @@ class _Batch:
 
             run_on_cluster(tasks, self.scheduler, watch, self.timeout)
             return
-        # If cores are free, each log uses a second one, which reads and selects candidates ahead.
+        # If cores are free, each log uses a second one.
         tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
         if jobs > 1 or self.timeout is not None:
             run_apart(tasks, jobs, watch, self.timeout)

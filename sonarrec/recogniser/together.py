@@ -39,7 +39,8 @@ def recognise_together(
     Results come in bursts of FRAMES_AT_ONCE. An exception on the way, also Ctrl-C, is raised after
     the results of all frames before it were yielded. ahead: whether two cores share the work: one
     reads the frames, the other does the later stages, and stage 1 is done by the one that has time.
-    Raises ChildProcessError where the process for that was killed.
+    Where there can be no process for that, reading and stage 1 have a thread each. Raises
+    ChildProcessError where the process was killed.
     """
     cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
     select, follow = partial(_select, recognisers), partial(_follow, recognisers)
@@ -49,11 +50,15 @@ def recognise_together(
             with suppress(OSError):  # no room for another process
                 process = OwnProcess(select, follow, sum(r.most_bytes for r in recognisers))
                 running.callback(process.close)
+        images: Iterable[list[WorkingImage]]
         images = ([r.working_image(frame) for r in recognisers] for frame in frames)
-        selected: Iterable[list[AfterStage1]] = map(select, images)
-        if ahead and process is None:
-            selected = running.enter_context(closing(Prefetcher(selected)))
-        bursts = follow(selected) if process is None else process.results(images)
+        if process is not None:
+            bursts = process.results(images)
+        elif ahead:
+            images = running.enter_context(closing(Prefetcher(images)))
+            bursts = follow(running.enter_context(closing(Prefetcher(map(select, images)))))
+        else:
+            bursts = follow(map(select, images))
         for burst in bursts:
             for recogniser, tally in zip(recognisers, burst.tallies, strict=True):
                 recogniser.odometry.tally = tally

@@ -29,7 +29,7 @@ def test_a_run_is_the_same_with_and_without(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With a process or a thread more."""
+    """With a process more, or two threads."""
     if fork and not CAN_FORK:
         pytest.skip("this system has no processes of this kind")
     monkeypatch.setattr(together, "CAN_FORK", fork)
@@ -50,7 +50,7 @@ def test_a_run_is_the_same_with_and_without(
         told[cores] = done.exit_code, done.output.replace(str(out), "OUT")
         used = (cores - 1) * (len(damaged) < 12)
         assert len(processes) == fork * used
-        assert len(threads) == (not fork) * used
+        assert len(threads) == 2 * (not fork) * used
         if len(damaged) < 12:
             told[cores] += (tables(out / "log"),)
     assert told[1] == told[2]
