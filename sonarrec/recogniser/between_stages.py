@@ -14,7 +14,7 @@ from sonarrec.records import Estimate, FrameResult, Groups, Motion, Selection
 
 @dataclass(frozen=True, slots=True)
 class WorkingImage:
-    """One frame in the working plane, before stage 1."""
+    """One frame in the working plane."""
 
     frame: int
     """The frame's number."""

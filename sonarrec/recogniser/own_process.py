@@ -69,7 +69,8 @@ class OwnProcess(Generic[Given, Item, Result]):
     def results(self, given: Iterable[Given]) -> Iterator[Result]:
         """The results, as soon as they are made. given: what the items are made of.
 
-        An exception that the iterable raises is raised after the results of the items before it.
+        An exception that the iterable or `make` raises is raised after the results of the items
+        before it.
         Raises ChildProcessError where the process was killed.
         """
         left, broken = iter(given), None
