@@ -170,8 +170,8 @@ class Detector(Protocol):
     def __call__(self, image: ByteImage, relief: FloatImage, sigma: float) -> ScoreMaps:
         """The score maps of a working image.
 
-        relief: (rows, columns) grey level over that of the surroundings. sigma: its standard
-        deviation.
+        relief: (rows, columns) grey level over that of the surroundings; it may be written over.
+        sigma: its standard deviation.
         """
         ...
 
@@ -248,14 +248,13 @@ class RingScore:
         # Never far below the whole frame's: an even patch must not turn its noise into rings.
         least = (LEAST_LOCAL_SIGMA * sigma) ** 2
         local = np.sqrt(np.maximum(self._surroundings.mean(relief * relief), least))
-        score = self._correlate(relief)
-        score *= self._gain
+        score = np.multiply(self._correlate(relief), self._gain, out=relief)
         score /= self._surroundings.fine(local)
         return ScoreMaps(score, score, score, local)
 
 
 class Correlation:
-    """Does what `_correlate` does, by FFT, for many images of one shape and one kernel.
+    """Does what `_correlate` does, by FFT, for many images of one shape and one symmetric kernel.
 
     Arrays are kept from image to image, and columns are transformed as rows: each saves a good part
     of the time. So does single precision, whose errors stay under a millionth of the largest sum;
@@ -263,32 +262,41 @@ class Correlation:
     """
 
     def __init__(self, kernel: FloatImage, shape: tuple[int, int]) -> None:
-        """kernel: square, of an odd number of rows. shape: of the images."""
+        """kernel: square, of an odd number of rows, the same when turned by 180 degrees.
+
+        shape: of the images. Raises ValueError for another kernel.
+        """
+        if not np.array_equal(kernel, kernel[::-1, ::-1]):
+            raise ValueError("the kernel is not symmetric")
         reach = kernel.shape[0] // 2
         # So large that the kernel reaches from neither side of an image round to the other.
         size = [cv2.getOptimalDFTSize(max(side, reach + 1) + reach) for side in shape]
         whole = np.zeros(size)
         whole[: len(kernel), : len(kernel)] = kernel
         whole = np.roll(whole, (-reach, -reach), axis=(0, 1))
-        # (half the columns, rows), times what the transforms of an image are divided by
-        spectrum = np.fft.rfft2(whole).T.conj() * whole.size
-        self._kernel = np.ascontiguousarray(spectrum, np.complex64)
-        self._image = np.zeros((shape[0], whole.shape[1]), np.float32)
+        # (half the columns, rows), times what the transforms of an image are divided by. Its
+        # imaginary part is 0, for the kernel is symmetric.
+        spectrum = np.fft.rfft2(whole).real.T * whole.size
+        self._kernel = np.ascontiguousarray(spectrum, np.float32)
         # Any: numpy's stubs know the transforms' 64 bits alone.
-        self._rows: npt.NDArray[Any] = np.empty((shape[0], len(self._kernel)), np.complex64)
-        self._both: npt.NDArray[Any] = np.empty_like(self._kernel)
+        self._image: npt.NDArray[Any] = np.zeros((shape[0], whole.shape[1]), np.float32)
+        self._both: npt.NDArray[Any] = np.zeros_like(self._kernel, np.complex64)
+        self._rows = self._both.T[: shape[0]]
 
     def __call__(self, image: FloatImage) -> FloatImage:
-        """(rows, columns) of an image with the kernel centred on each pixel; 0 beyond it."""
+        """(rows, columns) of an image with the kernel centred on each pixel; 0 beyond it.
+
+        The next call writes over it.
+        """
         rows, columns = image.shape
-        self._image[:, :columns] = image
+        self._image[:, :columns], self._image[:, columns:] = image, 0
         np.fft.rfft(self._image, norm="forward", out=self._rows)
-        np.fft.fft(self._rows.T, len(self._both.T), norm="forward", out=self._both)
+        self._both[:, rows:] = 0
+        np.fft.fft(self._both, norm="forward", out=self._both)
         self._both *= self._kernel
         np.fft.ifft(self._both, out=self._both)
-        self._rows[:] = self._both[:, :rows].T
-        found = np.fft.irfft(self._rows, self._image.shape[1])
-        return np.ascontiguousarray(found[:, :columns], np.float32)
+        np.fft.irfft(self._rows, self._image.shape[1], out=self._image)
+        return self._image[:, :columns]
 
 
 def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:

@@ -245,9 +245,12 @@ def test_discs_whose_gap_the_beams_fill_are_candidates(seed):
 
 @pytest.mark.parametrize("shape", [(40, 31), (9, 50), (7, 5), (1, 12)])
 def test_a_correlation_is_the_sum_written_out_for_image_after_image(shape):
-    """Also of images that the kernel is larger than, and of a kernel that no turn leaves alike."""
+    """Also of images that the kernel is larger than; of a kernel that half a turn leaves alike."""
     rng = np.random.default_rng(8)
     kernel = rng.normal(size=(11, 11)).astype(np.float32)
+    with pytest.raises(ValueError, match="symmetric"):
+        Correlation(kernel, shape)
+    kernel += kernel[::-1, ::-1].copy()
     correlation = Correlation(kernel, shape)
     for _ in range(3):
         image = rng.normal(size=shape).astype(np.float32)
