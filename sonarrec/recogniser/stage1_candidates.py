@@ -65,8 +65,9 @@ class CandidateSelector:
         """Candidates in a working image (uint8, the plane's shape)."""
         around = self._surroundings
         mean = around.mean(cv2.bitwise_and(image, image, mask=self._inside))
-        relief = np.asarray(cv2.subtract(image, around.fine(mean), dtype=cv2.CV_32F), np.float32)
-        relief *= self._inside
+        relief = np.asarray(
+            cv2.subtract(image, around.fine(mean), mask=self._inside, dtype=cv2.CV_32F), np.float32
+        )
         # A black or even frame has no relief but that of rounding.
         sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
         sigma = max(sigma, LEAST_SIGMA)
