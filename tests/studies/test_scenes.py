@@ -16,6 +16,7 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset, with_assignments
+from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.landmarks import load_landmarks
@@ -226,6 +227,7 @@ def test_each_ablation_changes_something(name: str) -> None:
     ("command", "arguments", "told"),
     [
         (scenes.main, ["--kinds", "plain", "no_landmark", "tiny_discs"], "default, pooled: TPR"),
+        (scenes.main, ["--kinds", "plain", "--ours"], "default, pooled: TPR"),
         (ablation.main, ["--kinds", "plain"], "discs taken for evenly lit"),
         (study.main, [], "default less paper"),
     ],
@@ -245,3 +247,31 @@ def test_commands_tell_their_tables(
     monkeypatch.setattr(ablation, "ABLATIONS", {name: ablation.ABLATIONS[name] for name in some})
     command([*arguments, "--seeds", "2000", "--frames", "4", "--out", str(tmp_path / "out")])
     assert told in capsys.readouterr().out
+
+
+def test_intervals_over_recordings_are_those_of_all_that_may_be_drawn() -> None:
+    """Of two recordings each alone is drawn twice in a quarter of all cases: more than 2.5 %."""
+    none = scenes.Row("no_landmark", 1, 0, {("strict", "default"): Count(0, 9, 1, 0)})
+    first = scenes.Row("plain", 1, 2, {("strict", "default"): Count(9, 90, 10, 1)})
+    second = scenes.Row("plain", 2, 2, {("strict", "default"): Count(5, 98, 2, 5)})
+    assert scenes.intervals([first, second], "default") == ((0.5, 0.9), (0.02, 0.1))
+    assert scenes.intervals([second] * 3, "default") == ((0.5, 0.5), (0.02, 0.02))
+    tpr, fpr = scenes.intervals([none, none], "default")
+    assert np.isnan(tpr).all()
+    assert fpr == (0.1, 0.1)
+
+
+def test_results_that_are_there_are_scored_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two recordings, so that there is an interval; nothing is rendered the second time."""
+    out = str(tmp_path / "out")
+    asked = ["--kinds", "plain", "--seeds", "2000:2002", "--frames", "4", "--ours", "--out", out]
+    monkeypatch.setattr(scenes, "in_processes", lambda work, items: list(map(work, items)))
+    scenes.main(asked)
+    first = capsys.readouterr().out
+    monkeypatch.setattr(scenes, "in_processes", None)
+    scenes.main([*asked, "--again"])
+    again = capsys.readouterr().out
+    assert "95 % intervals over recordings" in first
+    assert first.splitlines()[:-1] == again.splitlines()[:-1]  # the last tells the time it took
