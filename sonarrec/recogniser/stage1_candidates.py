@@ -118,11 +118,17 @@ class Surroundings:
         size = 4 * _reach(plane) // COARSE + 1
         self._size = (size, size)
         self._shape = plane.inside.shape
-        self._seen = np.maximum(self._sum(plane.inside.astype(np.float32)), np.float32(1e-3))
+        seen = self._sum(_whole(plane.inside.astype(np.float32)))
+        self._seen = np.maximum(seen, np.float32(1e-3))
 
     def mean(self, values: npt.NDArray[Any]) -> FloatImage:
         """Local means, on the coarse grid, of (rows, columns) values that are 0 outside the fan."""
-        return np.asarray(self._sum(values) / self._seen, np.float32)
+        return np.asarray(self._sum(_whole(values)) / self._seen, np.float32)
+
+    def mean_square(self, values: FloatImage) -> FloatImage:
+        """The same of the values' squares."""
+        whole = _whole(values)
+        return np.asarray(self._sum(np.multiply(whole, whole, out=whole)) / self._seen, np.float32)
 
     def fine(self, coarse: FloatArray) -> FloatImage:
         """Values on the coarse grid interpolated to every pixel: (rows, columns)."""
@@ -142,13 +148,18 @@ class Surroundings:
         found = cv2.remap(coarse, column, row, cv2.INTER_LINEAR, borderMode=border)
         return np.asarray(found, float).ravel()
 
-    def _sum(self, values: npt.NDArray[Any]) -> FloatImage:
-        """Sum over each pixel's surroundings, in units of their size, on a grid of whole blocks."""
-        rows, columns = (-side % COARSE for side in values.shape)
-        whole = cv2.copyMakeBorder(values, 0, rows, 0, columns, cv2.BORDER_CONSTANT, value=0)
+    def _sum(self, whole: npt.NDArray[Any]) -> FloatImage:
+        """Sum over each pixel's surroundings, in units of their size. whole: from `_whole`."""
         size = (whole.shape[1] // COARSE, whole.shape[0] // COARSE)
         coarse = cv2.resize(whole, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         return np.asarray(cv2.blur(coarse, self._size, borderType=cv2.BORDER_CONSTANT), np.float32)
+
+
+def _whole(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """(rows, columns) values, filled up with 0 to whole blocks of the coarse grid."""
+    rows, columns = (-side % COARSE for side in values.shape)
+    filled = cv2.copyMakeBorder(values, 0, rows, 0, columns, cv2.BORDER_CONSTANT, value=0)
+    return np.asarray(filled)
 
 
 class ScoreMaps(NamedTuple):
@@ -248,7 +259,7 @@ class RingScore:
         """Contrast is counted in the relief's standard deviation about each pixel."""
         # Never far below the whole frame's: an even patch must not turn its noise into rings.
         least = (LEAST_LOCAL_SIGMA * sigma) ** 2
-        local = np.sqrt(np.maximum(self._surroundings.mean(relief * relief), least))
+        local = np.sqrt(np.maximum(self._surroundings.mean_square(relief), least))
         score = np.multiply(self._correlate(relief), self._gain, out=relief)
         score /= self._surroundings.fine(local)
         return ScoreMaps(score, score, score, local)
