@@ -47,7 +47,7 @@ FRAMES = 160
 PROBABLE = ("paper", "default", "offline")
 """Methods whose score is a probability."""
 OURS = ("smi:default", "default", "offline")
-"""Methods that are left with `--ours`, which takes half the time."""
+"""Methods that are left with `--ours`."""
 RESAMPLED = 5000  # times, of a kind's recordings, for the intervals of its rates
 WORST = 4  # recordings, whose share of a kind's false claims is told
 RATE_GOALS = (
