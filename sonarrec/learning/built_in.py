@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 
-import cv2
 import numpy as np
 
 from sonarrec.config import preset
@@ -41,8 +40,7 @@ FRAMES = 64  # of each: more recordings teach more than longer ones
 def lessons() -> list[tuple[str, Samples]]:
     """Kind of scene and samples of every recording that the model learns from; on all cores."""
     recordings = [(kind, seed) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
-    # Each has one thread: OpenCV's would compete with the other processes, and take twice as long.
-    with ProcessPoolExecutor(initializer=cv2.setNumThreads, initargs=(1,)) as workers:
+    with ProcessPoolExecutor() as workers:
         samples = workers.map(simulated, *zip(*recordings, strict=True))
         return [(kind, sample) for (kind, _), sample in zip(recordings, samples, strict=True)]
 
