@@ -93,7 +93,7 @@ maps: .venv/installed  # maps of simulated vehicle runs, and what they do for th
 	$(BIN)/python -m tests.studies.maps
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
-	OPENCV_FOR_THREADS_NUM=1 $(BIN)/python -m sonarrec.learning.built_in  # a process for each core
+	$(BIN)/python -m sonarrec.learning.built_in
 
 regression: .venv/installed  # the sample logs against their results on record
 	$(BIN)/python -m tests.studies.regression

@@ -271,8 +271,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
     begun = time.monotonic()
     if not asked.again:
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(PROCESSES, spawn, cv2.setNumThreads, (1,)) as workers:
+        with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as workers:
             done = workers.map(partial(recognise_seed, asked.out), asked.seeds)
             for _ in tqdm(done, total=len(asked.seeds), unit="run", leave=False, disable=None):
                 pass

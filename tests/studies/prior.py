@@ -9,7 +9,6 @@ from __future__ import annotations
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
 from sonarrec.learning.built_in import samples_of
@@ -87,7 +86,7 @@ def main() -> None:
         for i, (kind, *look) in enumerate(UNLIKE)
     ]
     print("mean log likelihood".ljust(24), "built-in", " scratch", *(f"{w:8g}" for w in WEIGHTS))
-    with ProcessPoolExecutor(initializer=cv2.setNumThreads, initargs=(1,)) as workers:
+    with ProcessPoolExecutor() as workers:
         for name, places in (("as simulated", like), ("unlike it", unlike)):
             done = list(workers.map(recordings, *zip(*places, strict=True)))
             for count in (1, 2):
