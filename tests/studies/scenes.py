@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.config import preset
-from sonarrec.evaluation.counting.curves import Count
+from sonarrec.evaluation.counting.curves import Count, ratio
 from sonarrec.evaluation.counting.passes import find_passes
+from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, interval
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.simulation.random_scenes import (
@@ -131,23 +132,12 @@ def methods(rows: Sequence[Row]) -> list[str]:
     return [name for name in METHODS if ("strict", name) in rows[0].counts]
 
 
-def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    """95 % intervals of a method's TPR and FPR, strict: recordings are drawn anew (bootstrap)."""
+def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], ...]:
+    """95 % intervals of a method's TPR and FPR, strict, over recordings (bootstrap)."""
     counts = np.array([astuple(r.counts["strict", name]) for r in rows])
-    rng = np.random.default_rng(0)
-    drawn = counts[rng.integers(len(counts), size=(RESAMPLED, len(counts)))].sum(axis=1)
-    each = [Count(*row) for row in drawn.tolist()]
-    tpr, fpr = (np.array([getattr(c, rate) for c in each]) for rate in ("tpr", "fpr"))
-    return _middle(tpr), _middle(fpr)
-
-
-def _middle(values: np.ndarray) -> tuple[float, float]:
-    """Between which 95 % of the values lie that are there."""
-    there = values[~np.isnan(values)]
-    if not len(there):
-        return math.nan, math.nan
-    low, high = np.quantile(there, (0.025, 0.975)).tolist()
-    return low, high
+    weights = bootstrap_weights(len(counts), np.random.default_rng(0), RESAMPLED)
+    tp, tn, fp, fn = (weights @ counts).T
+    return tuple(interval(ratio(n, n + of), len(counts)) for n, of in ((tp, fn), (fp, tn)))
 
 
 def beyond(found: Evaluation, summary: Summary, name: str, folders: Sequence[Path]) -> Beyond:
