@@ -73,6 +73,7 @@ BESIDE = (
 LESSONS: dict[str, LearningReport] = {
     "all that the built-in model is taught": whole,
     "no rivals: symbols that no ID has": partial(without, ("rival_misfit",)),
+    "what an ID leaves unexplained not looked at": partial(without, ("structure",)),
     "the ring counted over the floor alone": partial(without, RING_OVER_GAP),
     "sectors not counted from what lies beside them": partial(without, BESIDE),
     "the same curves for sharp and smeared": as_sharp,

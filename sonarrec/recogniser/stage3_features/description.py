@@ -8,7 +8,6 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3_features import settled
 from sonarrec.recogniser.stage3_features.expected_symbol import expected_symbols
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
 
@@ -20,6 +19,8 @@ FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
     # Log of the share that the ID leaves unexplained, less the same of the best rival.
     "rival_misfit",
+    # Log of how much more of what the ID leaves unexplained lies in broad patterns than of noise.
+    "structure",
     "step",  # bright sectors over dark ones
     "weakest_line_step_share",  # the least step along one line of the symbol; not the innermost
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
@@ -151,15 +152,14 @@ class Describer:
         count = count * self._area
         bands = self._bands(average, count)
         lines = self._expected.lines
-        correlation, rival = self._expected.correlation(
-            average[:, lines], count[:, lines] > 0, smear
-        )
-        turn = settled(correlation).argmax(axis=1)  # (n, K)
-        best = correlation[np.arange(len(turn))[:, None], turn, np.arange(turn.shape[1])]
+        fit = self._expected.fit(average[:, lines], count[:, lines] > 0, smear)
+        turn = fit.turn  # (n, K)
+        best = fit.correlation[np.arange(len(turn))[:, None], turn, np.arange(turn.shape[1])]
         # (n, K), or (n,) where it is the same of every ID
         values = {
             "correlation": best,
-            "rival_misfit": np.log(_unexplained(best) / _unexplained(rival)[:, None]),
+            "rival_misfit": np.log(_unexplained(best) / _unexplained(fit.rival)[:, None]),
+            "structure": fit.structure,
             **self._of_symbol(average, count, bands, turn),
             **_of_ring(bands, frames),
             "log_frames": np.log(frames),
@@ -169,7 +169,7 @@ class Describer:
         for i, name in enumerate(FEATURES):
             value = values[name]
             features[:, :, i] = value if value.ndim == 2 else value[:, None]
-        exact, turn_sigma = _exact_turn(correlation, turn, best)
+        exact, turn_sigma = _exact_turn(fit.correlation, turn, best)
         return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
 
     def _bands(self, average: FloatArray, count: FloatArray) -> _BandAverages:

@@ -11,17 +11,19 @@ shade are correlated over a good part of the disc. They show on the ring and in 
 these are compared too, with the ring's level left free.
 
 Beside the IDs there are rivals: symbols that no ID of the set has. A disc that one of them explains
-better than every ID does is none of these.
+better than every ID does is none of these. So is one of which even the best ID leaves more in broad
+patterns than noise would.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray
+from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3_features import settled
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands, ShapeSampler
@@ -54,6 +56,48 @@ MOST_RIVALS = 48
 ARM, HUB = 0.07, 0.12
 CROSS_TURNS = ANGLES // 4
 LEAST_SHOWN = 0.1  # share of a whole symbol's evidence; with less, correlations count as 0
+# Whitened noise is as strong in broad patterns as in fine ones. Broad are waves round the symbol of
+# up to WAVES periods. STEADY, of the patterns' mean square, lets few seen cells be solved for.
+WAVES = 6
+STEADY = 1e-9
+# What is expected is itself off by so much of the variation, so less left unexplained tells nothing
+# (0 does as well on tuning seeds, but hangs on the last digits where few cells are seen).
+MISFIT = 0.05
+LEAST_STRUCTURE = 1e-3  # before the logarithm
+LEAST_VARIATION = 1e-12  # of an object, whitened; nothing is seen of one with less
+
+
+@dataclass(frozen=True, slots=True)
+class SymbolFit:
+    """n symbols compared with K IDs.
+
+    correlation: (n, ANGLES, K) with every ID at every rotation. Its square is the share of the
+    whitened variation about a level that the ID explains (generalised least squares). 0 where too
+    little of the ID has shown. rival: (n,) the best with a rival. turn: (n, K) rotation at which
+    each ID fits best. structure: (n, K) at that rotation, the logarithm of the share of what the ID
+    leaves unexplained that lies in broad patterns, over their share of the cells: 0 of noise alone.
+    """
+
+    correlation: FloatArray
+    rival: FloatArray
+    turn: IndexArray
+    structure: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Products:
+    """Whitened products of n objects; of one that is partly seen, over the cells that are.
+
+    own: (n,) with themselves. symbols: (n, T), symbols of length 1. patterns: (n, P). inverse: of
+    the products (n, P, P) of patterns with patterns. of_ids: (ANGLES x K, P) of IDs with patterns,
+    of objects that are partly seen alone.
+    """
+
+    own: FloatArray
+    symbols: FloatArray
+    patterns: FloatArray
+    inverse: FloatArray
+    of_ids: dict[int, FloatArray]
 
 
 class ExpectedSymbols:
@@ -77,49 +121,93 @@ class ExpectedSymbols:
         self._ids = len(landmarks.ids)
         self._rivals = _rivals(landmarks)
         self._precision = _precision(self._radii, alike, landmarks.ring[0])
+        self._broad = _broad(self._radii, landmarks.symbol[1])
+        self._whitened_broad = self._precision @ self._broad
+        self._of_broad = self._broad.T @ self._whitened_broad
         # Only the smears that occur in a log are computed.
         self._expected = cache(self._whitened)
+        self._broad_in_ids = cache(self._broad_in)
 
-    def correlation(
-        self, cells: FloatArray, seen: BoolArray, smear: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival.
+    def fit(self, cells: FloatArray, seen: BoolArray, smear: FloatArray) -> SymbolFit:
+        """Compare symbols with every ID and every rival.
 
-        Its square is the share of the whitened variation about a level that the ID explains
-        (generalised least squares). 0 where too little of the ID has shown. cells, seen: (n, lines,
-        ANGLES). smear: (n,) sigma across the line of sight in disc radii.
+        cells, seen: (n, lines, ANGLES). smear: (n,) sigma across the line of sight in disc radii.
         """
         shape = (len(cells), len(self._precision))
-        ids = ANGLES * self._ids
         seen = seen.reshape(shape)
         values = np.where(seen, cells.reshape(shape), 0.0)
         whitened = values @ self._precision
-        variation = (whitened * values).sum(axis=1)
         steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
-        symbols = ids + CROSS_TURNS + ANGLES * len(self._rivals)
-        product = np.empty((len(cells), symbols))
+        ids = ANGLES * self._ids
+        symbols = np.empty((len(cells), ids + CROSS_TURNS + ANGLES * len(self._rivals)))
         for step in set(steps.tolist()):
             of = steps == step
-            product[of] = values[of] @ self._expected(step)
-        for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)):
-            # Unseen cells leave the precision by their Schur complement.
-            expected, hidden = self._expected(int(steps[i])), np.flatnonzero(~seen[i])
-            likely = settled(product[i, ids:])
-            rank = max(len(likely) - MOST_RIVALS, 0)
-            rivals = np.flatnonzero(likely >= np.partition(likely, rank)[rank])
-            some = np.concatenate([np.arange(ids), ids + rivals])
-            sides = np.column_stack([whitened[i, hidden], expected[np.ix_(hidden, some)]])
-            # To multiply by the inverse takes half as long as to solve for so many sides.
-            solved = np.linalg.inv(self._precision[np.ix_(hidden, hidden)]) @ sides
-            variation[i] -= sides[:, 0] @ solved[:, 0]
-            shown = product[i, some] - sides[:, 0] @ solved[:, 1:]
-            power = 1 - (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
-            scale = np.sqrt(np.maximum(power, LEAST_SHOWN))
-            product[i, ids:] = 0
-            product[i, some] = np.where(power > LEAST_SHOWN, shown / scale, 0.0)
-        scale = np.sqrt(np.maximum(variation, 1e-12))
-        found = product[:, :ids] / scale[:, None]
-        return found.reshape(-1, ANGLES, self._ids), product[:, ids:].max(axis=1) / scale
+            symbols[of] = values[of] @ self._expected(step)
+        products = _Products(
+            own=(whitened * values).sum(axis=1),
+            symbols=symbols,
+            patterns=whitened @ self._broad,
+            inverse=np.repeat(_steady_inverse(self._of_broad)[None], len(cells), axis=0),
+            of_ids={},
+        )
+        for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)).tolist():
+            self._leave_out(np.flatnonzero(~seen[i]), products, i, whitened[i], int(steps[i]))
+        scale = np.sqrt(np.maximum(products.own, LEAST_VARIATION))[:, None]
+        correlation = (symbols[:, :ids] / scale).reshape(-1, ANGLES, self._ids)
+        turn = settled(correlation).argmax(axis=1)
+        structure = self._structure(products, turn, steps, seen.sum(axis=1))
+        return SymbolFit(correlation, symbols[:, ids:].max(axis=1) / scale[:, 0], turn, structure)
+
+    def _leave_out(
+        self, hidden: IndexArray, products: _Products, i: int, whitened: FloatArray, steps: int
+    ) -> None:
+        """Correct the products of object i, whose cells `hidden` are unseen, to the others.
+
+        Unseen cells leave the precision by their Schur complement. whitened: (cells,), the object.
+        """
+        ids = ANGLES * self._ids
+        symbols = products.symbols[i]
+        likely = settled(symbols[ids:])
+        rank = max(len(likely) - MOST_RIVALS, 0)
+        rivals = np.flatnonzero(likely >= np.partition(likely, rank)[rank])
+        some = np.concatenate([np.arange(ids), ids + rivals])
+        expected = self._expected(steps)[np.ix_(hidden, some)]
+        patterns, own = self._whitened_broad[hidden], whitened[hidden]
+        # To multiply by the inverse takes half as long as to solve for so many sides.
+        inverse = np.linalg.inv(self._precision[np.ix_(hidden, hidden)])
+        solved = inverse @ np.column_stack([own, patterns, expected])
+        at = 1 + patterns.shape[1]  # where the symbols begin
+        of_own, of_patterns = own @ solved, patterns.T @ solved
+        products.own[i] -= of_own[0]
+        products.patterns[i] -= of_own[1:at]
+        products.inverse[i] = _steady_inverse(self._of_broad - of_patterns[:, 1:at])
+        power = 1 - (expected * solved[:, at:]).sum(axis=0)
+        scale = np.sqrt(np.maximum(power, LEAST_SHOWN))
+        shown = np.where(power > LEAST_SHOWN, (symbols[some] - of_own[at:]) / scale, 0.0)
+        symbols[ids:] = 0
+        symbols[some] = shown
+        of_ids = self._broad_in_ids(steps) - of_patterns[:, at : at + ids].T
+        products.of_ids[i] = of_ids / scale[:ids, None]
+
+    def _structure(
+        self, products: _Products, turn: IndexArray, steps: IndexArray, seen: IndexArray
+    ) -> FloatArray:
+        """The structure that SymbolFit states. turn: (n, K). seen: (n,) how many cells."""
+        best = turn * self._ids + np.arange(self._ids)  # among the symbols
+        of_best = np.empty((*best.shape, products.patterns.shape[1]))
+        for i, step in enumerate(steps.tolist()):
+            of_best[i] = products.of_ids.get(i, self._broad_in_ids(step))[best[i]]
+        explained = np.take_along_axis(products.symbols, best, axis=1)
+        broad = products.patterns[:, None] - explained[..., None] * of_best  # (n, K, P)
+        own = np.maximum(products.own, LEAST_VARIATION)[:, None]
+        unexplained = np.maximum(own - explained**2, 0.0) + MISFIT * own
+        share = ((broad @ products.inverse) * broad).sum(axis=2) / unexplained
+        share *= seen[:, None] / products.patterns.shape[1]
+        return np.asarray(np.log(np.maximum(share, LEAST_STRUCTURE)))
+
+    def _broad_in(self, steps: int) -> FloatArray:
+        """(ANGLES x K, patterns) products of `_whitened` of the IDs with every broad pattern."""
+        return np.asarray(self._expected(steps)[:, : ANGLES * self._ids].T @ self._broad)
 
     def _whitened(self, steps: int) -> FloatArray:
         """(cells, T) P e / sqrt(e' P e) for each `expected` e and the precision P.
@@ -229,6 +317,28 @@ def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, Fl
         np.arctan2(aside, away).reshape(points),
         share.ravel(),
     )
+
+
+def _broad(radii: FloatArray, symbol_to: float) -> FloatArray:
+    """(cells, patterns) waves round the symbol, which ends at `symbol_to`, of up to WAVES periods.
+
+    Each as strong on all its lines, and rising with the square of the radius.
+    """
+    angle = (np.arange(ANGLES) + 0.5) * STEP
+    within = radii < symbol_to
+    patterns = [
+        np.outer(np.where(within, (radii / symbol_to) ** power, 0.0), wave(periods * angle)).ravel()
+        for periods in range(WAVES + 1)
+        for power in (0, 2)
+        for wave in ((np.cos, np.sin) if periods else (np.cos,))
+    ]
+    return np.stack(patterns, axis=1)
+
+
+def _steady_inverse(products: FloatArray) -> FloatArray:
+    """The inverse of a matrix of patterns' products, which few seen cells leave singular."""
+    size = len(products)
+    return np.linalg.inv(products + STEADY * np.trace(products) * np.eye(size))
 
 
 def _precision(radii: FloatArray, alike: float, ring_from: float) -> FloatArray:
