@@ -290,9 +290,9 @@ def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
 
 
 def test_what_is_measured_is_what_landmarks_elsewhere_bring():
-    """Each landmark looks in its own way, the same in all its tracks. The truth is -.31 nats, and
-    what was learned from is judged at -.10; of parts of tracks -.15 was measured."""
-    rng = np.random.default_rng(3)
+    """Each landmark looks in its own way, the same in all its tracks. Of eight seeds the truth is
+    -.33 nats in the mean, and what was learned from is judged at -.09; measured is -.39. Between
+    seeds both scatter by .09, so three are taken."""
 
     def logs(count: int) -> list[Samples]:
         parts = []
@@ -304,13 +304,18 @@ def test_what_is_measured_is_what_landmarks_elsewhere_bring():
             parts.append(Samples(features, np.zeros(80), labels, np.repeat(np.arange(10), 8)))
         return parts
 
-    here = logs(8)
-    _, after, _ = gain_on_the_rest(here, None)
-    learned = fit(here, None)
-    elsewhere = np.mean([log_likelihood(learned, part) for part in logs(30)])
-    own = np.mean([log_likelihood(learned, part) for part in here])
-    assert after is not None
-    assert 2 * elsewhere < after < (elsewhere + own) / 2
+    told = []
+    for seed in (3, 4, 5):
+        rng = np.random.default_rng(seed)
+        here = logs(8)
+        _, after, _ = gain_on_the_rest(here, None)
+        assert after is not None
+        learned = fit(here, None)
+        told.append(
+            [after] + [np.mean([log_likelihood(learned, p) for p in of]) for of in (logs(30), here)]
+        )
+    after, elsewhere, own = np.mean(told, axis=0)
+    assert 1.8 * elsewhere < after < (elsewhere + own) / 2
 
 
 # Recordings
