@@ -23,6 +23,10 @@ MARGIN_M = 0.25  # of slant range, for heave and sway; more if these are larger
 MOST_CELLS = 2**24  # about a gigabyte
 _FILL = 0.9  # side of a square, in range bins
 
+Cells = np.ndarray | tuple[np.ndarray, slice]
+"""Where (bins, n) cells lie in a grid: flat indices, or, if each bin lies in one row, the (bins,)
+rows and the columns, by which values are fetched five times as fast."""
+
 
 def smooth_noise(
     rng: np.random.Generator, shape: tuple[int, int], cells: tuple[float, float]
@@ -116,18 +120,21 @@ class PolarGrid:
         """Flat indices (intp) of the cells at these places; outside, of the nearest cells."""
         slant = np.sqrt(x**2 + y**2 + self._height_m**2)
         azimuth = self._within(np.degrees(np.arctan2(x, y)))
-        return self._index(slant, (azimuth - self._first_deg) / STEP_DEG)
+        column = np.rint((azimuth - self._first_deg) / STEP_DEG)
+        column = np.clip(column, 0, self.shape[1] - 1).astype(np.intp)
+        return np.asarray(self._row(slant) * self.shape[1] + column)
 
-    def index_from_origin(self, ground: FloatArray, azimuth_deg: FloatArray) -> np.ndarray:
-        """As `index`, for ground ranges (bins, 1) from the origin and azimuths from `azimuths`."""
-        column = (azimuth_deg - self._first_deg) / STEP_DEG
-        return self._index(np.hypot(ground, self._height_m), column[None, :])
+    def index_from_origin(self, ground: FloatArray, azimuth_deg: FloatArray) -> Cells:
+        """The cells at ground ranges (bins, 1) from the origin and azimuths from `azimuths`."""
+        row = self._row(np.hypot(ground, self._height_m))
+        column = np.rint((azimuth_deg - self._first_deg) / STEP_DEG).astype(np.intp)
+        if column[0] >= 0 and column[-1] < self.shape[1]:
+            return row[:, 0], slice(column[0], column[-1] + 1)
+        return np.asarray(row * self.shape[1] + np.clip(column, 0, self.shape[1] - 1))
 
-    def _index(self, slant: FloatArray, column: FloatArray) -> np.ndarray:
-        rows, columns = self.shape
-        row = np.clip(np.floor((slant - self._first_m) / self._bin_m), 0, rows - 1)
-        column = np.clip(np.rint(column), 0, columns - 1)
-        return np.asarray((row * columns + column).astype(np.intp))
+    def _row(self, slant: FloatArray) -> np.ndarray:
+        row = np.floor((slant - self._first_m) / self._bin_m)
+        return np.asarray(np.clip(row, 0, self.shape[0] - 1).astype(np.intp))
 
 
 class SquareGrid:

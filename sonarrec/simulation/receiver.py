@@ -39,7 +39,7 @@ def vertical_pattern(
     sonar = scene.sonar
     on_axis = max(math.sin(math.radians(sonar.tilt_deg)), 0.05)
     off_axis = (depression_deg - sonar.tilt_deg - pitch_deg) / sonar.vertical_beam_deg
-    beam = 10 ** (-40 * math.log10(2) * off_axis**2 / 10)
+    beam = np.exp(-4 * math.log(2) * off_axis**2)
     power = beam * (sine / on_axis) ** scene.floor.angle_exponent
     return np.asarray(np.where(sine > 0, np.sqrt(power), 0.0))
 
@@ -57,7 +57,9 @@ class Receiver:
         leak = 10 ** (sonar.cross_talk_db / 20) * (apart > 0)
         leak += 10 ** (sonar.stray_db / 20) * together / np.maximum(apart / GROUP, 1)
         phase = rng.uniform(0, 2 * np.pi, (beams, beams))
-        self._leak = (np.eye(beams) + leak * np.exp(1j * phase)).astype(np.complex64)
+        mixed = np.eye(beams) + leak * np.exp(1j * phase)
+        # By beam that leaks: the real and the imaginary part of what each beam gets, in turns.
+        self._leak = np.ascontiguousarray(mixed.T, np.complex64).view(np.float32)
         gain = np.repeat(rng.normal(0, noise.group_gain_db, -(-beams // GROUP)), GROUP)[:beams]
         gain += rng.normal(0, noise.beam_gain_db, beams)
         hot = rng.permutation(beams)[: noise.hot_beams]
@@ -70,26 +72,29 @@ class Receiver:
         self._pulse = (pulse / np.sqrt(np.sum(pulse**2))).astype(np.float32)
 
     def patterns(self, azimuth_deg: FloatArray, pan_deg: float) -> np.ndarray:
-        """(beams, azimuths) complex64 amplitude by which each beam receives each azimuth.
+        """(azimuths, beams) complex64 amplitude by which each beam receives each azimuth.
 
         They are scaled so that a floor of unit scatterers gives unit power.
         """
-        offset = self._bearings[:, None] + pan_deg - azimuth_deg[None, :]
-        pattern = beam_pattern(self._sonar, offset).astype(np.float32)
-        pattern /= np.sqrt(np.mean(np.sum(pattern**2, axis=1)))
-        return np.asarray(self._leak @ pattern)
+        offset = self._bearings + (pan_deg - azimuth_deg[:, None])
+        pattern = beam_pattern(self._sonar, offset.astype(np.float32))
+        pattern /= np.sqrt(np.vdot(pattern, pattern) / np.float32(len(self._bearings)))
+        return (pattern @ self._leak).view(np.complex64)
 
     def beams(self, echoes: np.ndarray, patterns: np.ndarray) -> np.ndarray:
         """(bins, beams) complex64 amplitude from (bins, azimuths) complex64 echoes."""
-        field = echoes @ patterns.T
+        field = echoes @ patterns
         pairs = field.view(np.float32).reshape(*field.shape, 2)
         # The pulse acts along range only: a column filter over real and imaginary parts.
         pairs = cv2.sepFilter2D(pairs, -1, np.ones(1, np.float32), self._pulse)
         return np.ascontiguousarray(pairs).view(np.complex64)[..., 0]
 
-    def even(self, power: np.ndarray, patterns: np.ndarray) -> np.ndarray:
-        """(bins, beams) mean power, without speckle, from (bins, azimuths) power of scatterers."""
-        sums = power @ np.square(np.abs(patterns)).T
+    def even(self, power: np.ndarray, received: np.ndarray) -> np.ndarray:
+        """(bins, beams) mean power, without speckle, from (bins, azimuths) power of scatterers.
+
+        received: (azimuths, beams) power by which each beam receives each azimuth.
+        """
+        sums = power @ received
         return np.asarray(cv2.sepFilter2D(sums, -1, np.ones(1, np.float32), np.square(self._pulse)))
 
 

@@ -114,8 +114,9 @@ class _Reception:
         strength = vertical_pattern(scene, view.depression_deg, view.sine, pose.pitch_deg)
         strength = strength.astype(np.float32)
         field = receiver.beams(view.echoes * strength, patterns)
+        received = np.square(patterns.real) + np.square(patterns.imag)
         # An afterglow is the sum of many late paths: smooth in power, not coherent.
-        glow = (view.glow * strength**2) @ np.square(np.abs(patterns)).T
+        glow = (view.glow * strength**2) @ received
         glow = cv2.GaussianBlur(glow, (0, 0), sigmaX=1.0, sigmaY=self._glow_sigma)
         glow = shifted(glow, self._glow_shift)
         signal = np.float32(10 ** (signal_db / 20))
@@ -132,7 +133,7 @@ class _Reception:
         incoherent = np.float32(1 - scene.floor.coherence)
         if incoherent > 0:
             power = power * np.float32(scene.floor.coherence)
-            even = receiver.even(view.power * strength**2, patterns)
+            even = receiver.even(view.power * strength**2, received)
             power += incoherent * even * signal**2
             if late_power is not None:
                 power += incoherent * late_power
