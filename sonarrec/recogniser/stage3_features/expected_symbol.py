@@ -152,7 +152,8 @@ class ExpectedSymbols:
         )
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)).tolist():
             self._leave_out(np.flatnonzero(~seen[i]), products, i, whitened[i], int(steps[i]))
-        scale = np.sqrt(np.maximum(products.own, LEAST_VARIATION))[:, None]
+        np.maximum(products.own, LEAST_VARIATION, out=products.own)
+        scale = np.sqrt(products.own)[:, None]
         correlation = (symbols[:, :ids] / scale).reshape(-1, ANGLES, self._ids)
         turn = settled(correlation).argmax(axis=1)
         structure = self._structure(products, turn, steps, seen.sum(axis=1))
@@ -199,7 +200,7 @@ class ExpectedSymbols:
             of_best[i] = products.of_ids.get(i, self._broad_in_ids(step))[best[i]]
         explained = np.take_along_axis(products.symbols, best, axis=1)
         broad = products.patterns[:, None] - explained[..., None] * of_best  # (n, K, P)
-        own = np.maximum(products.own, LEAST_VARIATION)[:, None]
+        own = products.own[:, None]
         unexplained = np.maximum(own - explained**2, 0.0) + MISFIT * own
         share = ((broad @ products.inverse) * broad).sum(axis=2) / unexplained
         share *= seen[:, None] / products.patterns.shape[1]
