@@ -248,14 +248,14 @@ RECORDED = {
     4: {
         "changes.csv": "c1d11868d335fb2a",
         "compare.csv": "7adf97591fa1498e",
-        "compare.html": "7f1bfa858b24ceb4",
+        "compare.html": "646d6ed9aa7314af",
         "compare.json": "f3281431e3ac1939",
         "printed": "2a2e2909d9359723",
     },
     12: {
         "changes.csv": "c62e8bb554426a0a",
         "compare.csv": "259edaa2f50df435",
-        "compare.html": "3e49c304bd6b18e9",
+        "compare.html": "83d3ef70a77e7427",
         "compare.json": "6d2fd05a39b824d5",
         "printed": "a27fdeb1e8b903f5",
     },
