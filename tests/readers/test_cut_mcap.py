@@ -143,7 +143,7 @@ def whole_messages(contents: bytes) -> int:
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_600_frames_cut_at_25_places(compression: str, tmp_path: Path) -> None:
+def test_600_frames_cut_at_50_places(compression: str, tmp_path: Path) -> None:
     """Against what the compressors' own libraries make of the stored bytes before the cut."""
     images = frames(600, 24, 30)
     messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]
@@ -160,7 +160,7 @@ def test_600_frames_cut_at_25_places(compression: str, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     told = 0
     places = range(chunks[0].chunk_start_offset, len(whole))
-    for place in random.Random(compression).sample(places, 25):
+    for place in random.Random(compression).sample(places, 50):
         cut.write_bytes(whole[:place])
         expected = in_chunks = 0
         for chunk in chunks:
@@ -185,7 +185,7 @@ def test_600_frames_cut_at_25_places(compression: str, tmp_path: Path) -> None:
             told += 1
             missing = int(line.split(" held ")[1].split(" more ")[0])
             assert abs(len(found) + missing - in_chunks) <= 3  # by size: chunks hold more records
-    assert told > 10 or compression == "zstd"
+    assert told > 20 or compression == "zstd"
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

@@ -284,10 +284,10 @@ def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, num
 
 
 def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) -> None:
-    """Six of the forty of `make kills`."""
-    parts, finished_runs = stop_at_random(log, tmp_path / "out", 6)
+    """Twelve of the forty of `make kills`."""
+    parts, finished_runs = stop_at_random(log, tmp_path / "out", 12)
     assert parts
-    assert finished_runs < 6
+    assert finished_runs < 12
 
 
 @pytest.mark.parametrize("size", [100, 6_000, 15_000])

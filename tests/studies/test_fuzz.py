@@ -8,11 +8,11 @@ from tests.studies.fuzz import SONARS, run_all
 
 
 def test_damaged_files_end_with_an_exit_code() -> None:
-    failures, summary = run_all(20)
+    failures, summary = run_all(50)
     assert not failures, summary
 
 
 @pytest.mark.parametrize("form", SONARS)
 def test_damaged_files_of_sonars_end_with_an_exit_code(form: str) -> None:
-    failures, summary = run_all(8, form=form)
+    failures, summary = run_all(16, form=form)
     assert not failures, summary
