@@ -25,7 +25,7 @@ _FILL = 0.9  # side of a square, in range bins
 
 Cells = np.ndarray | tuple[np.ndarray, slice]
 """Where (bins, n) cells lie in a grid: flat indices, or, if each bin lies in one row, the (bins,)
-rows and the columns, by which values are fetched five times as fast."""
+rows and the columns, so that values are copied in runs."""
 
 
 def smooth_noise(
