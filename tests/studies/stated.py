@@ -143,6 +143,8 @@ STATEMENTS: dict[str, Statement] = {
     "radius 10 % too large": radius(1.1),
     "radius 20 % too large": radius(1.2),
     "the ring's inner edge 10 % too far in": ring_from(0.9),
+    "the ring's inner edge 5 % too far in": ring_from(0.95),
+    "the ring's inner edge 5 % too far out": ring_from(1.05),
     "the ring's inner edge 10 % too far out": ring_from(1.1),
     "sectors 15 % too short": symbol_to(0.85),
     "sectors 15 % too long": symbol_to(1.15),
