@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.files.toml import (
     Count,
     NotNegative,
@@ -24,7 +25,6 @@ from sonarrec.files.toml import (
     read_toml,
     types_of,
 )
-from sonarrec.records import SonarrecError, UsageError
 
 
 def _setting(default: Any, unit: str, meaning: str) -> Any:

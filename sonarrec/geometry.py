@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray
-from sonarrec.records import Fan, PolarImages, SonarrecError
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import Fan, PolarImages
 from sonarrec.sonar import Geometry
 
 MAX_FAN_PIXELS = 2**24

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.files.toml import (
     Positive,
     Share,
@@ -19,7 +20,6 @@ from sonarrec.files.toml import (
     named_file,
     read_toml,
 )
-from sonarrec.records import SonarrecError, UsageError
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
 

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.records import Motion
+from sonarrec.nouns import Motion
 
 GAP = 10
 """There is no pose between rows that are more than this many usual steps apart."""

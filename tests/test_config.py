@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from sonarrec import config
 from sonarrec.cli import main
+from sonarrec.errors import UsageError
 from sonarrec.files.toml import checked, types_of
-from sonarrec.records import UsageError
 
 NUMBERS = [
     f"{section}.{field.name}"

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import (
     MAX_SIDE,
     PolarToFan,
@@ -24,7 +25,6 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.records import SonarrecError
 from sonarrec.sonar import EXAMPLE_SONAR_TOML, Sonar, load_sonar, sonar_from_table
 
 BASIN = Sonar(

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import SonarrecError
 
 TABLE: dict[str, Any] = {
     "name": "two",

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import sonarrec
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError
 from tests.support.command import sonarrec as command
 
 ROOT = Path(__file__).parents[1]

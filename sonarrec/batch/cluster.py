@@ -8,7 +8,7 @@ from typing import Any
 
 from sonarrec.batch.processes import Watch, Worker
 from sonarrec.batch.task import GRACE_S, Outcome, Task
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import LockedError
 
 RETRIES = 2

@@ -15,8 +15,8 @@ from time import monotonic
 from typing import Any, get_args
 
 from sonarrec.batch.task import Outcome, Status, Task
+from sonarrec.errors import SonarrecError
 from sonarrec.files.outputs import is_filled, replaced
-from sonarrec.records import SonarrecError
 from sonarrec.results.folders import LockedError, part_of
 
 NAME = "logs.csv"

@@ -18,7 +18,8 @@ from time import monotonic
 from typing import IO
 
 from sonarrec.batch.task import GRACE_S, Outcome, Task, run_task
-from sonarrec.records import FrameResult, SonarrecError
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import FrameResult
 from sonarrec.remote.fetch import fetch_ahead
 
 # The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the

@@ -9,9 +9,9 @@ from pathlib import Path
 from time import monotonic
 from typing import Literal
 
+from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.pipeline.prepare import RunOptions, prepare
 from sonarrec.pipeline.run import Observe, Summary, process
-from sonarrec.records import SonarrecError, name_as_text
 from sonarrec.remote.fetch import Progress, fetched, no_progress
 from sonarrec.remote.run import RemotePlaces
 from sonarrec.results.folders import part_of

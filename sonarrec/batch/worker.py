@@ -14,7 +14,8 @@ from time import monotonic, sleep
 from typing import IO
 
 from sonarrec.batch.task import GRACE_S, Outcome, Task, run_task
-from sonarrec.records import FrameResult, SonarrecError
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import FrameResult
 
 REPORT_EVERY_S = 0.2
 

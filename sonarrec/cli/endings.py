@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import click
 
-from sonarrec.records import name_as_text, printable
+from sonarrec.errors import name_as_text, printable
 
 FAILED = 1  # nothing could be used
 MISUSED = 2  # an option is invalid, or an input does not exist

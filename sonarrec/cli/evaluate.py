@@ -21,7 +21,7 @@ from sonarrec.cli.options import (
     scoring_options,
 )
 from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
-from sonarrec.records import UsageError
+from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.compare.compare import Comparison

@@ -12,7 +12,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from sonarrec.records import UsageError
+from sonarrec.errors import UsageError
 
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 

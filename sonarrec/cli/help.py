@@ -7,7 +7,7 @@ from importlib.resources import files
 import click
 
 from sonarrec.cli.groups import command
-from sonarrec.records import UsageError
+from sonarrec.errors import UsageError
 
 
 def pages() -> dict[str, str]:

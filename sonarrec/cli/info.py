@@ -18,13 +18,13 @@ from sonarrec.cli.info_text import lines, radii_lines
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
 from sonarrec.cli.options_remote import CacheChoice, cache_options
-from sonarrec.records import MissingError, SonarrecError, UsageError
+from sonarrec.errors import MissingError, SonarrecError, UsageError
 
 if TYPE_CHECKING:
+    from sonarrec.nouns import Origin
     from sonarrec.pipeline.radii import RadiusTrials
     from sonarrec.readers.info import LogInfo
     from sonarrec.readers.named_logs import NamedLog
-    from sonarrec.records import Origin
     from sonarrec.remote.find import RemoteLog
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sonarrec.records import number_of
+from sonarrec.errors import number_of
 from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, FILE, FOLDER, INPUT, OUTPUT, command, option
 from sonarrec.cli.options import landmarks_option, out_option, quiet_option
 from sonarrec.cli.options_log import geometry_options
-from sonarrec.records import UsageError, number_of
+from sonarrec.errors import UsageError, number_of
 
 
 @command("map", short_help="Map the positions of the landmarks.")

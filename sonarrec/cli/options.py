@@ -22,7 +22,7 @@ from sonarrec.cli.groups import (
 )
 from sonarrec.cli.options_log import GEOMETRY_OPTIONS, LogChoice
 from sonarrec.cli.options_remote import ANY_OR_URL
-from sonarrec.records import UsageError
+from sonarrec.errors import UsageError
 
 # Results and truth
 

@@ -11,7 +11,7 @@ import click
 
 from sonarrec.cli.groups import BACKGROUND, Decorator, FiniteRange, as_one, file_names, option
 from sonarrec.cli.options_log import LogChoice, odometry_options
-from sonarrec.records import UsageError
+from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
     from sonarrec.config import Config

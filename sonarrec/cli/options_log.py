@@ -10,7 +10,8 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 import click
 
 from sonarrec.cli.groups import FILE, GEOMETRY, INPUT, PIXELS, Decorator, as_one, option
-from sonarrec.records import Clock, ColourMap, UsageError, name_as_text
+from sonarrec.errors import UsageError, name_as_text
+from sonarrec.nouns import Clock, ColourMap
 
 if TYPE_CHECKING:
     from sonarrec.results.run_file import LogOptions

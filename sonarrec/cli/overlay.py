@@ -11,7 +11,7 @@ from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.options import frames_option, ground_truth_option, landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import UsageError, number_of
+from sonarrec.errors import UsageError, number_of
 
 
 @command(short_help="Draw results onto the frames of their log.")

@@ -27,7 +27,7 @@ from sonarrec.cli.options_remote import (
     CacheChoice,
     cache_options,
 )
-from sonarrec.records import UsageError, number_of
+from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.matching.options import ScoringOptions

@@ -42,7 +42,12 @@ from sonarrec.cli.options_log import (
     odometry_options,
 )
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
-from sonarrec.records import SonarrecError, UsageError, name_as_text, number_of
+from sonarrec.errors import (
+    SonarrecError,
+    UsageError,
+    name_as_text,
+    number_of,
+)
 
 if TYPE_CHECKING:
     from sonarrec.batch.processes import Watch

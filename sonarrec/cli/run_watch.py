@@ -19,8 +19,13 @@ from sonarrec.batch.task import Outcome, Task
 from sonarrec.cli.bars import fetching, progress, progress_of_logs
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, say, tell
 from sonarrec.cli.passes import as_json, table
+from sonarrec.errors import (
+    MissingError,
+    SonarrecError,
+    number_of,
+    printable,
+)
 from sonarrec.pipeline.run import Summary
-from sonarrec.records import MissingError, SonarrecError, number_of, printable
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import PROGRAM
 

@@ -12,7 +12,7 @@ from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import UsageError, name_as_text, number_of
+from sonarrec.errors import UsageError, name_as_text, number_of
 
 
 @command(short_help="Render a recording with ground truth.")

@@ -22,7 +22,7 @@ from sonarrec.cli.options import (
 )
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import name_as_text, number_of
+from sonarrec.errors import name_as_text, number_of
 
 if TYPE_CHECKING:
     from sonarrec.readers.find import Source

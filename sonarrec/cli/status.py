@@ -15,7 +15,7 @@ import click
 from sonarrec.cli.endings import say
 from sonarrec.cli.groups import OUTPUT, command, option
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
-from sonarrec.records import UsageError, number_of
+from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.batch.logs_table import Row

@@ -21,7 +21,7 @@ from sonarrec.cli.groups import (
 )
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import number_of
+from sonarrec.errors import number_of
 
 _MOST_LINES = 20  # printed for one kind of fault
 

@@ -11,7 +11,7 @@ from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, command, file_names, option
 from sonarrec.cli.options import landmarks_option, out_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import UsageError, number_of
+from sonarrec.errors import UsageError, number_of
 
 
 def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> Any:

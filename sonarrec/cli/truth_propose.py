@@ -12,7 +12,7 @@ import click
 from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, SCORING, command, option
 from sonarrec.cli.options import out_option, quiet_option
-from sonarrec.records import number_of
+from sonarrec.errors import number_of
 
 if TYPE_CHECKING:
     from sonarrec.truth.propose import ProposedTrack

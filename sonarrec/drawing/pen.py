@@ -18,7 +18,7 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""

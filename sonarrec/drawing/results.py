@@ -24,7 +24,7 @@ from sonarrec.drawing.pen import (
     pixel_unit,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Estimate, Fan
+from sonarrec.nouns import Estimate, Fan
 from sonarrec.times import is_date, time_text
 
 AROUND = 1.15

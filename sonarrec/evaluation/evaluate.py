@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import IntArray
+from sonarrec.errors import SonarrecError, printable
 from sonarrec.evaluation.counting.parts import part_of, score_all
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pool
 from sonarrec.evaluation.counting.scoring import Scored
@@ -24,7 +25,6 @@ from sonarrec.evaluation.matching.pairs import (
     usable_pairs,
 )
 from sonarrec.evaluation.survey import LogToScore, SurveyedLog, UnreadableLog, map_logs, survey
-from sonarrec.records import SonarrecError, printable
 from sonarrec.results.counted_once import counted_once
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.sonar import Sonar

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from sonarrec.arrays import FloatArray
+from sonarrec.errors import number_of, printable
 from sonarrec.evaluation import metrics
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Pooled, PooledUnits
@@ -28,7 +29,6 @@ from sonarrec.evaluation.counting.uncertainty import (
     unseen_share,
 )
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.records import number_of, printable
 
 _PLURAL = {"pass": "es", "log": "s"}
 SEED = 0

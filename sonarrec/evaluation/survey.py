@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from sonarrec.batch.cores import cores
+from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.counting.parts import Part, part_of
 from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import SonarrecError
 from sonarrec.results.counted_once import Recording, TruthOf, recording
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import read_log

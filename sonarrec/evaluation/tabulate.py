@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from sonarrec.errors import printable
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.cells import Cell, number
 from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.summary import Summary, over_units, units_text
-from sonarrec.records import printable
 
 WIDTH = 100
 LABEL, COLUMN = 30, 23

@@ -20,7 +20,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
-from sonarrec.records import IMAGE_SUFFIXES, SonarrecError, UsageError, name_as_text
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.nouns import IMAGE_SUFFIXES
 
 Kind = Literal[
     "report", "comparison", "picture", "overlay", "video", "model", "table", "JSON", "graph"

@@ -11,8 +11,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.files.outputs import replaced
-from sonarrec.records import SonarrecError, name_as_text
 
 PARQUET = ".parquet"
 ROWS = 50_000

@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.errors import SonarrecError, printable
 from sonarrec.files.parquet import PARQUET, read_names, read_parts
-from sonarrec.records import SonarrecError, printable
 
 Kind = Literal[
     "whole",

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 import msgspec
 
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 
 MAX_LENGTH = 2**24
 """Characters; a longer file cannot hold settings."""

@@ -10,23 +10,23 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.config import Config
-from sonarrec.files.outputs import MODEL_MARK
-from sonarrec.landmarks import LandmarkSet
-from sonarrec.learning.fit import fit
-from sonarrec.learning.left_out import FOLDS, gain_on_the_rest, part_of
-from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
-from sonarrec.readers import open_log
-from sonarrec.readers.find import find_log
-from sonarrec.readers.log import Log
-from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
-from sonarrec.records import (
-    Frame,
+from sonarrec.errors import (
     SonarrecError,
     UsageError,
     number_of,
     printable,
 )
+from sonarrec.files.outputs import MODEL_MARK
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.learning.fit import fit
+from sonarrec.learning.left_out import FOLDS, gain_on_the_rest, part_of
+from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
+from sonarrec.nouns import Frame
+from sonarrec.readers import open_log
+from sonarrec.readers.find import find_log
+from sonarrec.readers.log import Log
+from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
 from sonarrec.truth.fits import (

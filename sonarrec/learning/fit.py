@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.arrays import FloatArray
+from sonarrec.errors import SonarrecError
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, smeared_share
-from sonarrec.records import SonarrecError
 
 KNOTS = 8  # of a curve, at quantiles of what was seen
 # Penalties, in samples: on a curve's values, and on their second differences.

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import IntArray
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.join import Landmark, MappedLog, join
 from sonarrec.mapping.measured import measured_motion_path, read_frames
@@ -17,7 +18,6 @@ from sonarrec.mapping.passes import find_passes, read_declared
 from sonarrec.mapping.path import Drift, SonarPath, path_from_poses
 from sonarrec.mapping.poses_of_run import digest, poses_of_run
 from sonarrec.poses import PoseTable
-from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs

@@ -17,7 +17,7 @@ from sonarrec.mapping.passes import (
     periods_of,
 )
 from sonarrec.mapping.path import SonarPath
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 
 GATE = 16.27
 """Squared Mahalanobis distance of place and orientation that 99.9 % of the passes of one landmark

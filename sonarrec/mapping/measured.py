@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError
 from sonarrec.files.outputs import write_csv, writing
 from sonarrec.files.tables import Kind, Table, read_table
 from sonarrec.mapping.path import SonarPath, measured_path
-from sonarrec.records import SonarrecError
 
 FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
 MOVED = ("dyaw_deg", "dx_m", "dy_m")

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.errors import SonarrecError
 from sonarrec.files.tables import Table, line_number
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
-from sonarrec.records import Fan, SonarrecError
+from sonarrec.nouns import Fan
 from sonarrec.results.read import estimate_tables
 from sonarrec.results.sightings import PASS_GAP
 from sonarrec.results.stream import positions

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import landmark_colours
+from sonarrec.errors import number_of
 from sonarrec.files.outputs import plain, write_figure
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.join import Landmark, MappedLog
 from sonarrec.mapping.tables import Axes, ellipse
-from sonarrec.records import number_of
 
 LINES = "#333333"
 """Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""

@@ -6,9 +6,9 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
+from sonarrec.errors import SonarrecError
 from sonarrec.poses import PoseTable
 from sonarrec.readers.poses_csv import read_poses
-from sonarrec.records import SonarrecError
 from sonarrec.results.run_file import RunFile
 
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from sonarrec.arrays import FloatArray
+from sonarrec.errors import number_of
 from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.join import Landmark
-from sonarrec.records import number_of
 
 _PLACE = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2")  # of `_numbers`
 _TURN = ("orientation_deg", "orientation_sigma_deg")  # of `_turn`

@@ -17,7 +17,7 @@ from rosbags.typesys.store import Typestore
 from sonarrec.arrays import FloatArray
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Estimate, Fan
+from sonarrec.nouns import Estimate, Fan
 
 FRAME_ID = "sonar"
 NAME = "vision_msgs/msg/Detection3DArray"

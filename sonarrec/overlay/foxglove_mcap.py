@@ -16,11 +16,12 @@ from mcap.writer import CompressionType, Writer
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
 from sonarrec.drawing.results import AROUND, Mark, caption
+from sonarrec.errors import SonarrecError, name_as_text, number_of
 from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Estimate, Frame
 from sonarrec.overlay import detections
 from sonarrec.readers.mcap.foxglove_schemas import json_schema
-from sonarrec.records import Estimate, Frame, SonarrecError, name_as_text, number_of
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"

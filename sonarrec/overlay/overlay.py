@@ -14,15 +14,16 @@ import numpy as np
 
 from sonarrec.drawing.pen import draw_picture
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
+from sonarrec.errors import MissingError, SonarrecError, UsageError
 from sonarrec.files.outputs import Kind, check_output, writing
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Estimate, Fan, Frame
 from sonarrec.overlay.foxglove_layout import LAYOUT_BEGIN, write_layout
 from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Estimate, Fan, Frame, MissingError, SonarrecError, UsageError
 from sonarrec.results.folders import estimates_of, part_of, possible_names
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import LogOptions, read_run

@@ -10,12 +10,13 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
+from sonarrec.errors import UsageError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import read_model
-from sonarrec.records import Fan, Frame, FrameResult, UsageError
 
 Presets = str | Config | Sequence[str | Config]
 """One preset by name or as a Config, or several to run side by side."""

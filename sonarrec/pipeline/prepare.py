@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.config import Config
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.nouns import Fan, Frame
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
 from sonarrec.readers.find import SONAR_FILE, Source, find_log
@@ -20,7 +22,6 @@ from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Fan, Frame, SonarrecError, UsageError, name_as_text
 from sonarrec.results.folders import MADE, MADE_BY, check_name
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 

@@ -11,19 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.drawing.geometry import disc_width_px
+from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.nouns import (
+    Clock,
+    Frame,
+    FrameResult,
+    Stamps,
+)
 from sonarrec.pipeline.frames import Presets, configs_of
 from sonarrec.pipeline.prepare import PreparedRun, RunOptions, prepare
 from sonarrec.readers.find import find_log, log_name, results_name
 from sonarrec.readers.plausible import Plausibility
-from sonarrec.records import (
-    Clock,
-    Frame,
-    FrameResult,
-    SonarrecError,
-    Stamps,
-    name_as_text,
-    number_of,
-)
 from sonarrec.remote.find import RemoteLog
 from sonarrec.remote.urls import local
 from sonarrec.results.folders import folder_names

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.nouns import Clock
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Clock, SonarrecError, UsageError, name_as_text
 from sonarrec.sonar import Sonar, sonar_from
 
 

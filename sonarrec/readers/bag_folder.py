@@ -18,10 +18,10 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from sonarrec.errors import SonarrecError, name_as_text, number_of
 from sonarrec.files.order import natural_order
 from sonarrec.readers.packed import PACKINGS
 from sonarrec.readers.recording import Channel, Message, Recording
-from sonarrec.records import SonarrecError, name_as_text, number_of
 
 METADATA = "metadata.yaml"
 _ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))

@@ -13,9 +13,9 @@ from urllib.parse import quote
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Channel, Message, Recording
-from sonarrec.records import SonarrecError, name_as_text
 
 
 class Db3Recording(Recording):

@@ -14,7 +14,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from sonarrec.errors import (
+    MissingError,
+    SonarrecError,
+    UsageError,
+    name_as_text,
+)
 from sonarrec.files.order import natural_order
+from sonarrec.nouns import IMAGE_SUFFIXES, PART
 from sonarrec.readers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.ddf.frames import DdfFrames
 from sonarrec.readers.gemini.log import GeminiPings
@@ -24,14 +31,6 @@ from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.recording import Recording
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import (
-    IMAGE_SUFFIXES,
-    PART,
-    MissingError,
-    SonarrecError,
-    UsageError,
-    name_as_text,
-)
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"

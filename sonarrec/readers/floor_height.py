@@ -14,8 +14,8 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage
 from sonarrec.geometry import floor_depth
+from sonarrec.nouns import Fan
 from sonarrec.readers.plausible import as_polar, levels_by_range
-from sonarrec.records import Fan
 
 HALF_BEAM_DEG = 10.0  # vertical beams of imaging sonars are 14 to 28 deg wide
 STEEPEST_DEG = 85.0

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from sonarrec.arrays import ByteImage
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
+from sonarrec.nouns import Fan
 from sonarrec.readers.beam_order import looks_beam_major
 from sonarrec.readers.colour_maps import LUMINANCE, find_map, is_coloured
 from sonarrec.readers.floor_height import height_from_images
@@ -25,7 +27,6 @@ from sonarrec.readers.grey import (
 )
 from sonarrec.readers.ping_geometry import agree, as_stated, as_wide, extent, same_view, shows
 from sonarrec.readers.raw import RawFrame, UnusableError, showing
-from sonarrec.records import Fan, SonarrecError
 from sonarrec.sonar import BeamOrder, Geometry, PingGeometry, Sonar
 
 MANY_SKIPPED = 10  # pings of another window: then the sonar was set to it, and a note says so

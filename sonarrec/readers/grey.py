@@ -27,9 +27,9 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.errors import SonarrecError
 from sonarrec.readers.colour_maps import LUMINANCE, map_levels
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import SonarrecError
 from sonarrec.sonar import Sonar
 
 DYNAMIC_RANGE_DB = 50.0

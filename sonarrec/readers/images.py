@@ -10,11 +10,12 @@ from typing import overload
 
 import numpy as np
 
+from sonarrec.errors import name_as_text
 from sonarrec.files.order import natural_order
+from sonarrec.nouns import IMAGE_SUFFIXES
 from sonarrec.readers.name_times import name_without_time, times_in_names
 from sonarrec.readers.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.records import IMAGE_SUFFIXES, name_as_text
 from sonarrec.times import date_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes

@@ -9,13 +9,14 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
+from sonarrec.nouns import Fan, Origin
 from sonarrec.readers.fan_outline import FanOutline
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import Fan, Origin, SonarrecError, UsageError, name_as_text
 from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]

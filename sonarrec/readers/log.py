@@ -10,12 +10,13 @@ from dataclasses import replace
 from itertools import chain, islice
 from typing import Any
 
+from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.nouns import Clock, Fan, Frame
 from sonarrec.readers.colour_maps import LUMINANCE
 from sonarrec.readers.find import Source
 from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.images import MAX_FILE_BYTES, names_an_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, showing
-from sonarrec.records import Clock, Fan, Frame, SonarrecError, name_as_text, number_of
 from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20

@@ -8,11 +8,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from sonarrec.errors import UsageError, name_as_text
 from sonarrec.files.order import natural_order
 from sonarrec.readers.bag_folder import is_bag_folder
 from sonarrec.readers.find import is_log_file, matches
 from sonarrec.readers.images import is_image
-from sonarrec.records import UsageError, name_as_text
 
 RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
 """A folder with one of these holds results, so its images are no log."""

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from sonarrec.records import SonarrecError, name_as_text
+from sonarrec.errors import SonarrecError, name_as_text
 
 MOST_BYTES = 2**31  # unpacked, or as many times the file's own size, whichever is more
 MOST_TIMES = 100

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 from sonarrec.sonar import PingGeometry, Sonar
 
 MIN_SHARED_WINDOW = 0.5

@@ -14,8 +14,8 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.geometry import fan_mask, pixel_from_polar
+from sonarrec.nouns import Fan, Frame, PolarImages
 from sonarrec.readers.fan_outline import BACKGROUND, FanOutline, above_background, find_outline
-from sonarrec.records import Fan, Frame, PolarImages
 
 FRAMES = 5
 """Number of first frames that are used. Each costs one addition of an image."""

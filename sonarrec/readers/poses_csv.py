@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.errors import SonarrecError
 from sonarrec.poses import PoseTable, pose_table
-from sonarrec.records import SonarrecError
 
 if TYPE_CHECKING:
     from sonarrec.files.tables import Table

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.records import NO_STAMPS, Stamps
+from sonarrec.nouns import NO_STAMPS, Stamps
 from sonarrec.sonar import MIN_WINDOW_M, PingGeometry, Sonar
 
 MAX_FRAME_BYTES = 48 * 2**20  # also of a message: 4096 x 4096 pixels of three bytes

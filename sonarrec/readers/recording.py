@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.records import name_as_text
+from sonarrec.errors import name_as_text
 
 CLEARLY_BACK_NS = 10**9
 """Threads of a recorder may swap messages, but not those so far apart."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import lz4.frame
 
+from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Channel, Message, Recording
-from sonarrec.records import SonarrecError, name_as_text
 
 MAX_CHUNK_BYTES = 2**27  # inflated, in memory; recorders write chunks of less than 1 MB
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import cv2
 
+from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import SonarrecError, name_as_text
 
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Config
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import Fan, Frame
+from sonarrec.nouns import Fan, Frame
 
 FRAMES_FOR_BEAMS = 4
 """How many of a log's first frames are looked at."""

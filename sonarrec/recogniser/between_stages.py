@@ -8,8 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray, joined
+from sonarrec.nouns import (
+    Estimate,
+    FrameResult,
+    Groups,
+    Motion,
+    Selection,
+)
 from sonarrec.recogniser.stage3_features import Evidence
-from sonarrec.records import Estimate, FrameResult, Groups, Motion, Selection
 
 
 @dataclass(frozen=True, slots=True)

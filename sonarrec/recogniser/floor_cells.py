@@ -8,7 +8,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage
 from sonarrec.geometry import floor_depth
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 
 
 @dataclass(frozen=True, slots=True)

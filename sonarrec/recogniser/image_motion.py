@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
+from sonarrec.nouns import Motion
 from sonarrec.recogniser.floor_cells import FloorCells
 from sonarrec.recogniser.keyframes import Keyframes
 from sonarrec.recogniser.pan import PanEstimator
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.registration import FloorRegistration, Registration
-from sonarrec.records import Motion
 
 # Least match of a registration that is believed: one that started from the last frame's motion,
 # and one that was searched for. Pictures of different floor match by up to 0.2 (tuning seeds), with

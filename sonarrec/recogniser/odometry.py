@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from sonarrec.arrays import ByteImage
 from sonarrec.config import Continuity
+from sonarrec.nouns import Motion
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.image_motion import ImageMotion
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import Motion
 
 # The table's turns are compared with the images' where either is at least this large. The table is
 # doubted where the images contradict most of at least so many turns.

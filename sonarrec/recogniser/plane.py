@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import (
     STEEPEST,
     Resampling,
@@ -26,7 +27,7 @@ from sonarrec.geometry import (
     row_bands,
     slant_range,
 )
-from sonarrec.records import Fan, Motion, PolarImages, SonarrecError
+from sonarrec.nouns import Fan, Motion, PolarImages
 
 Values = FloatArray | float
 Pair = tuple[FloatArray, FloatArray]

@@ -9,6 +9,7 @@ from itertools import chain
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
 from sonarrec.recogniser.levels import Levels
@@ -16,7 +17,6 @@ from sonarrec.recogniser.stage3_features.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 from sonarrec.recogniser.together import recognise_together
 from sonarrec.recogniser.unchanging import Unchanging
-from sonarrec.records import Fan, Frame, FrameResult
 
 
 class SideBySide:

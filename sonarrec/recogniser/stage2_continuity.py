@@ -25,9 +25,9 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined
 from sonarrec.config import Continuity
+from sonarrec.nouns import Groups, Motion, Selection
 from sonarrec.recogniser.particles import LostGroups, ParticleGroups
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import Groups, Motion, Selection
 
 NEW_EXISTENCE = 0.5  # of a group that has just begun
 WHOLE = 0.9  # share of a disc in view with which its object should show

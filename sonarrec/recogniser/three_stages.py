@@ -9,6 +9,7 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, Batch, WorkingImage
@@ -22,7 +23,6 @@ from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement
 from sonarrec.recogniser.stage3_features.model import built_in_model
 from sonarrec.recogniser.stage3_features.published import PublishedMeasurement
 from sonarrec.recogniser.stage3_features.smi import identify
-from sonarrec.records import Fan, Frame, FrameResult
 
 SMI = "smi"
 FRAMEWORK = "framework"

@@ -10,12 +10,12 @@ from itertools import islice
 
 import cv2
 
+from sonarrec.nouns import Frame, FrameResult
 from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, WorkingImage
 from sonarrec.recogniser.odometry import PoseTally
 from sonarrec.recogniser.own_process import CAN_FORK, OwnProcess
 from sonarrec.recogniser.prefetch import Prefetcher
 from sonarrec.recogniser.three_stages import ThreeStages
-from sonarrec.records import Frame, FrameResult
 
 # Frames that stage 3 takes at once, which costs a third of one by one. More would save little.
 FRAMES_AT_ONCE = 16

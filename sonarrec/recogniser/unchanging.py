@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatImage, IndexArray
 from sonarrec.geometry import fan_mask
-from sonarrec.records import Frame
+from sonarrec.nouns import Frame
 
 # Only frames that show a new picture count, called looks: the median change of their pixels since
 # the last look exceeds this share of the difference between neighbouring pixels. A sonar that

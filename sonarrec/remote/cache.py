@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.files.locks import is_there, locked
 from sonarrec.files.outputs import write_text
-from sonarrec.records import SonarrecError, UsageError, name_as_text
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
 _POLL_S = 0.2

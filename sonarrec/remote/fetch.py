@@ -15,7 +15,8 @@ from pathlib import Path
 from time import sleep
 from typing import TYPE_CHECKING
 
-from sonarrec.records import Origin, SonarrecError
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import Origin
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of, unwritable
 from sonarrec.remote.find import RemoteLog, items_of, relative, with_literal_name
 from sonarrec.remote.urls import Url, parse_url

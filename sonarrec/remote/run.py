@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from sonarrec.nouns import Origin
 from sonarrec.readers.named_logs import NamedLog, log_arguments, logs_named
-from sonarrec.records import Origin
 from sonarrec.remote.cache import Cache
 from sonarrec.remote.fetch import CachedCopy, fetched, fetched_file, fetched_results
 from sonarrec.remote.find import RemoteLog, beside, find

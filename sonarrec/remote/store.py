@@ -21,7 +21,7 @@ from pathlib import Path
 from time import sleep
 from typing import Any, TypeVar
 
-from sonarrec.records import MissingError, SonarrecError, UsageError
+from sonarrec.errors import MissingError, SonarrecError, UsageError
 from sonarrec.remote.cache import unwritable
 from sonarrec.remote.urls import Url, unquoted
 

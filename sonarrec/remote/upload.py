@@ -13,8 +13,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from sonarrec.errors import MissingError, SonarrecError
 from sonarrec.files.outputs import is_output
-from sonarrec.records import MissingError, Origin, SonarrecError
+from sonarrec.nouns import Origin
 from sonarrec.remote.cache import Cache, key_of, only_one
 from sonarrec.remote.store import Item, Store, writable
 from sonarrec.remote.urls import Url, parse_url

@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import TypeVar
 from urllib.parse import quote, unquote, urlsplit
 
-from sonarrec.records import UsageError, name_as_text
+from sonarrec.errors import UsageError, name_as_text
 
 Place = TypeVar("Place")
 SCHEMES = ("s3", "gs", "https", "http", "sftp")

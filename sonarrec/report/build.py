@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.errors import number_of
 from sonarrec.evaluation.cells import protocols
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.evaluate import DEFAULT, Evaluation, evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.files.outputs import check_output, write_page
-from sonarrec.records import number_of
 from sonarrec.report import frames
 from sonarrec.report.logs import (
     MOST_LOGS,

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.errors import number_of
 from sonarrec.evaluation.counting.pooled import PooledScored
 from sonarrec.evaluation.counting.reliability import FEW, Reliability
 from sonarrec.evaluation.roc import roc as evaluation_roc
-from sonarrec.records import number_of
 from sonarrec.report.logs import ReportedLog, Track, alongside, true_landmark
 from sonarrec.report.svg import (
     MOST_POINTS,

@@ -9,6 +9,7 @@ from heapq import nlargest
 from pathlib import Path
 
 from sonarrec import __version__
+from sonarrec.errors import name_as_text
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.compare.changes import FrameRun
 from sonarrec.evaluation.compare.compare import Comparison, PassChange
@@ -16,7 +17,6 @@ from sonarrec.evaluation.compare.screen import outcome, settings_lines
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.files.outputs import write_page
-from sonarrec.records import name_as_text
 from sonarrec.report.templates import filled
 
 MOST = 10

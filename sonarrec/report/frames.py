@@ -13,8 +13,9 @@ import numpy as np
 from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import disc_outline
 from sonarrec.drawing.results import AROUND, Mark, caption
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import Estimate, Fan, Frame
 from sonarrec.readers.log import Log
-from sonarrec.records import Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
 from sonarrec.report.pictures import Picture, PictureRequest, as_webp, draw, ellipse, shrunk
 from sonarrec.results.folders import estimates_of

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.evaluation.matching.joined import join, nearest_truth
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import SonarrecError, UsageError, follows
+from sonarrec.nouns import follows
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.batch import logs_table
+from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import SonarrecError, UsageError, number_of
 from sonarrec.report.logs import follows_by_default
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import read_run

@@ -14,6 +14,7 @@ from typing import Any
 
 from sonarrec import __version__
 from sonarrec.drawing.pen import landmark_colours
+from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.counting.pooled import Pooled
@@ -22,7 +23,6 @@ from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import over_units, summarise, units_text
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import number_of
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import (

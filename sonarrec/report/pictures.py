@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.results import Mark, draw_frame
-from sonarrec.records import Estimate, Frame
+from sonarrec.nouns import Estimate, Frame
 from sonarrec.report.logs import ReportedLog
 
 LARGEST = 640  # pixels of the longer side; draw_frame lays its text out for this

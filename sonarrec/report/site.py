@@ -21,11 +21,11 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
 from sonarrec.geometry import STEEPEST, floor_depth
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from sonarrec.records import Estimate, FrameResult
 from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site, sentences
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import (

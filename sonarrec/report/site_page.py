@@ -9,12 +9,12 @@ import numpy as np
 
 from sonarrec import __version__
 from sonarrec.arrays import FloatArray
+from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.by_range import Rate
 from sonarrec.evaluation.cells import Cell
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.records import number_of
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
 from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site, span_text
 from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.arrays import ByteImage
+from sonarrec.errors import number_of
 from sonarrec.evaluation.by_range import Rate, RecognitionRates
 from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, unseen_share
 from sonarrec.files.outputs import write_csv, write_text, writing
-from sonarrec.records import number_of
 from sonarrec.simulation.background import Layout
 
 ENOUGH = 0.9

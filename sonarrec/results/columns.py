@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from sonarrec.records import Estimate, FrameResult, Stamps
+from sonarrec.nouns import Estimate, FrameResult, Stamps
 from sonarrec.results.sightings import Sighting
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from sonarrec.errors import SonarrecError
 from sonarrec.files.parquet import PARQUET, read_parts
-from sonarrec.records import SonarrecError
 from sonarrec.results.columns import ESTIMATES_HEADER, FRAMES_HEADER
 from sonarrec.results.folders import estimates_of
 

@@ -13,9 +13,15 @@ from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import IO
 
+from sonarrec.errors import (
+    SonarrecError,
+    UsageError,
+    name_as_text,
+    number_of,
+)
 from sonarrec.files.locks import is_there, locked
 from sonarrec.files.outputs import Kind, is_output
-from sonarrec.records import PART, SonarrecError, UsageError, name_as_text, number_of
+from sonarrec.nouns import PART
 
 LONGEST_NAME = 255
 """Bytes of a file name, on common file systems."""

@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.errors import MissingError, SonarrecError, printable
 from sonarrec.files.order import natural_order
 from sonarrec.files.tables import Table, cut, line_number, position_pair, read_table, read_tables
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import PART, Fan, MissingError, SonarrecError, printable
+from sonarrec.nouns import PART, Fan
 from sonarrec.results.columns import (
     ESTIMATES_HEADER,
     FRAME_COLUMNS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from sonarrec.records import SonarrecError, number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.results.read import read_frames
 from sonarrec.results.run_file import RunFile
 

@@ -7,10 +7,11 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from sonarrec.errors import UsageError
 from sonarrec.geometry import ground_range
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Estimate, Fan, follows
 from sonarrec.poses import PoseTable
-from sonarrec.records import Estimate, Fan, UsageError, follows
 
 PASS_GAP = 10
 """A pass ends after so many frames without a declaration."""

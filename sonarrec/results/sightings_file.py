@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.records import Estimate, SonarrecError
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import Estimate
 from sonarrec.results.columns import SIGHTING_COLUMNS
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.run_file import RunFile, read_run

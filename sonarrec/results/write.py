@@ -13,10 +13,11 @@ from typing import Any, Self
 
 import tomli_w
 
+from sonarrec.errors import SonarrecError, name_as_text, number_of
 from sonarrec.files.outputs import replaced
 from sonarrec.files.parquet import convert
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, name_as_text, number_of
+from sonarrec.nouns import NO_STAMPS, FrameResult, Stamps
 from sonarrec.results.columns import FRAME_COLUMNS, SIGHTING_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.sightings import Sighting, Sightings

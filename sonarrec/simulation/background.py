@@ -16,8 +16,20 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage
 from sonarrec.config import Config, preset
+from sonarrec.errors import (
+    SonarrecError,
+    UsageError,
+    name_as_text,
+    number_of,
+)
 from sonarrec.geometry import floor_depth, slant_range
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import (
+    Clock,
+    Fan,
+    Frame,
+    Motion,
+)
 from sonarrec.poses import PoseTable
 from sonarrec.readers.find import find_log
 from sonarrec.readers.grey import DYNAMIC_RANGE_DB
@@ -26,16 +38,6 @@ from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, usual_beam_width_deg, with_beams
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.records import (
-    Clock,
-    Fan,
-    Frame,
-    Motion,
-    SonarrecError,
-    UsageError,
-    name_as_text,
-    number_of,
-)
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
 from sonarrec.simulation.motion import Pose

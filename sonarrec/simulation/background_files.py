@@ -10,9 +10,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from sonarrec.errors import SonarrecError
 from sonarrec.files.outputs import write_csv, writing
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.records import SonarrecError
 from sonarrec.simulation.background import Background, ComposedFrame, DiscLook, Layout, compose
 from sonarrec.simulation.simulate import write_documents, write_image
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows

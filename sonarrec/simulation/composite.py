@@ -32,7 +32,7 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 from sonarrec.simulation.motion import Pose
 
 FINE, LIGHT = 1 / 3, 7 / 3  # scales, in radii of the disc

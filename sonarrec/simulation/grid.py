@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import Scene
 

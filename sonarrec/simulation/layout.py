@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sonarrec.arrays import BoolArray
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import (
     STEEPEST,
     floor_depth,
@@ -21,7 +22,7 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Fan, SonarrecError
+from sonarrec.nouns import Fan
 from sonarrec.simulation.composite import DiscKind, LaidDisc
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.truth import visible_share

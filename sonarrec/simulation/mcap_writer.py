@@ -15,10 +15,10 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.files.outputs import writing
 from sonarrec.readers.mcap import foxglove_schemas
 from sonarrec.readers.mcap.ros import known_messages
-from sonarrec.records import SonarrecError, UsageError
 from sonarrec.simulation import mcap_fields as fields
 from sonarrec.simulation.mcap_fields import MakeFields
 from sonarrec.sonar import Geometry

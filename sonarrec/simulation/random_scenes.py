@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.records import SonarrecError
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import (
     KINDS,

@@ -9,7 +9,7 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.geometry import in_fan, polar_from_pixel
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 from sonarrec.simulation.scene import Scene, SonarSection, scene_bearings
 
 GROUP = 8  # so many neighbouring beams share a gain; beams this far apart fire together

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 from sonarrec.simulation.fading import Fading
 from sonarrec.simulation.fish import Shoal
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, corners

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from sonarrec.arrays import FloatArray
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.files.toml import (
     AtLeastOne,
     Count,
@@ -30,7 +31,7 @@ from sonarrec.files.toml import (
 )
 from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Fan, SonarrecError, UsageError
+from sonarrec.nouns import Fan
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
 from sonarrec.sonar import Sonar
 

@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 
 from sonarrec.arrays import ByteImage
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
-from sonarrec.records import SonarrecError, UsageError
 from sonarrec.remote.urls import local
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, load_scene, scene_sonar, scene_table

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.geometry import in_image, pixel_from_polar, points_on_disc
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 from sonarrec.simulation.fish import Fishes
 from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose

@@ -12,14 +12,15 @@ from urllib.parse import unquote
 import numpy as np
 
 from sonarrec.arrays import FloatArray
+from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.files.order import natural_order
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Fan
 from sonarrec.readers.find import find_log
 from sonarrec.readers.images import is_image, names_an_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.name_times import times_in_names
-from sonarrec.records import Fan, SonarrecError, UsageError, number_of
 from sonarrec.sonar import Sonar
 from sonarrec.truth.annotations import read_annotations
 from sonarrec.truth.annotations.shapes import Annotations, Shape

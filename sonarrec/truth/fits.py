@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import BoolArray, IntArray
+from sonarrec.errors import number_of
 from sonarrec.geometry import polar_from_plane
-from sonarrec.records import number_of
 from sonarrec.times import is_date
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, match_times, pixels_apart

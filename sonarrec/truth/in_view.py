@@ -6,7 +6,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.geometry import floor_depth, ground_range, in_image, points_on_disc
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 
 _POINTS = 500  # of a disc: shares are good to a hundredth
 _BATCH = 2_000  # discs at a time, which bounds the memory

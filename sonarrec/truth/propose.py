@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_plane
-from sonarrec.records import Fan, SonarrecError, UsageError, follows, number_of
+from sonarrec.nouns import Fan, follows
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.errors import SonarrecError
 from sonarrec.files.outputs import replaced
 from sonarrec.files.tables import (
     POSITION_KINDS,
@@ -22,7 +23,6 @@ from sonarrec.files.tables import (
     read_header,
     read_table,
 )
-from sonarrec.records import SonarrecError
 
 HEADER = "frame,landmark,x_px,y_px,visible"
 TRACKED, FILLED_IN = "tracked", "interpolated"

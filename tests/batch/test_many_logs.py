@@ -18,8 +18,8 @@ import pytest
 from sonarrec.batch import logs_table, processes
 from sonarrec.batch.logs_table import COLUMNS, LogsTable, read_logs
 from sonarrec.batch.task import Outcome, Task
+from sonarrec.errors import SonarrecError
 from sonarrec.pipeline.prepare import RunOptions
-from sonarrec.records import SonarrecError
 from sonarrec.results.folders import LockedError
 from sonarrec.results.run_file import LogOptions
 from sonarrec.sonar import Sonar

@@ -18,7 +18,7 @@ from sonarrec.drawing.geometry import disc_width_px, draw_preview, nice_steps
 from sonarrec.drawing.pen import FLOOR, GRID, TRUTH
 from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_frame, draw_strip
 from sonarrec.landmarks import BUILT_IN, load_landmarks
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 from tests.support.drawn import draw_on_floor, make_fan
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
 

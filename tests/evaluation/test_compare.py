@@ -13,11 +13,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.compare.compare import compare
 from sonarrec.evaluation.compare.screen import _rate_lines
 from sonarrec.evaluation.evaluate import evaluate, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
-from sonarrec.records import SonarrecError
 from tests.evaluation.test_evaluation import (
     ESTIMATE_HEADER,
     TRUTH_HEADER,

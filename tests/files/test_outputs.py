@@ -15,10 +15,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.plots import draw_roc
 from sonarrec.files.outputs import replaced, with_mark, write_csv, write_text, writing
 from sonarrec.mapping.picture import draw_map
-from sonarrec.records import SonarrecError
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 

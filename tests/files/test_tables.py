@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from sonarrec.errors import SonarrecError
 from sonarrec.files.tables import Kind, line_number, read_header, read_table, read_tables
-from sonarrec.records import SonarrecError
 
 
 def times(path: Path, *cells: str) -> list[int]:

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.config import Config, configs, with_assignments
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.files import toml
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import read_model
-from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.run_file import read_run
 from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar import load_sonar

@@ -27,6 +27,7 @@ from sonarrec.learning.calibrate import (
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.left_out import _standard_error, gain_on_the_rest
 from sonarrec.learning.samples import Samples, Tracks, describe, label
+from sonarrec.nouns import Frame
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import (
     AppearanceModel,
@@ -34,7 +35,6 @@ from sonarrec.recogniser.stage3_features.model import (
     parse_model,
     read_model,
 )
-from sonarrec.records import Frame
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording

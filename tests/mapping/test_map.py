@@ -28,6 +28,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import MapOptions, SiteMap, make_map
 from sonarrec.mapping.factors import Factors, Graph, factors, write_g2o
@@ -35,9 +36,9 @@ from sonarrec.mapping.join import MappedLog, frame_shares, join
 from sonarrec.mapping.passes import HEIGHT_SIGMA_M, DeclaredEstimates, find_passes
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, path_from_poses
 from sonarrec.mapping.tables import CHI2_95, GeographicOrigin, ellipse, rings_at_180
+from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.poses import pose_table
 from sonarrec.readers.poses_csv import read_poses
-from sonarrec.records import Estimate, FrameResult, SonarrecError, UsageError
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar

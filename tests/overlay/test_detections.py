@@ -19,8 +19,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarrec.cli import main
 from sonarrec.landmarks import load_landmarks
+from sonarrec.nouns import Estimate
 from sonarrec.overlay.detections import detections_message
-from sonarrec.records import Estimate
 from tests.support.drawn import make_fan
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"

@@ -47,11 +47,12 @@ from sonarrec.drawing.results import (
     draw_strip,
     trails,
 )
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.nouns import Estimate, Fan, FrameResult
 from sonarrec.overlay.overlay import Targets, write_overlay
 from sonarrec.readers import open_log
-from sonarrec.records import Estimate, Fan, FrameResult, SonarrecError, UsageError
 from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, load_sonar

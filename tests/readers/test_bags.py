@@ -18,13 +18,14 @@ import zstandard
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers import packed as packed_files
 from sonarrec.readers import ros_bag as ros_bags
 from sonarrec.readers.find import find_log
 from sonarrec.readers.mcap import ros
 from sonarrec.readers.mcap.poses import read_topic
-from sonarrec.records import Frame, SonarrecError
 from tests.support.bags import IMAGE, bag, messages, ros1_bag, ros1_messages, split_bag
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
 from tests.support.messages import FIELDS, by_rosbags, image_fields, polar_frames, serialised

@@ -12,9 +12,9 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from sonarrec.nouns import ColourMap
 from sonarrec.readers import open_log
 from sonarrec.readers.colour_maps import LUMINANCE, MAPS, find_map, is_coloured, map_levels
-from sonarrec.records import ColourMap
 from tests.support.command import sonarrec
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"

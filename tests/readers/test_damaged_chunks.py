@@ -12,10 +12,11 @@ import pytest
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
 
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.mcap.container import McapRecording
 from sonarrec.readers.mcap.images import ChannelImages
-from sonarrec.records import Frame, SonarrecError
 from tests.support.hard_logs import HardLog, message, record
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames
 

@@ -17,12 +17,12 @@ from click.testing import CliRunner
 from mcap.writer import Writer
 
 from sonarrec.cli import main
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers import open_log
 from sonarrec.readers.mcap import images as mcap_images
 from sonarrec.readers.mcap.poses import read_topic
 from sonarrec.readers.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import SonarrecError, UsageError
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 
 IMAGES = frames(6)

@@ -25,11 +25,12 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.mcap.messages import decoder_for, message_type
 from sonarrec.readers.mcap.salvage import MAGIC
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import Frame, SonarrecError, UsageError
 from sonarrec.simulation.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.logs import (

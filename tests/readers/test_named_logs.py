@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.pipeline.run import result_names
 from sonarrec.readers.find import companion, find_log
 from sonarrec.readers.named_logs import logs_named
-from sonarrec.records import SonarrecError, UsageError
 from sonarrec.remote.run import all_logs
 from tests.support.bags import bag, messages, split_bag
 from tests.support.command import sonarrec

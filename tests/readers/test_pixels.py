@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from PIL import Image, ImageOps
 
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.grey import grey_scale, holds_amplitudes, single_channel, to_grey8
 from sonarrec.readers.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import SonarrecError
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, sonar_from_table

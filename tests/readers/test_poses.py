@@ -17,12 +17,13 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.config import Config, preset
+from sonarrec.errors import SonarrecError
+from sonarrec.nouns import Frame, Motion
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.mcap.poses import read_topic
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages
-from sonarrec.records import Frame, Motion, SonarrecError
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, load_scene

@@ -19,15 +19,16 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.files.order import natural_order
 from sonarrec.geometry import PolarToFan
+from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.images import ImagePaths
 from sonarrec.readers.info import describe
 from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size, _to_settle
 from sonarrec.readers.named_logs import NamedLog, logs_named
 from sonarrec.readers.raw import RawFrame
-from sonarrec.records import Frame, SonarrecError, UsageError
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.bags import bag, messages, ros1_bag, split_bag
@@ -627,7 +628,7 @@ def test_decoders_are_silent(tmp_path: Path) -> None:
     video.write_bytes(video.read_bytes()[:-9000])
     script = f"""
 from sonarrec.readers import open_log
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError
 for name in ("png", "tiff", "bmp", "log.avi", "junk.avi"):
     try:
         with open_log({str(tmp_path)!r} + "/" + name) as log:

@@ -13,7 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.config import Features
+from sonarrec.errors import UsageError
 from sonarrec.landmarks import load_landmarks
+from sonarrec.nouns import Groups
 from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.stage3_features.appearance import (
@@ -28,7 +30,6 @@ from sonarrec.recogniser.stage3_features.shape_matrix import (
     ShapeSampler,
 )
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
-from sonarrec.records import Groups, UsageError
 from tests.support.drawn import (
     SECTORS,
     cross_pattern,

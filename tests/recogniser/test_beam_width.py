@@ -16,13 +16,14 @@ from click.testing import CliRunner
 from sonarrec import Recogniser, load_landmarks, open_log, preset, read_results, run
 from sonarrec.cli import main
 from sonarrec.config import Config
+from sonarrec.errors import SonarrecError
 from sonarrec.learning import calibrate
+from sonarrec.nouns import Frame
 from sonarrec.recogniser.beam_width import (
     beam_width_deg,
     measured_width_deg,
     usual_beam_width_deg,
 )
-from sonarrec.records import Frame, SonarrecError
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import survey
 from sonarrec.simulation.random_scenes import random_scene

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from sonarrec.geometry import PolarToFan, fan_mask
+from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.recogniser.levels import LIFTS, MEAN, OF_GAUSSIAN, SPREAD, Levels
-from sonarrec.records import Fan, Frame
 from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from sonarrec.nouns import Groups
 from sonarrec.recogniser.stage3_features import Evidence
 from sonarrec.recogniser.stage3_features.opinions import (
     LEAST_BELIEF,
@@ -18,7 +19,6 @@ from sonarrec.recogniser.stage3_features.opinions import (
     Opinions,
     TrackBelief,
 )
-from sonarrec.records import Groups
 
 IDS = 4
 said = arrays(float, (6, IDS + 1), elements=st.floats(0.0, 1.0)).map(

@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 from sonarrec import config
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.nouns import Frame, FrameResult
 from sonarrec.recogniser import together
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 from sonarrec.recogniser.together import FRAMES_AT_ONCE
-from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.random_scenes import random_scene

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
+from sonarrec.nouns import Fan, Selection
 from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector, Correlation, gap_share
-from sonarrec.records import Fan, Selection
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.nouns import Groups
 from sonarrec.recogniser.stage3_features.published import (
     FeatureEstimator,
     measurement_model,
     motion_model,
     update,
 )
-from sonarrec.records import Groups
 
 IDEAL = {  # shares of agreeing sectors between the four IDs, by hand
     1: (1, 0.75, 0.75, 0.5),

@@ -15,7 +15,7 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 from sonarrec.remote import store
 from sonarrec.remote.cache import Cache, size_bytes
 from sonarrec.remote.fetch import fetch_ahead, fetched

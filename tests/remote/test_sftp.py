@@ -8,7 +8,7 @@ from pathlib import Path
 import fsspec
 import pytest
 
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 from sonarrec.remote.cache import Cache
 from sonarrec.remote.fetch import fetched, fetched_results
 from sonarrec.remote.find import beside, find

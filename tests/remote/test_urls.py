@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sonarrec.records import UsageError
+from sonarrec.errors import UsageError
 from sonarrec.remote.urls import is_url, parse_url
 
 

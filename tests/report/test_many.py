@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 import tomli_w
 
+from sonarrec.errors import UsageError
 from sonarrec.evaluation.cells import scored_by
 from sonarrec.evaluation.evaluate import evaluate_many
 from sonarrec.landmarks import load_landmarks
-from sonarrec.records import UsageError
 from sonarrec.report.build import write_report
 from sonarrec.report.logs import MOST_LOGS
 from tests.support.browser import look

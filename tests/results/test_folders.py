@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec import run
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import (
     LockedError,
     exchange,

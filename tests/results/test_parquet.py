@@ -17,9 +17,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.errors import SonarrecError
 from sonarrec.files import parquet
 from sonarrec.landmarks import load_landmarks
-from sonarrec.records import FrameResult, SonarrecError
+from sonarrec.nouns import FrameResult
 from sonarrec.results.data_frames import read_results
 from sonarrec.results.folders import estimates_of, part_of
 from sonarrec.results.read import estimate_tables, read_log

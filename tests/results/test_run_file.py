@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import in_image, pixel_from_polar
-from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar

@@ -17,11 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
+from sonarrec.errors import SonarrecError
 from sonarrec.files import toml
 from sonarrec.landmarks import load_landmarks
+from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.pipeline.run import MOST_SIGHTINGS, run
 from sonarrec.poses import pose_table
-from sonarrec.records import Estimate, FrameResult, SonarrecError
 from sonarrec.results import sightings_file
 from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings

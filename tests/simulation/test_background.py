@@ -16,10 +16,11 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.config import preset
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import BUILT_IN, load_landmarks
+from sonarrec.nouns import Fan
 from sonarrec.readers import open_log
-from sonarrec.records import Fan, SonarrecError
 from sonarrec.simulation.background import (
     Background,
     DiscLook,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import FloorSection, PlacedLandmark, PlacedObject, Scene
 from tests.support.bare import POLAR, even_power

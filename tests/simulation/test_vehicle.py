@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render

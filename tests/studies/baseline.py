@@ -21,7 +21,7 @@ import numpy as np
 
 from sonarrec.geometry import fan_mask, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 
 METHOD = "hough_majority"
 ANGLES = 36

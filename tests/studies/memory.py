@@ -28,7 +28,7 @@ from sonarrec.readers import open_log
 from sonarrec.readers.mcap import chunks
 if len(sys.argv) > 2:
     chunks.HELD_BYTES = int(sys.argv[2])
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 frames = 0
 try:
     with open_log(sys.argv[1]) as log:

@@ -24,6 +24,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import fan_mask
+from sonarrec.nouns import Fan, Frame
 from sonarrec.readers.colour_maps import LUMINANCE, find_map
 from sonarrec.readers.fan_outline import find_outline
 from sonarrec.readers.grey import single_channel
@@ -31,7 +32,6 @@ from sonarrec.readers.plausible import FRAMES as LOOKED_AT
 from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.recogniser.unchanging import Unchanging
-from sonarrec.records import Fan, Frame
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan

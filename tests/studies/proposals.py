@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import Fan
+from sonarrec.nouns import Fan
 from sonarrec.results.read import read_log
 from tests.studies.scenes import show
 

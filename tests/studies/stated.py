@@ -18,11 +18,11 @@ import pandas as pd
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import floor_depth
+from sonarrec.nouns import Frame
 from sonarrec.pipeline.frames import Recogniser
 from sonarrec.readers.floor_height import height_from_images
 from sonarrec.readers.log import SETTLING_FRAMES
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from sonarrec.records import Frame
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.render import SimulatedFrame, render

@@ -18,11 +18,11 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
+from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.counting.curves import PUBLISHED
 from sonarrec.evaluation.counting.uncertainty import LEVEL
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.evaluation.write import write_evaluation
-from sonarrec.records import SonarrecError
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
 from sonarrec.simulation.things import object_radius
 from tests.studies.scenes import seeds, show, told

@@ -16,12 +16,12 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset, with_assignments
+from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.landmarks import load_landmarks
 from sonarrec.learning.built_in import MODEL_SEEDS
-from sonarrec.records import SonarrecError
 from sonarrec.simulation.scene import (
     MotionSection,
     PlacedLandmark,

@@ -22,10 +22,10 @@ from foxglove.messages import CompressedImage, RawImage, Timestamp
 from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.mcap.messages import decoder_for
 from sonarrec.readers.raw import Ping
-from sonarrec.records import Frame
 from sonarrec.sonar import Sonar
 from tests.support.flatbuffer import binary_schema, encode_flatbuffer
 from tests.support.logs import COMPRESSION, PERIOD_NS, mcap_file

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import SonarrecError
 from sonarrec.results.read import read_log
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth

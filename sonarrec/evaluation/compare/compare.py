@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError, printable
 from sonarrec.evaluation import metrics
 from sonarrec.evaluation.compare.changes import FrameChanges, store_changes
 from sonarrec.evaluation.compare.log_pair import CountedPair, LogPair, count_pair
@@ -33,7 +34,6 @@ from sonarrec.evaluation.matching.pairs import FindBeside, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.summary import units_text
 from sonarrec.evaluation.survey import UnreadableLog, map_logs
-from sonarrec.records import SonarrecError, printable
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.truth.fits import rows_on_frames
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
 from sonarrec.evaluation.counting.parts import Part, part_of, score_all
 from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.survey import UnreadableLog, truth_table
-from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole, read_log
 from sonarrec.truth.match import match_truth
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import IntArray
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.evaluation.compare.log_pair import LogPair
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
@@ -20,7 +21,6 @@ from sonarrec.evaluation.matching.pairs import (
     truth_note,
 )
 from sonarrec.files.tables import read_header
-from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import find_logs, read_frames, read_log

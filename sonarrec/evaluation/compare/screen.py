@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from sonarrec.errors import number_of, printable
 from sonarrec.evaluation.compare.compare import Comparison, rate_text
 from sonarrec.evaluation.metrics import BY_NAME
-from sonarrec.records import number_of, printable
 
 MOST_LINES = 12
 """Settings, and runs of changed frames, that are listed; the files have all."""

@@ -21,7 +21,7 @@ from sonarrec.evaluation.counting.unit_sums import (
     plain_sums,
 )
 from sonarrec.evaluation.matching.joined import Joined, distance, nearest_truth
-from sonarrec.records import follows
+from sonarrec.nouns import follows
 
 
 @dataclass(frozen=True, slots=True)

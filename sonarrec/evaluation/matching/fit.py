@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.records import SonarrecError, number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole
 from sonarrec.truth.fits import (
     as_proposed,

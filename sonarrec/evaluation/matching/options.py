@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sonarrec.records import UsageError
+from sonarrec.errors import UsageError
 from sonarrec.sonar import Sonar
 
 

@@ -8,10 +8,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from sonarrec.errors import (
+    MissingError,
+    SonarrecError,
+    UsageError,
+    name_from_text,
+    number_of,
+)
 from sonarrec.files.tables import line_numbers, read_header, read_table
 from sonarrec.readers.find import Source, find_log, log_name
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
-from sonarrec.records import MissingError, SonarrecError, UsageError, name_from_text, number_of
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run

@@ -14,11 +14,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.nouns import Stamps
 from sonarrec.readers.ddf.aris import Aris
 from sonarrec.readers.ddf.didson import Didson
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 from sonarrec.sonar import PingGeometry
 
 _VERSION_AT = 12  # in a frame's header

@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.gemini.pings import (
     HEAD_3,
@@ -21,7 +22,6 @@ from sonarrec.readers.gemini.pings import (
     zoomed,
 )
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import SonarrecError, name_as_text
 
 _PIECE = 2**20  # bytes
 _ENTRY_MARK, _ENTRY_BYTES = b"PK\x03\x04", 30  # before a file in a ZIP

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.nouns import Stamps
 from sonarrec.readers.gemini.archive import pieces, records
 from sonarrec.readers.gemini.pings import Header, decoded, device_of, time_ns
 from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 
 _NOTES = (
     "left and right are as free readers show them; if a landmark lies on the wrong side, state "

@@ -18,7 +18,7 @@ from typing import BinaryIO
 import lz4.frame
 import zstandard
 
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 
 MAX_CHUNK_BYTES = 2**31
 """Largest inflated size. A chunk that declares more, or inflates to more than it declares, is not

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.nouns import Stamps
 from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.readers.recording import Recording
-from sonarrec.records import SonarrecError, Stamps, UsageError, name_as_text
 
 
 def image_decoders(log: Recording) -> dict[int, Decoder]:

@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError, name_as_text, number_of
 from sonarrec.readers.mcap.chunks import ChunkHead, Contents, DamagedError
 from sonarrec.readers.mcap.in_chunk import (
     Place,
@@ -26,7 +27,6 @@ from sonarrec.readers.mcap.in_chunk import (
 from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Message
-from sonarrec.records import SonarrecError, name_as_text, number_of
 
 
 class MessageReader:

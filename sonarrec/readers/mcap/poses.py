@@ -8,6 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.errors import (
+    SonarrecError,
+    UsageError,
+    name_as_text,
+    number_of,
+)
+from sonarrec.nouns import Clock
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import MAX_PROBLEM_LINES
@@ -16,7 +23,6 @@ from sonarrec.readers.mcap.fields import DefinitionError, Fields
 from sonarrec.readers.mcap.messages import message_type
 from sonarrec.readers.raw import UnusableError
 from sonarrec.readers.recording import Message, Recording
-from sonarrec.records import Clock, SonarrecError, UsageError, name_as_text, number_of
 
 # The message types read, with the fields that lead to the pose inside each.
 POSES = {

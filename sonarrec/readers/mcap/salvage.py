@@ -20,6 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema, Statistics
 
+from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.readers.mcap.chunks import (
     RECORD_HEAD,
     ChunkHead,
@@ -29,7 +30,6 @@ from sonarrec.readers.mcap.chunks import (
     pieces_of,
     read_chunk_head,
 )
-from sonarrec.records import SonarrecError, name_as_text
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time

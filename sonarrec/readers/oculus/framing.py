@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.oculus.pings import HEAD_TYPE, KNOWN_MESSAGES, MESSAGE_MARK
 from sonarrec.readers.raw import MAX_FRAME_BYTES, UnusableError
-from sonarrec.records import SonarrecError
 
 
 @dataclass(frozen=True, slots=True)

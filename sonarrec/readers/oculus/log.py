@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.nouns import Stamps
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.oculus.framing import framing_of, messages
 from sonarrec.readers.oculus.pings import FULL_PING, SIMPLE_PING, Header, decoded, message_number
 from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 
 _LOOKED_THROUGH = 2 * MAX_FRAME_BYTES  # for a first ping, since the file may be of another kind
 

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray, IntArray
-from sonarrec.records import Groups
+from sonarrec.nouns import Groups
 
 
 @dataclass(frozen=True, slots=True)

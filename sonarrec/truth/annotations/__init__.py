@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.records import MissingError, SonarrecError
+from sonarrec.errors import MissingError, SonarrecError
 from sonarrec.truth.annotations import coco, cvat, labelme, mot
 from sonarrec.truth.annotations.shapes import Annotations
 

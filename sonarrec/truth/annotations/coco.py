@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 from sonarrec.truth.annotations.shapes import (
     HALF_A_PIXEL,
     PARTLY_HIDDEN,

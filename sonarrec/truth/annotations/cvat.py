@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from xml.parsers import expat
 
-from sonarrec.records import SonarrecError, number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.truth.annotations.shapes import (
     HALF_A_PIXEL,
     Annotations,

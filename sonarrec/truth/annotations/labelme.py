@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sonarrec.records import SonarrecError, number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.truth.annotations.shapes import (
     HALF_A_PIXEL,
     Annotations,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sonarrec.records import SonarrecError
+from sonarrec.errors import SonarrecError
 from sonarrec.truth.annotations.shapes import (
     HALF_A_PIXEL,
     Annotations,

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.errors import SonarrecError
 from sonarrec.files.tables import LARGEST
-from sonarrec.records import SonarrecError
 
 PARTLY_HIDDEN = 0.5
 """`visible` of a shape flagged as occluded; the flag does not say by how much."""

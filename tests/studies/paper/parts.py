@@ -11,6 +11,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Estimate, Fan, Frame
 from sonarrec.recogniser.stage3_features.published import (
     FeatureEstimator,
     measurement_model,
@@ -20,7 +21,6 @@ from sonarrec.recogniser.stage3_features.published import (
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler, turned_codes
 from sonarrec.recogniser.stage3_features.smi import identify
 from sonarrec.recogniser.three_stages import ThreeStages
-from sonarrec.records import Estimate, Fan, Frame
 from tests.studies.paper.choices import CHOSEN
 
 CONTINUITY = "continuity"

@@ -1,15 +1,15 @@
-"""The records that modules exchange. Units and shapes are stated here, once."""
+"""The nouns that modules exchange. Units and shapes are stated here, once."""
 
 from __future__ import annotations
 
 import math
-import re
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from sonarrec.errors import SonarrecError
 
 if TYPE_CHECKING:  # a command's --help needs no numpy, whose import takes longer than all the rest
     from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage, IntArray
@@ -18,52 +18,6 @@ PART = ".part"
 """Ending of the name of a results folder whose run is not finished; no other folder has it."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 """How the names of images end; a folder that holds some is a log."""
-
-
-def printable(text: str) -> str:
-    """The text with control characters, and others that a terminal cannot show, as escapes."""
-    escaped = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return text if text.isprintable() else "".join(escaped)
-
-
-class SonarrecError(Exception):
-    """A fault in the input or the settings, in one line: what, where, what to do."""
-
-    def __str__(self) -> str:
-        # The message may quote the contents of files.
-        return "\n".join(map(printable, super().__str__().split("\n")))
-
-    @property
-    def line(self) -> str:
-        """The first line, without the example of a sonar.toml that may follow."""
-        return str(self).partition("\n")[0].removesuffix("; like this:")
-
-
-class UsageError(SonarrecError):
-    """An invalid setting or option (exit code 2, as click's own usage errors)."""
-
-
-class MissingError(UsageError):
-    """An input that is not there."""
-
-
-def number_of(count: int, noun: str, ending: str = "s") -> str:
-    """A count and its noun, such as "1 log" and "2 logs"; ending: of the plural."""
-    return f"{count} {noun}{'' if count == 1 else ending}"
-
-
-def name_as_text(name: object) -> str:
-    """A file's name as valid Unicode, for messages and tables.
-
-    Bytes that are no UTF-8 become escapes such as \\xe9.
-    """
-    return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")
-
-
-def name_from_text(text: str) -> str:
-    """The file's name from which `name_as_text` made this text."""
-    name = re.sub(rb"\\x([89a-f][0-9a-f])", lambda byte: bytes([int(byte[1], 16)]), text.encode())
-    return name.decode(sys.getfilesystemencoding(), errors="surrogateescape")
 
 
 @dataclass(frozen=True, slots=True)
