@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SAMPLE := sample_data/pan
 
-.PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
+.PHONY: test test-slow test-all lint demo bench memory fuzz paper paper-world paper-choices \
 	paper-prediction scenes pictures stated returns worlds ablation taught study speeds pans maps model \
 	regression kills scale scoring clean
 
@@ -18,8 +18,17 @@ SAMPLE := sample_data/pan
 	$(BIN)/pip install -q -e '.[dev]'
 	@touch $@
 
-test: .venv/installed  # pytest fails where it finds no test (exit code 5)
-	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest  # it starts hundreds of processes: compile once
+# It starts hundreds of processes: compile once. Without a test pytest fails (exit code 5).
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest
+
+test: .venv/installed  # at least one test of everything: under three minutes on two cores
+	$(PYTEST) -m 'not slow'
+
+test-slow: .venv/installed  # the rest: clusters, stopped runs, learning, long recordings, statistics
+	$(PYTEST) -m slow
+
+test-all: .venv/installed
+	$(PYTEST)
 
 lint: .venv/installed
 	$(BIN)/ruff format --check .

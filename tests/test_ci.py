@@ -11,7 +11,7 @@ import pytest
 
 RUN = Path(__file__).resolve().parents[1] / ".ci" / "run"
 SKIPPED = "SKIPPED [24] tests/support/browser.py:44: no chromium and chromedriver on the PATH"
-TOOLS = ("bash", "env", "dirname", "mkdir", "tee", "grep")
+TOOLS = ("bash", "env", "dirname", "mkdir", "rm", "tee", "grep")
 
 
 def run(folder: Path, make: str, stubs: dict[str, str]) -> subprocess.CompletedProcess[str]:
@@ -62,6 +62,7 @@ def test_with_a_browser_nothing_is_installed(tmp_path: Path) -> None:
     assert [line for line in found.stdout.splitlines() if line] == [
         "made lint",
         "made test",
+        "made test-slow",
         "made regression",
         "No test was skipped.",
     ]
@@ -78,8 +79,10 @@ def test_where_root_and_apt_get_may_it_is_installed(tmp_path: Path) -> None:
     assert "chromium chromium-driver" in (tmp_path / "asked").read_text()
 
 
-def test_failing_tests_fail_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("failing", ["test", "test-slow"])
+def test_failing_tests_fail_it(tmp_path: Path, failing: str) -> None:
     """What was skipped is told all the same."""
-    found = run(tmp_path, f'[ "$1" != test ] || {{ echo "{SKIPPED}"; exit 1; }}', {"id": "echo 9"})
+    make = f'[ "$1" != {failing} ] || {{ echo "{SKIPPED}"; exit 1; }}'
+    found = run(tmp_path, make, {"id": "echo 9"})
     assert found.returncode == 1
     assert SKIPPED in found.stdout.splitlines()[-2]

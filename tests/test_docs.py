@@ -143,7 +143,14 @@ def fresh(once: Once) -> Iterator[Once]:
     shutil.rmtree(once.folder)
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "document",
+    [
+        pytest.param(path, marks=[] if path.stem in ("formats", "status") else pytest.mark.slow)
+        for path in DOCUMENTS
+    ],
+    ids=lambda path: path.stem,
+)
 def test_commands_in_order_print_what_is_shown(
     document: Path, fresh: Once, monkeypatch: pytest.MonkeyPatch
 ) -> None:

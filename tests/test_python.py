@@ -53,6 +53,7 @@ def test_every_name_is_there_and_no_other() -> None:
         _ = sonarrec.recognise
 
 
+@pytest.mark.slow
 def test_the_page_s_code_runs_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

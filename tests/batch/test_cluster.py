@@ -72,6 +72,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
             process.wait()
 
 
+@pytest.mark.slow
 def test_a_worker_is_killed_and_no_log_is_lost(
     cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
 ) -> None:
@@ -94,6 +95,7 @@ def test_a_worker_is_killed_and_no_log_is_lost(
     assert all(tables(out / n) == tables(here / n) for n in ("a", "b", "slow", "c", "d"))
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
     cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
 ) -> None:
@@ -129,6 +131,7 @@ class Awaited(Watch):
         self.ends.append(outcome)
 
 
+@pytest.mark.slow
 def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
     task = Task(
         str(tmp_path / "none.mcap"), "none", str(tmp_path / "out"), LogOptions(), RunOptions(())

@@ -27,6 +27,7 @@ from tests.support.batch import GRACE_S, SAMPLE, command, environment, made, row
 from tests.support.command import sonarrec
 
 
+@pytest.mark.slow
 def test_a_log_that_dies_hangs_or_raises_costs_itself_only(tmp_path: Path) -> None:
     logs = made(tmp_path, "a", "b", "dies", "c", "raises", "hangs", "d")
     (tmp_path / "broken").mkdir()
@@ -115,6 +116,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[byte
     return {log.name: tables(place / "out" / log.name) for log in logs}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sent", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGKILL, -9)]
 )
@@ -156,6 +158,7 @@ def test_a_call_that_is_stopped_goes_on(
         assert tables(out / log.name) == undisturbed["slow" if log.name == "slow" else "short"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_a_call_is_stopped_though_a_log_hangs(
     sent: signal.Signals, code: int, tmp_path: Path
@@ -222,6 +225,7 @@ def test_a_share_that_cannot_be(share: str, tmp_path: Path) -> None:
     assert "expected I/N" in done.stderr
 
 
+@pytest.mark.slow
 def test_status_tells_the_table_while_it_grows_and_after(tmp_path: Path) -> None:
     logs = made(tmp_path, "a", "slow", frames=20)
     out = tmp_path / "out"

@@ -26,6 +26,8 @@ from tests.support.logs import cdr_image, frames, mcap_file
 from tests.support.one_core import one_core_for_others
 from tests.test_docs import PAGES, code_lines
 
+pytestmark = pytest.mark.slow
+
 BIN = Path(sys.executable).parent
 LOGS = ("a", "b", "c", "d")
 STANDING_IN = {

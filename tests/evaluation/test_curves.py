@@ -115,6 +115,7 @@ def test_macro_curve_at_equal_fpr() -> None:
     assert [len(part) for part in macro_curve([none])] == [0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
     results, truth = paper_case(tmp_path)

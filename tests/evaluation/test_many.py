@@ -79,6 +79,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_draws")
 def test_all_at_once_or_one_at_a_time_is_the_same(
     tmp_path: Path, pairs: Path, monkeypatch: pytest.MonkeyPatch
@@ -104,6 +105,7 @@ def test_all_at_once_or_one_at_a_time_is_the_same(
         assert told["units"] == many
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_draws")
 def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> None:
     made = {}
@@ -262,6 +264,7 @@ RECORDED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("logs", "jobs"), [(4, "2"), (12, "1")])
 def test_compared_one_at_a_time_as_all_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logs: int, jobs: str
@@ -299,6 +302,7 @@ def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(store, "IN_MEMORY", 100_000)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("on_disk")
 def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     """Two logs and eleven. What was read of a log is twice that of
@@ -360,6 +364,7 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("on_disk")
 def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     """Two logs and eleven. What may grow is what a log leaves behind for good: its name, counts and

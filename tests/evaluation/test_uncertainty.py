@@ -288,6 +288,7 @@ def mcnemar_rejects(a: np.ndarray, b: np.ndarray) -> bool:
     return bool((only_a - only_b) ** 2 > 3.841 * max(only_a + only_b, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("units", [8, 18])
 def test_null_simulation(units: int) -> None:
     """Two equal methods, neighbouring frames alike: at .05 the test rejects at most .05.
@@ -315,6 +316,7 @@ def test_null_simulation(units: int) -> None:
     assert by_frames / 1000 > 0.3
 
 
+@pytest.mark.slow
 def test_null_simulation_of_every_figure() -> None:
     """The whole way from claims to p: rates and points of curves of two equal methods.
 

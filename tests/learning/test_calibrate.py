@@ -82,6 +82,7 @@ def log_likelihood(model: AppearanceModel, samples: Samples) -> float:
     return float(np.log(p[np.arange(len(samples.label)), samples.label]).mean())
 
 
+@pytest.mark.slow
 def test_known_curves_are_recovered():
     truth = known_model()
     learned = fit([drawn(truth, 3000, 1), drawn(truth, 1000, 2, ids=6)])
@@ -92,6 +93,7 @@ def test_known_curves_are_recovered():
     assert log_likelihood(learned, held_out) > log_likelihood(truth, held_out) - 0.02
 
 
+@pytest.mark.slow
 def test_memory_of_learning_is_little_more_than_the_samples():
     """75 MB; with the hat functions of all 8,000 samples at once it is 188 MB."""
     samples = drawn(known_model(), 8_000, 5, smear=0.2)
@@ -112,6 +114,7 @@ def test_samples_in_blocks_teach_what_they_teach_together(monkeypatch):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_the_smear_changes_is_learned_from_smeared_pictures_alone():
     """Without any, the curves of smeared pictures are those of sharp ones."""
     truth = known_model()
@@ -128,6 +131,7 @@ def test_what_the_smear_changes_is_learned_from_smeared_pictures_alone():
         assert apart(learned, truth, feature, of=1) < 0.25
 
 
+@pytest.mark.slow
 def test_a_prior_is_left_as_far_as_the_samples_ask():
     """Few samples that fit it leave it alone, many that do not make it give way.
 
@@ -289,6 +293,7 @@ def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
     assert gain_on_the_rest(alone, None) == (None, None, None)
 
 
+@pytest.mark.slow
 def test_what_is_measured_is_what_landmarks_elsewhere_bring():
     """Each landmark looks in its own way, the same in all its tracks. Of eight seeds the truth is
     -.33 nats in the mean, and what was learned from is judged at -.09; measured is -.39. Between
@@ -375,6 +380,7 @@ def strict(results: Path, truth: Path) -> tuple[float, float]:
     return float(row["tpr"]), float(row["fpr"])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("described_once")
 def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -399,6 +405,7 @@ def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeyp
         assert again.read_bytes() == (Path("learned/three") / file).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("described_once")
 def test_what_was_learned_from_is_told(site):
     logs = [site / "one", site / "two"]

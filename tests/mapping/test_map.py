@@ -417,6 +417,7 @@ def map_rows(folder: Path, *options: str | int) -> list[dict[str, str]]:
     return table(folder / "map" / "map.csv")
 
 
+@pytest.mark.slow
 def test_the_truth_lies_in_the_ellipse_as_often_as_is_said(tmp_path: Path) -> None:
     inside = []
     for seed in range(40):
@@ -835,6 +836,7 @@ def test_an_ellipse_holds_what_it_says() -> None:
     assert inside.mean() == pytest.approx(0.95, abs=0.006)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_the_picture_shows_what_was_found(mapped: Path) -> None:
     import cv2
@@ -1076,6 +1078,7 @@ def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None
     assert make_map([good]).problems == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_the_same_results_give_the_same_bytes(mapped: Path) -> None:
     before = {p.name: p.read_bytes() for p in mapped.iterdir()}

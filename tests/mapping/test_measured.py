@@ -22,6 +22,8 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
 from tests.support.vehicle import RATE_HZ, VehicleRun, truth_of, vehicle_run
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 90
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"
 

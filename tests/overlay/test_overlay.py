@@ -630,6 +630,7 @@ def test_a_video_may_be_called_by_its_time() -> None:
     assert told.stderr.startswith(r"sonarrec: d\xe9.mp4: the name of a video must be UTF-8")
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     """The index of the file grows by a hundred bytes a frame. Were the images of 200 more kept,
     these would be 600 kB."""
@@ -702,6 +703,7 @@ def test_the_command(work: Path) -> None:
     assert two[0] == two[1]  # what came before is in its strip all the same
 
 
+@pytest.mark.slow
 def test_from_run_to_overlay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is named on the sample log lies on the landmark of that name."""
     monkeypatch.chdir(tmp_path)

@@ -72,6 +72,7 @@ def same_rows(
     return [int(row[0]) for row in found]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("storage", [".mcap", ".db3"])
 def test_five_parts_one_cut_are_the_same_recording_up_to_the_cut(
     storage: str, tmp_path: Path

@@ -66,6 +66,7 @@ def lz4_block(sequences: list[tuple[bytes, int, int]]) -> tuple[bytes, bytes, li
     return bytes(block), bytes(plain), known
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(data=st.data())
 def test_a_cut_lz4_block_is_decoded_to_its_last_byte(data: st.DataObject) -> None:
@@ -142,6 +143,7 @@ def whole_messages(contents: bytes) -> int:
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_600_frames_cut_at_50_places(compression: str, tmp_path: Path) -> None:
     """Against what the compressors' own libraries make of the stored bytes before the cut."""
@@ -188,7 +190,14 @@ def test_600_frames_cut_at_50_places(compression: str, tmp_path: Path) -> None:
     assert told > 20 or compression == "zstd"
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize(
+    "compression",
+    [
+        pytest.param("none", marks=pytest.mark.slow),
+        pytest.param("lz4", marks=pytest.mark.slow),
+        "zstd",
+    ],
+)
 def test_a_cut_log_is_run_and_the_exit_code_says_so(compression: str, tmp_path: Path) -> None:
     images = frames(60, 100, 80)
     messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]

@@ -101,6 +101,7 @@ def test_without_an_index_a_damaged_record_length_is_told(tmp_path: Path) -> Non
     assert any("frames behind it are lost" in problem for problem in problems)
 
 
+@pytest.mark.slow
 def test_every_flip_of_a_bit_in_the_head_of_a_message(tmp_path: Path) -> None:
     """It costs nothing, or it is told; and no other frame changes its number."""
     path = tmp_path / "log.mcap"
@@ -202,6 +203,7 @@ def test_a_recording_that_changes_while_it_is_read(
     assert reader.faults
 
 
+@pytest.mark.slow
 def test_times_that_fall_by_the_hundred_thousand(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     count = 20_000

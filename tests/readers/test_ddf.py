@@ -205,6 +205,7 @@ def test_the_real_picture_is_what_its_samples_say() -> None:
     assert bank[0] - bank[1] > 0.7
 
 
+@pytest.mark.slow
 def test_run_declares_nothing_in_the_real_file(tmp_path: Path) -> None:
     out = sonarrec("run", SAMPLE, "--out", tmp_path)
     assert "6 frames" in out.output

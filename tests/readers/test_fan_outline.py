@@ -43,6 +43,7 @@ def is_close(found: FanOutline | None, apex: tuple[float, float], far: float) ->
     return math.hypot(found.apex_column - apex[0], found.apex_row - apex[1]) < 0.01 * far
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(
     st.floats(-62, -7),

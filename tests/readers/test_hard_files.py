@@ -248,6 +248,7 @@ for _ in range(2):
     assert told.stdout.decode().splitlines() == ["a JPEG that is damaged inside"] * 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".mkv", ".mp4"])
 def test_frames_that_a_video_loses_are_told(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"log{suffix}"

@@ -449,9 +449,20 @@ def least(tmp_path_factory: pytest.TempPathFactory) -> float:
 
 @pytest.mark.parametrize(
     "shape",
-    ["no index, no footer, lz4", "one chunk, uncompressed", "one chunk, zstd, backwards",
-     "10 overlapping chunks, lz4", "1000 overlapping chunks, zstd", "one chunk, lz4, cut"],
-)  # fmt: skip
+    [
+        "one chunk, uncompressed",
+        *(
+            pytest.param(shape, marks=pytest.mark.slow)
+            for shape in [
+                "no index, no footer, lz4",
+                "one chunk, zstd, backwards",
+                "10 overlapping chunks, lz4",
+                "1000 overlapping chunks, zstd",
+                "one chunk, lz4, cut",
+            ]
+        ),
+    ],
+)
 def test_memory_does_not_grow_with_the_log(shape: str, least: float, tmp_path: Path) -> None:
     """The shapes of tests/studies/memory.py, small, with a still smaller bound on held chunks.
 

@@ -217,6 +217,7 @@ def moving(**motion: float) -> Scene:
     return replace(scene, frames=40, motion=replace(still, **motion))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motion", "shown"),
     [

@@ -191,6 +191,7 @@ def test_definitions_that_cannot_be_understood(text: str, tmp_path: Path) -> Non
     np.testing.assert_array_equal(read(log("sensor_msgs/msg/Image"))[0][0].image, IMAGE)
 
 
+@pytest.mark.slow
 def test_a_definition_that_lies_about_sizes() -> None:
     """Sequences that say they are long cost neither time nor memory."""
     empties = struct.pack("<I", 2**24) + bytes(2**24)
@@ -219,6 +220,7 @@ def test_a_definition_that_lies_about_sizes() -> None:
             tracemalloc.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ros1", [False, True])
 def test_nested_empty_messages_cost_nothing(ros1: bool) -> None:
     """Each of sixteen messages holds the next one many times: 30 ** 16 in all."""

@@ -40,6 +40,7 @@ def landmarks_file(folder: Path, radius_m: float) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_true_radius_is_found_where_nearly_the_diameter_is_stated(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -54,6 +55,7 @@ def test_the_true_radius_is_found_where_nearly_the_diameter_is_stated(
     assert all(t.frames_declared == 0 for t in trials.trials if t.radius_m > 1.2 * TRUE_RADIUS_M)
 
 
+@pytest.mark.slow
 def test_a_trial_declares_what_a_run_declares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(radii, "STEPS", 0)
     with open_log(SAMPLE) as log:
@@ -92,6 +94,7 @@ def test_only_few_large_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None
         assert try_radii(log, landmarks_of(0.15), 128, ignore).frames == 16
 
 
+@pytest.mark.slow
 def test_no_disc_is_tried_that_the_sonar_cannot_see() -> None:
     with open_log(str(SAMPLE / "00000*.png")) as log:
         trials = try_radii(log, landmarks_of(3.0), 10, ignore)

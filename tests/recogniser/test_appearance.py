@@ -274,6 +274,7 @@ def test_light_that_lies_over_symbol_and_gap_alike_leaves_the_local_features(lan
     assert after["strongest_dark"] > before["strongest_dark"] + 1  # nearly 1.5 over the mean gap
 
 
+@pytest.mark.slow
 def test_a_cross_is_told_by_its_own_feature():
     """Landmarks leave less unexplained than any rival of theirs would, a cross leaves more."""
     count = np.full((1, LINES, ANGLES), 8.0)

@@ -42,14 +42,19 @@ def scene_of(seed: int, view_deg: float, beams: int, width_deg: float) -> Scene:
 @pytest.mark.parametrize(
     ("view_deg", "beams", "width_deg"),
     [
-        (28.8, 96, 0.3),
         (28.8, 96, 0.4),
-        (28.8, 96, 0.6),
-        (28.8, 48, 0.8),
-        (28.8, 96, 1.0),
-        (60.0, 256, 0.6),
-        (120.0, 256, 1.0),
-        (120.0, 512, 1.5),
+        *(
+            pytest.param(*sonar, marks=pytest.mark.slow)
+            for sonar in [
+                (28.8, 96, 0.3),
+                (28.8, 96, 0.6),
+                (28.8, 48, 0.8),
+                (28.8, 96, 1.0),
+                (60.0, 256, 0.6),
+                (120.0, 256, 1.0),
+                (120.0, 512, 1.5),
+            ]
+        ),
     ],
 )
 def test_the_beams_of_simulated_sonars_are_measured(

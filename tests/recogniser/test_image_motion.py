@@ -57,6 +57,7 @@ def run_of(seed: int) -> tuple[VehicleRun, tuple[ByteImage, ...]]:
     return run, tuple(f.image for f in islice(frames, FRAMES))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [8700, 8702, 8703, 8704])
 def test_a_vehicle_s_motion_is_measured_with_its_error(seed: int) -> None:
     """At .35 m/s and up to 20 deg/s. A pixel of the image is 1 cm, a beam .3 deg wide: a few
@@ -85,7 +86,13 @@ def standing(seed: int, kind: str, frames: int = 40) -> tuple[list[Motion | None
     return measured(images, scene_fan(scene), scene.landmark_set.radius_m), scene_fan(scene)
 
 
-@pytest.mark.parametrize("kind", ["plain", "fading", "low_contrast", "fast_pan"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "plain",
+        *(pytest.param(k, marks=pytest.mark.slow) for k in ("fading", "low_contrast", "fast_pan")),
+    ],
+)
 def test_a_tripod_is_told_to_stand(kind: str) -> None:
     motions, _ = standing(8710, kind)
     for motion in motions[1:]:
@@ -104,7 +111,9 @@ def test_pictures_that_come_again_to_the_bit_show_no_motion() -> None:
     assert all(m is not None and (m.right_m, m.ahead_m) == (0, 0) for m in motions[1:])
 
 
-@pytest.mark.parametrize(("view_deg", "beams"), [(28.8, 96), (130.0, 256)])
+@pytest.mark.parametrize(
+    ("view_deg", "beams"), [(28.8, 96), pytest.param(130.0, 256, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("pan_deg", [0.1, 0.25])
 def test_slow_pans_do_not_add_up_short(view_deg: float, beams: int, pan_deg: float) -> None:
     """From frame to frame each comes short by a fifth and more, for beams leak into their
@@ -134,6 +143,7 @@ def test_slow_pans_do_not_add_up_short(view_deg: float, beams: int, pan_deg: flo
         assert abs(off) < 3 * np.hypot.reduce(sigmas[:, 2])
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_sets_out_and_stops_is_noticed() -> None:
     """Twelve frames at rest, thirty on the way, thirty at rest where it came to."""
     run, _ = run_of(8700)
@@ -149,6 +159,7 @@ def test_a_vehicle_that_sets_out_and_stops_is_noticed() -> None:
     assert np.abs(found - truth(poses)).sum(axis=0)[0] < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed_m_s", "rate_hz"), [(0.01, 4.0), (0.02, 15.0)])
 def test_small_steps_add_up(speed_m_s: float, rate_hz: float) -> None:
     """A small part of a cell (2 cm) a frame, then at rest. From frame to frame such steps are taken

@@ -165,8 +165,13 @@ def saturate(pictures: list[np.ndarray]) -> list[np.ndarray]:
     ("sample", "change", "note"),
     [
         ("pan", saturate, "% of the frames are saturated"),
-        ("polar", saturate, "% of the frames are saturated"),
-        ("pan", lambda pictures: [cv2.equalizeHist(p) for p in pictures], "equally frequent"),
+        pytest.param("polar", saturate, "% of the frames are saturated", marks=pytest.mark.slow),
+        pytest.param(
+            "pan",
+            lambda pictures: [cv2.equalizeHist(p) for p in pictures],
+            "equally frequent",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_landmarks_are_recognised_and_a_note_tells(

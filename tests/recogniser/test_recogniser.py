@@ -202,8 +202,12 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize("name", ["default", "paper"])  # offline is default with another lag
-@pytest.mark.parametrize("value", [0, 1, 2])
+@pytest.mark.parametrize(
+    "name", [pytest.param("default", marks=pytest.mark.slow), "paper"]
+)  # offline is default with another lag
+@pytest.mark.parametrize(
+    "value", [pytest.param(0, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.slow), 2]
+)
 def test_extreme_settings_are_refused_or_run(name, value):
     log = drawn_log(SECTORS[1], 3, rows=160)
     black = np.zeros_like(log[-1].image)
@@ -472,6 +476,7 @@ def test_orientation_and_place_are_known_as_well_as_they_say():
     assert abs(found.bearing_deg + 4.0) < max(4 * found.bearing_sigma_deg, 0.2)
 
 
+@pytest.mark.slow
 def test_orientation_holds_past_what_the_sonar_is_carried_by():
     """Sideways at .35 m/s past landmarks 2 m away the line of sight turns by some 2.5 deg a frame.
 

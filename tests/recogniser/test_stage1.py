@@ -102,6 +102,7 @@ def test_of_several_discs_all_are_found_best_first_and_apart(kind):
     assert distance.min() >= DETECTORS[kind].separation - 1e-6
 
 
+@pytest.mark.slow
 def test_of_many_discs_on_a_large_floor_all_are_found():
     """A fan of 130 deg to 10 m shows a floor forty times as large as the one above."""
     wide = make_fan(512, 0.5, 10.0, 130.0, tilt_deg=15.0, height_m=1.5)
@@ -227,7 +228,7 @@ def test_the_gap_counts_by_how_many_beams_wide_it_is():
     assert gap_share(dataclasses.replace(BASIN, radius_m=0.09), FAN, 0.4) == 0.5
 
 
-@pytest.mark.parametrize("seed", [8730, 8731])
+@pytest.mark.parametrize("seed", [8730, pytest.param(8731, marks=pytest.mark.slow)])
 def test_discs_whose_gap_the_beams_fill_are_candidates(seed):
     """Against where the simulator put them; by a gap that counts .75, one in eight is missed."""
     scene = random_scene(seed, "tiny_discs", frames=60)

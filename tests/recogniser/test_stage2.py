@@ -84,6 +84,7 @@ def resampled(weight_map: np.ndarray, places: np.ndarray, settings, seed: int) -
     return np.array([table.get(tuple(p), 0) for p in places.astype(np.float32)])
 
 
+@pytest.mark.slow
 def test_resampling_is_systematic_and_unbiased():
     still = dataclasses.replace(
         PAPER, sigma_px=0.0, sigma_known_px=0.0, particles=300, z_hit=0.8, z_rand=0.2, hit_power=2.0

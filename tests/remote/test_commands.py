@@ -81,6 +81,7 @@ def test_results_are_those_of_the_local_log(sonarrec: Sonarrec, day: Path) -> No
 ODD = ("a [1]", "a*", "a?b", "a%20b", "a#b", "ä;b&c=d")
 
 
+@pytest.mark.slow
 def test_names_with_wildcards_are_names(sonarrec: Sonarrec, s3: Any, day: Path) -> None:
     for name in ODD:
         upload(s3, day / "a.mcap", f"day/{name}.mcap")
@@ -96,6 +97,7 @@ def test_names_with_wildcards_are_names(sonarrec: Sonarrec, s3: Any, day: Path) 
     assert [log.name for log in find("s3://dives/day [2]/")] == ["c"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("s3")
 def test_results_with_wildcards_in_their_name_replace_no_others(
     sonarrec: Sonarrec, day: Path
@@ -206,6 +208,7 @@ def test_a_partial_upload_is_no_result_and_is_finished_by_the_next_run(
     assert not waits.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("day")
 def test_evaluate_and_report_read_results_there_and_put_theirs_beside(
     sonarrec: Sonarrec, s3: Any, tmp_path: Path
@@ -249,7 +252,7 @@ def positives(evaluation: Path) -> int:
     return int(json.loads((evaluation / "evaluation.json").read_text())["positives"])
 
 
-@pytest.mark.parametrize("out", ["here", "s3://dives/out"])
+@pytest.mark.parametrize("out", ["here", pytest.param("s3://dives/out", marks=pytest.mark.slow)])
 @pytest.mark.usefixtures("day")
 def test_evaluate_finds_the_truth_beside_a_log_on_a_server(
     sonarrec: Sonarrec, s3: Any, tmp_path: Path, out: str
@@ -334,6 +337,7 @@ def test_truth_of_a_web_server_is_asked_for_by_its_name(sonarrec: Sonarrec, tmp_
     assert positives(Path("sonarrec_out/evaluation")) == 5 + 3
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("day")
 def test_with_one_job_the_results_are_those_of_several(sonarrec: Sonarrec) -> None:
     logs = [f"s3://dives/day/{n}.mcap" for n in "ab"]

@@ -14,6 +14,8 @@ import pytest
 from tests.support.browser import COLOURS, contrast, look
 from tests.support.command import SAMPLE, sonarrec
 
+pytestmark = pytest.mark.slow
+
 SCREENS = [(width, scheme) for width in (1280, 400) for scheme in ("light", "dark")]
 
 

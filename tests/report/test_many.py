@@ -97,6 +97,7 @@ def test_only_some_have_panels_and_the_figures_are_of_all(page: Path, made: Path
     assert f"framework: {count.fp:,} false claims, {count.fn} missed" in section(text, "mistakes")
 
 
+@pytest.mark.slow
 def test_the_page_stays_small(page: Path, made: Path) -> None:
     """Without truth as well; what is not known then is told from the number of sightings."""
     assert page.stat().st_size < MOST_BYTES

@@ -560,6 +560,7 @@ def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
     assert "declared in 1 frame. False claim: no landmark lies there." in text
 
 
+@pytest.mark.slow
 def test_a_table_of_pairs(results: Path, tmp_path: Path) -> None:
     """Each log against its own truth, its recording found by name in a folder of them."""
     shutil.copytree(results, tmp_path / "a" / "pan")
@@ -622,6 +623,7 @@ def test_a_packed_log_of_any_name_is_found_in_a_folder_of_logs(tmp_path: Path) -
     assert log["name"] == r"d\xe9ve"
 
 
+@pytest.mark.slow
 def test_a_long_log_stays_a_small_page(tmp_path: Path) -> None:
     """20,000 frames, 300 tracks: what is drawn is bounded, and what is left out is told."""
     frames, objects = 20_000, 300

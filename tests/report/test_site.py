@@ -42,6 +42,7 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_the_figures_are_those_of_plain_counts(site: Path) -> None:
     """Each landmark whole in view, and whether its ID is declared within half a disc diameter."""
     for whole in (row for row in rows(site / "site.csv") if not row["range_from_m"]):
@@ -79,11 +80,13 @@ def place(row: dict[str, str]) -> tuple[float, float]:
     return range_m * math.sin(bearing), range_m * math.cos(bearing)
 
 
+@pytest.mark.slow
 def test_more_contrast_is_recognised_more_often(site: Path) -> None:
     low, high = (float(r["tpr"]) for r in rows(site / "site.csv") if not r["range_from_m"])
     assert high > 0.5 > low
 
 
+@pytest.mark.slow
 def test_the_document_says_the_same(site: Path) -> None:
     document = json.loads((site / "site.json").read_text())
     table = rows(site / "site.csv")
@@ -146,6 +149,7 @@ def test_what_there_was_no_room_for_and_what_cannot_be_read_is_told_once(tmp_pat
         assert page.count(text) == 1
 
 
+@pytest.mark.slow
 def test_a_run_toml_of_the_log_tells_topic_and_time(tmp_path: Path) -> None:
     scene = replace(random_scene(5, "no_landmark"), frames=6, objects=())
     write_recording(scene, tmp_path / "floor")
@@ -171,6 +175,7 @@ def test_a_run_toml_of_the_log_tells_topic_and_time(tmp_path: Path) -> None:
     assert laid["sonar"]["frame_rate_hz"] == 1  # by the header's time
 
 
+@pytest.mark.slow
 def test_a_folder_in_use_is_refused(site: Path) -> None:
     told = sonarrec("site", site / "recordings/layout_1/contrast_10", "-o", site, code=1).stderr
     assert "already exists and is not empty" in told
@@ -231,6 +236,7 @@ def test_the_sentence_says_where_nothing_reaches() -> None:
     assert "at best in 89.7%" in near
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_in_a_browser(browser: Any, site: Path, width: int, scheme: str) -> None:

@@ -184,6 +184,7 @@ def test_files_of_the_user_stay_also_where_ours_are_made(log: Path, tmp_path: Pa
     assert not list(out.glob(".*"))
 
 
+@pytest.mark.slow
 def test_all_that_is_made_from_results_goes_with_them(log: Path, tmp_path: Path) -> None:
     sonarrec("run", "-q", log, "-o", tmp_path)
     folder, truth = tmp_path / "dive", tmp_path / "gt.csv"
@@ -233,7 +234,12 @@ def test_another_logs_results_are_replaced_only_when_told(log: Path, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGKILL, -9)]
+    ("number", "code"),
+    [
+        (signal.SIGTERM, 143),
+        pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow),
+        pytest.param(signal.SIGKILL, -9, marks=pytest.mark.slow),
+    ],
 )
 def test_a_stopped_run_leaves_its_part_and_the_old_results(
     log: Path, tmp_path: Path, number: int, code: int
@@ -259,6 +265,7 @@ def test_a_stopped_run_leaves_its_part_and_the_old_results(
     assert not part.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, number: int) -> None:
     """`offline` waits for 240 frames, more than the log has: none is out before the end."""
@@ -283,6 +290,7 @@ def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, num
     assert 4 < len(kept) < 200
 
 
+@pytest.mark.slow
 def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) -> None:
     """Twelve of the forty of `make kills`."""
     parts, finished_runs = stop_at_random(log, tmp_path / "out", 12)
@@ -290,7 +298,9 @@ def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) ->
     assert finished_runs < 12
 
 
-@pytest.mark.parametrize("size", [100, 6_000, 15_000])
+@pytest.mark.parametrize(
+    "size", [15_000, *(pytest.param(size, marks=pytest.mark.slow) for size in (100, 6_000))]
+)
 def test_a_full_disk_is_one_line_and_costs_no_frame(log: Path, tmp_path: Path, size: int) -> None:
     """No file may grow beyond a size, as on a disk that has no more room."""
     out = tmp_path / "out"
@@ -337,7 +347,9 @@ def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
         subprocess.run(["umount", str(one)], check=True)
 
 
-@pytest.mark.parametrize("pages", [10, 12, 14, 16])
+@pytest.mark.parametrize(
+    "pages", [14, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 12, 16))]
+)
 def test_a_full_file_system_is_one_line_and_costs_no_frame(
     log: Path, tmp_path: Path, small_disk: Callable[[int], Path], pages: int
 ) -> None:

@@ -63,6 +63,7 @@ def test_the_same_columns_and_rows(both: dict[str, Path]) -> None:
             assert np.allclose(told, expected, rtol=1e-15, atol=0, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_whoever_reads_results_reads_both(both: dict[str, Path], tmp_path: Path) -> None:
     """What each command makes of them: the same bytes, but for where it names the file."""
     made = {}
@@ -157,6 +158,7 @@ def test_a_log_without_estimates(tmp_path: Path) -> None:
     assert sum(len(table["frame"]) for _, table in tables) == 0
 
 
+@pytest.mark.slow
 def test_the_other_form_is_made_anew_and_takes_the_place(
     both: dict[str, Path], tmp_path: Path
 ) -> None:

@@ -256,6 +256,7 @@ def test_passes_are_worked_out_of_rows_in_any_order(tmp_path: Path) -> None:
     assert repr(found[0]) == repr(found[1])
 
 
+@pytest.mark.slow
 def test_passes_are_worked_out_in_memory_that_does_not_grow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -142,6 +142,7 @@ def test_the_light_of_the_floor_stays_on_the_disc() -> None:
     assert 10 * math.log10(laid[right].mean() / laid[left].mean()) > 4
 
 
+@pytest.mark.slow
 def test_nothing_but_the_discs_is_touched(background: Background) -> None:
     layout = draw_layout(background, BASIN, 1)
     fan = background.fan
@@ -244,6 +245,7 @@ def test_a_set_that_only_has_the_name_of_the_built_in_one_is_written(
     assert load_landmarks(tmp_path / "a" / "landmarks.toml") == discs
 
 
+@pytest.mark.slow
 def test_a_series_is_recognised_and_scored_as_it_is(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "series"
     told = sonarrec(
@@ -339,7 +341,11 @@ def test_amplitudes_have_the_range_that_the_reader_gave_them(
 
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [((), 80.0), (("--full-scale", "159"), 49.88), (("--dynamic-range-db", "60"), 60.0)],
+    [
+        pytest.param((), 80.0, marks=pytest.mark.slow),
+        (("--full-scale", "159"), 49.88),
+        pytest.param(("--dynamic-range-db", "60"), 60.0, marks=pytest.mark.slow),
+    ],
 )
 def test_an_aris_file_tells_its_range(
     words: tuple[str, ...], expected: float, tmp_path: Path

@@ -6,6 +6,8 @@ import pytest
 
 from tests.studies.fuzz import SONARS, run_all
 
+pytestmark = pytest.mark.slow
+
 
 def test_damaged_files_end_with_an_exit_code() -> None:
     failures, summary = run_all(50)

@@ -21,6 +21,8 @@ from tests.studies.paper.parts import BAYES, CONTINUITY, LEARNED, Parts
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, PRESENT, TABLE_4, TABLE_5
 from tests.studies.paper.world import drawn, in_view, kept_worlds
 
+pytestmark = pytest.mark.slow
+
 SEEDS = {
     "the built-in model": MODEL_SEEDS,
     "settings": scenes.TUNING,

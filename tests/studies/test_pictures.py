@@ -6,6 +6,8 @@ import pytest
 
 from tests.studies import pictures
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,6 +34,8 @@ from tests.studies import ablation, baseline, bench, scenes, study
 from tests.studies.measured import BINS, errors, honesty, reliability
 from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise, score
 
+pytestmark = pytest.mark.slow
+
 # Another radius than the built-in set's, so that the set has to be handed on.
 SCENE = Scene(
     name="small",

@@ -213,6 +213,7 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_one_log_however_many(tmp_path: Path) -> None:
     """Two logs of 1,000 frames, and eight. Were their rows kept, six more would be 2 MB; were what
     was read of them kept, .4 MB."""
