@@ -102,7 +102,7 @@ maps: .venv/installed  # maps of simulated vehicle runs, and what they do for th
 	$(BIN)/python -m tests.studies.maps
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
-	$(BIN)/python -m sonarrec.learning.built_in
+	$(BIN)/python -m learning.built_in
 
 regression: .venv/installed  # the sample logs against their results on record
 	$(BIN)/python -m tests.studies.regression

@@ -316,7 +316,7 @@ def test_the_columns_of_a_map_are_those_listed() -> None:
 
 
 def test_the_columns_of_a_site_are_those_listed() -> None:
-    from sonarrec.report.site_results import COLUMNS
+    from sonarrec.simulation.site.results import COLUMNS
 
     text = PAGES["site"].read_text(encoding="utf-8")
     _, _, lines = text.partition("site.csv has a row")

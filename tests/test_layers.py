@@ -17,10 +17,11 @@ FLOORS = (
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
     {"remote"},
-    {"truth", "simulation", "pipeline"},
+    {"truth", "pipeline"},
     {"batch"},
     {"evaluation", "overlay", "learning", "mapping"},
     {"report"},
+    {"simulation"},
     {"cli"},
     {"__main__"},
 )

@@ -26,8 +26,8 @@ from sonarrec.errors import name_as_text, number_of
 
 if TYPE_CHECKING:
     from sonarrec.readers.find import Source
-    from sonarrec.report.site_results import Site
     from sonarrec.results.run_file import LogOptions, RunFile
+    from sonarrec.simulation.site.results import Site
 
 
 @command(short_help="Estimate at which contrast and range landmarks would be recognised.")
@@ -75,11 +75,11 @@ def site(
     """
     from sonarrec.pipeline.prepare import RunOptions
     from sonarrec.readers.find import find_log
-    from sonarrec.report.site import SiteSetup, assess
-    from sonarrec.report.site_page import render
-    from sonarrec.report.site_results import write_site
     from sonarrec.results.run_file import read_run
     from sonarrec.simulation.background_files import check_free
+    from sonarrec.simulation.site.assess import SiteSetup, assess
+    from sonarrec.simulation.site.page import render
+    from sonarrec.simulation.site.results import write_site
 
     config = settings.config()
     contrasts, values = laying.contrasts(), laying.values

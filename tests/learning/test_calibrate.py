@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from learning.random_scenes import random_scene
 from sonarrec.config import Config, preset
 from sonarrec.landmarks import BUILT_IN, LandmarkSet, load_landmarks
 from sonarrec.learning import calibrate
@@ -36,7 +37,6 @@ from sonarrec.recogniser.stage3_features.model import (
     read_model,
 )
 from sonarrec.results.run_file import LogOptions
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
 from sonarrec.truth.match import Truth
 from tests.support.command import sonarrec

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from PIL import Image, ImageOps
 
+from learning.random_scenes import random_scene
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.grey import grey_scale, holds_amplitudes, single_channel, to_grey8
 from sonarrec.readers.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, sonar_from_table
 from tests.support import messages

@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 from click.testing import CliRunner
 
+from learning.random_scenes import random_scene
 from sonarrec import Recogniser, load_landmarks, open_log, preset, read_results, run
 from sonarrec.cli import main
 from sonarrec.config import Config
@@ -26,7 +27,6 @@ from sonarrec.recogniser.beam_width import (
 )
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import survey
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 

@@ -10,13 +10,13 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
+from learning.random_scenes import random_scene
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
 from sonarrec.nouns import Fan, Motion
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.simulation.motion import Pose, poses
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan
 from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run

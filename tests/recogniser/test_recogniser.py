@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from learning.random_scenes import random_scene
 from sonarrec import config
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import fan_for_image
@@ -24,7 +25,6 @@ from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 from sonarrec.recogniser.together import FRAMES_AT_ONCE
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learning.random_scenes import random_scene
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Fan, Selection
 from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector, Correlation, gap_share
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled

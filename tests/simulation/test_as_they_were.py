@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
+from learning.other_worlds import LEARNED_WORLDS, OTHER_WORLDS
+from learning.random_scenes import ALL_KINDS, random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     FishSection,
@@ -20,7 +21,6 @@ from sonarrec.simulation.scene import (
     scene_from_table,
     scene_table,
 )
-from sonarrec.simulation.unlike import LEARNED_UNLIKE, UNLIKE_KINDS
 
 NEW = ("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle")
 # Mean grey of the middle eight of four by four parts of the second frame, before there were slopes,
@@ -52,8 +52,8 @@ def test_kinds_keep_their_numbers() -> None:
     assert ALL_KINDS[:3] == ("plain", "low_contrast", "window_1_25")
     assert ALL_KINDS.index("other_symbols") == 21
     assert ALL_KINDS[22:] == NEW
-    assert set(LEARNED_UNLIKE) <= set(UNLIKE_KINDS)
-    assert set(NEW) - set(LEARNED_UNLIKE) == {"slope", "silted", "multipath"}
+    assert set(LEARNED_WORLDS) <= set(OTHER_WORLDS)
+    assert set(NEW) - set(LEARNED_WORLDS) == {"slope", "silted", "multipath"}
 
 
 @pytest.mark.parametrize("kind", NEW)

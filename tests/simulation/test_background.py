@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from learning.random_scenes import random_scene
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.errors import SonarrecError
@@ -33,7 +34,6 @@ from sonarrec.simulation.background import (
 from sonarrec.simulation.background_files import write_backgrounds
 from sonarrec.simulation.composite import Composer, LaidDisc
 from sonarrec.simulation.motion import Pose, poses
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.support.command import sonarrec

@@ -16,13 +16,13 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 
+from learning.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.motion import Pose, sweep_deg
 from sonarrec.simulation.plane import FLAT
-from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     BUILT_IN,

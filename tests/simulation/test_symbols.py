@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from learning.random_scenes import random_scene
 from sonarrec.landmarks import load_landmarks
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS, symbol
 from tests.support.drawn import SECTORS, disc_pattern
 

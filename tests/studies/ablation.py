@@ -12,6 +12,8 @@ from unittest.mock import patch
 
 import numpy as np
 
+from learning.other_worlds import OTHER_WORLDS
+from learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.config import preset, with_assignments
 from sonarrec.evaluation.counting.curves import tpr_at
 from sonarrec.evaluation.counting.passes import find_passes
@@ -20,16 +22,14 @@ from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.stage1_candidates import RingScore, ScoreMaps
 from sonarrec.recogniser.stage3_features.expected_symbol import expected_symbols
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.render import render
-from sonarrec.simulation.unlike import UNLIKE_KINDS
 from tests.studies.measured import errors
 from tests.studies.scenes import FRAMES, REPORTED, seeds, show, told
 from tests.support.simulated import Job, in_processes, recognise, score
 
 WORLDS = {
     "The pool": (KINDS_OF_SCENE, REPORTED[:4]),
-    "Other worlds": (UNLIKE_KINDS, REPORTED[:2]),
+    "Other worlds": (OTHER_WORLDS, REPORTED[:2]),
 }
 """Kinds of scene and seeds of each table."""
 EQUAL_FPR = (0.002, 0.01)

@@ -224,8 +224,8 @@ def tune() -> Settings:
     """
     import tempfile
 
+    from learning.random_scenes import random_scene
     from sonarrec.evaluation.evaluate import evaluate
-    from sonarrec.simulation.random_scenes import random_scene
     from sonarrec.simulation.simulate import write_recording
 
     landmarks = load_landmarks("basin")

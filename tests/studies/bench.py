@@ -21,6 +21,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
+from learning.random_scenes import random_scene
 from sonarrec.config import Config, preset
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.landmarks import load_landmarks
@@ -33,7 +34,6 @@ from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.mcap_writer import McapImageWriter
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene, load_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.baseline import METHOD, HoughSmi, fan_of, read_grey, write_estimates

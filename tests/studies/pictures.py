@@ -20,6 +20,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
+from learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.arrays import ByteImage
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
@@ -32,7 +33,6 @@ from sonarrec.readers.plausible import FRAMES as LOOKED_AT
 from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.recogniser.unchanging import Unchanging
-from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from tests.studies.scenes import seeds, show, told

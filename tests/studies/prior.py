@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonarrec.learning.built_in import samples_of
+from learning.built_in import samples_of
+from learning.random_scenes import random_scene
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
-from sonarrec.simulation.random_scenes import random_scene
 
 FRAMES = 160
 WEIGHTS = (3.0, 30.0, 120.0, 300.0, 900.0, 3000.0)

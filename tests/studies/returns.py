@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from learning.random_scenes import ALL_KINDS, random_scene
 from sonarrec.config import preset
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
 from sonarrec.simulation.scene import Scene
 from tests.studies.scenes import seeds, show, told
 from tests.support.simulated import Job, in_processes, recognise

@@ -16,19 +16,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from learning.other_worlds import OTHER_WORLDS
+from learning.random_scenes import (
+    ALL_KINDS,
+    KINDS_OF_SCENE,
+    STRETCH_KINDS,
+    random_scene,
+)
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count, ratio
 from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, interval
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.summary import Summary, summarise
-from sonarrec.simulation.random_scenes import (
-    ALL_KINDS,
-    KINDS_OF_SCENE,
-    STRETCH_KINDS,
-    random_scene,
-)
-from sonarrec.simulation.unlike import UNLIKE_KINDS
 from tests.studies.measured import Reliability, errors, honesty, reliability
 from tests.support.simulated import (
     METHODS,
@@ -185,7 +185,7 @@ def show_rates(rows: Sequence[Row]) -> None:
     pool = [r for r in rows if r.kind in KINDS_OF_SCENE]
     parts = [(kind, of_kind[kind], "strict") for kind in KINDS_OF_SCENE]
     parts += [("POOLED", pool, "strict"), ("POOLED, protocol paper", pool, "paper")]
-    parts += [(f"beside: {kind}", of_kind[kind], "strict") for kind in STRETCH_KINDS + UNLIKE_KINDS]
+    parts += [(f"beside: {kind}", of_kind[kind], "strict") for kind in STRETCH_KINDS + OTHER_WORLDS]
     lines = []
     for label, some, protocol in parts:
         if some:

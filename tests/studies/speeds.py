@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from learning.random_scenes import random_scene
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.simulation.motion import Pose, poses
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import Scene
 from tests.studies.scenes import seeds, show, told
 from tests.support.simulated import METHODS, Job, in_processes, recognise, score

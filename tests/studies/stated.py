@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from learning.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import floor_depth
@@ -24,7 +25,6 @@ from sonarrec.readers.floor_height import height_from_images
 from sonarrec.readers.log import SETTLING_FRAMES
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.motion import poses
-from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan
 from tests.studies.bench import three_in_view

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.learning.built_in import lessons
+from learning.built_in import lessons
+from learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, read_model
-from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
 from tests.studies.ablation import Ablation, compare, parser
 
 LearningReport = Callable[[str, Samples], Samples | None]

@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from learning.built_in import MODEL_SEEDS
 from sonarrec.config import PRESETS, preset
 from sonarrec.evaluation.counting.curves import PUBLISHED
-from sonarrec.learning.built_in import MODEL_SEEDS
 from sonarrec.recogniser.stage3_features.published import TABLE_3
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import render

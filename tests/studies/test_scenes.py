@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from learning.built_in import MODEL_SEEDS
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset, with_assignments
 from sonarrec.errors import SonarrecError
@@ -21,7 +22,6 @@ from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.landmarks import load_landmarks
-from sonarrec.learning.built_in import MODEL_SEEDS
 from sonarrec.simulation.scene import (
     MotionSection,
     PlacedLandmark,

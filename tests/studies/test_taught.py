@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sonarrec.learning.built_in import RECORDINGS
+from learning.built_in import RECORDINGS
+from learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, parse_model
-from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
 from tests.studies.taught import LESSONS, LearningReport
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from learning.random_scenes import random_scene
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.nouns import Frame
@@ -25,7 +26,6 @@ from sonarrec.recogniser.together import FRAMES_AT_ONCE
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose, ar1
-from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, scene_fan, scene_sonar
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from learning.other_worlds import OTHER_WORLDS, in_world, vehicle_motion
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.simulation.motion import Pose, poses
@@ -30,7 +31,6 @@ from sonarrec.simulation.scene import (
 )
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
 from sonarrec.simulation.things import object_radius
-from sonarrec.simulation.unlike import UNLIKE_KINDS, made_unlike, vehicle_motion
 
 KINDS_OF_SCENE = (
     "plain",
@@ -49,7 +49,7 @@ KINDS_OF_SCENE = (
 # In addition: discs of 0.06 m radius at a window of 2.5 m; everything hard at once; landmark sets,
 # windows and images unlike the basin's.
 STRETCH_KINDS = ("tiny_discs", "all_hard", "other_sets")
-ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS + UNLIKE_KINDS
+ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS + OTHER_WORLDS
 LEAST_LIT_DB = -12.0
 """Least power of the vertical beam where an object may lie, relative to the beam's axis. Where less
 sound reaches the floor, the image is black and nobody would look for landmarks."""
@@ -381,7 +381,7 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
             PlacedObject("wall", round(0.95 * far, 3), 0.0, round(rng.uniform(-12, 12), 1))
         )
     drawn = replace(scene, landmarks=tuple(landmarks), objects=tuple(objects))
-    drawn = made_unlike(drawn, kind, rng)
+    drawn = in_world(drawn, kind, rng)
     drawn = replace(drawn, **overrides)
     check_scene(drawn, drawn.name)
     return drawn

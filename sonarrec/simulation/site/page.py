@@ -16,9 +16,9 @@ from sonarrec.evaluation.cells import Cell
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
-from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site, span_text
 from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.report.templates import filled
+from sonarrec.simulation.site.results import ENOUGH, ContrastResults, ExampleFrame, Site, span_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +36,7 @@ def render(site: Site) -> str:
     """The whole page as HTML."""
     return filled(
         "site.html",
+        __package__,
         version=__version__,
         site=site,
         level=f"{LEVEL:.0%}",

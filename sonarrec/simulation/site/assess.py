@@ -26,7 +26,6 @@ from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site, sentences
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import (
     Background,
@@ -37,6 +36,7 @@ from sonarrec.simulation.background import (
     without_room,
 )
 from sonarrec.simulation.background_files import write_backgrounds
+from sonarrec.simulation.site.results import ENOUGH, ContrastResults, ExampleFrame, Site, sentences
 
 RANGE_STEPS = 5  # into which the range window is divided
 MIN_VISIBLE = 0.9  # share of a disc that must be in view for a landmark to count

@@ -1,4 +1,4 @@
-"""Kinds of random scene that are unlike the basin, as changes to a scene that was drawn."""
+"""Kinds of random scene from other worlds than the basin, as changes to a scene that was drawn."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sonarrec.simulation.scene import (
     Scene,
 )
 
-UNLIKE_KINDS = (
+OTHER_WORLDS = (
     *("any_floor", "relief", "light", "debris", "symbols", "wide", "other_symbols"),
     *("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle"),
 )
@@ -35,7 +35,7 @@ floor rises by up to 8 deg some way. Leaning: discs lie tilted by up to 15 deg. 
 two fifths of each disc is under silt. Ripples: in the sand around the discs. Multipath: a later
 copy of the scene, and bands, by way of the surface. Fish: singly and in schools. Vehicle: the
 sonar travels and turns, with pitch and roll."""
-LEARNED_UNLIKE = (
+LEARNED_WORLDS = (
     *("any_floor", "relief", "light", "debris", "symbols", "wide"),
     *("leaning", "ripples", "fish", "vehicle"),
 )
@@ -44,7 +44,7 @@ other_symbols, slope, silted and multipath."""
 _PLATED = ("blank", "spokes", "half_ring", *SYMBOLS)
 
 
-def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
+def in_world(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
     """The scene with the changes of its kind; the same scene if the kind has none."""
     change = _CHANGES.get(kind)
     return scene if change is None else change(scene, rng)

@@ -1,6 +1,6 @@
 """The built-in appearance model, learned from simulated recordings.
 
-`make model` (`python -m sonarrec.learning.built_in`) makes it again.
+`make model` (`python -m learning.built_in`) makes it again.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
+from learning.other_worlds import LEARNED_WORLDS
+from learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 from sonarrec.config import preset
 from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, describe, label
 from sonarrec.nouns import Frame
 from sonarrec.recogniser.stage3_features.model import BUILT_IN
-from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.simulation.truth import LandmarkTruth
-from sonarrec.simulation.unlike import LEARNED_UNLIKE
 
 # Seeds of the built-in model. Those from 2000 on are for choosing settings (tuning seeds), those
 # from 3000 on for figures that are reported: no recording serves two purposes.
@@ -29,7 +29,7 @@ MODEL_SEEDS = range(1000, 1060)
 # wide, have more: they differ more from one recording to the next.
 RECORDINGS = {
     **dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 24),
-    **dict.fromkeys(LEARNED_UNLIKE, 60),
+    **dict.fromkeys(LEARNED_WORLDS, 60),
     "tiny_discs": 60,
     # These change only the geometry or the floor, so they are near the basin's.
     **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12),

@@ -1,0 +1,1 @@
+"""`sonarrec site`: how landmarks laid into a recording would be recognised."""
