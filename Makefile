@@ -4,8 +4,8 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test test-slow test-all lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes pictures stated returns worlds ablation taught study speeds pans maps model \
-	regression kills scale scoring clean
+	paper-prediction scenes pictures stated returns worlds ablation study speeds maps model \
+	regression results kills scale scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -40,16 +40,16 @@ demo: .venv/program  # the sample log, from images to tables
 	$(BIN)/sonarrec evaluate --ground-truth $(SAMPLE)/gt.csv build/demo/$(notdir $(SAMPLE))
 
 bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop
-	$(BIN)/python -m tests.studies.bench
+	$(BIN)/python -m tests.studies.bench --record bench
 
 memory: .venv/installed  # peak memory of reading 1 GB logs in the shapes that cost most
-	$(BIN)/python -m tests.studies.memory
+	$(BIN)/python -m tests.studies.memory --record memory
 
 fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarrec run`
 	$(BIN)/python -m tests.studies.fuzz --files 2000
 
 scale: .venv/installed  # a thousand logs, killed and on a cluster; how cost grows, long logs (over half an hour)
-	$(BIN)/python -m tests.studies.scale
+	$(BIN)/python -m tests.studies.scale --record scale
 
 scoring: .venv/installed  # what evaluate costs over up to 1,000 logs of 10,000 frames
 	$(BIN)/python -m tests.studies.scoring
@@ -69,40 +69,37 @@ paper-prediction: .venv/installed  # Tables 4 and 5 on fresh recordings, ours be
 	$(BIN)/python -m tests.studies.paper.prediction
 
 scenes: .venv/installed  # every kind of random scene, all methods, beside the goals
-	$(BIN)/python -m tests.studies.scenes
+	$(BIN)/python -m tests.studies.scenes --record scenes
 
 pictures: .venv/installed  # what viewers, codecs and worn sonars do to pictures, and what is recognised
-	$(BIN)/python -m tests.studies.pictures
+	$(BIN)/python -m tests.studies.pictures --record pictures
 
 stated: .venv/installed  # what it costs to state the geometry or the landmarks' size wrongly
-	$(BIN)/python -m tests.studies.stated
+	$(BIN)/python -m tests.studies.stated --record stated
 
 returns: .venv/installed  # what is claimed of landmarks out of view, and when they come back
-	$(BIN)/python -m tests.studies.returns
+	$(BIN)/python -m tests.studies.returns --record returns
 
 worlds: .venv/installed  # recordings that are not ours, where they are at hand
-	$(BIN)/python -m tests.studies.worlds
+	$(BIN)/python -m tests.studies.worlds --record worlds
 
 ablation: .venv/installed  # the default with one idea at a time put back
-	$(BIN)/python -m tests.studies.ablation
-
-taught: .venv/installed  # the default with models that were taught less
-	$(BIN)/python -m tests.studies.taught
+	$(BIN)/python -m tests.studies.ablation --record ablation
 
 study: .venv/installed  # the paper's scene thirty times over: intervals and tests
-	$(BIN)/python -m tests.studies.study
+	$(BIN)/python -m tests.studies.study --record study
 
 speeds: .venv/installed  # vehicles of several speeds: the motion measured, and the IDs
-	$(BIN)/python -m tests.studies.speeds
-
-pans: .venv/installed  # slow pans of a standing sonar, measured between its images
-	$(BIN)/python -m tests.studies.pans
+	$(BIN)/python -m tests.studies.speeds --record speeds
 
 maps: .venv/installed  # maps of simulated vehicle runs, and what they do for the path
-	$(BIN)/python -m tests.studies.maps
+	$(BIN)/python -m tests.studies.maps --record maps
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
 	$(BIN)/python -m learning.built_in
+
+results: .venv/installed  # RESULTS.md from the studies' files; marks what is stale
+	$(BIN)/python -m tests.studies.results
 
 regression: .venv/installed  # the sample logs against their results on record
 	$(BIN)/python -m tests.studies.regression

@@ -24,7 +24,8 @@ from sonarrec.recogniser.stage3_features.expected_symbol import expected_symbols
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.render import render
 from tests.studies.measured import errors
-from tests.studies.scenes import FRAMES, REPORTED, seeds, show, told
+from tests.studies.results.record import add_record_option, save, show
+from tests.studies.scenes import FRAMES, REPORTED, seeds, told
 from tests.support.simulated import Job, in_processes, recognise, score
 
 WORLDS = {
@@ -184,12 +185,15 @@ def parser(module: str, about: str | None) -> argparse.ArgumentParser:
     parser.add_argument("--seeds", type=seeds, default=REPORTED[:4], help="of these kinds")
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
     parser.add_argument("--out", type=Path, default=Path("build") / module)
+    add_record_option(parser)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
-    compare(ABLATIONS, parser("ablation", __doc__).parse_args(arguments))
+    asked = parser("ablation", __doc__).parse_args(arguments)
+    compare(ABLATIONS, asked)
+    save(asked.record)
 
 
 if __name__ == "__main__":

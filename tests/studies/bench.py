@@ -6,6 +6,7 @@ busy machine too. Nothing is asserted: time is not a test.
 
 from __future__ import annotations
 
+import argparse
 import os
 import statistics
 import subprocess
@@ -21,9 +22,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
-from learning.random_scenes import random_scene
 from sonarrec.config import Config, preset
-from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.landmarks import load_landmarks
 from sonarrec.pipeline.run import run as run_log
 from sonarrec.recogniser.odometry import Odometry
@@ -34,9 +33,10 @@ from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.mcap_writer import McapImageWriter
-from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene, load_scene
+from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import write_recording
-from tests.studies.baseline import METHOD, HoughSmi, fan_of, read_grey, write_estimates
+from tests.studies.baseline import HoughSmi, fan_of, read_grey
+from tests.studies.results.record import add_record_option, judge, save, show
 
 FRAMES = 144
 REPEATS = 7
@@ -147,17 +147,17 @@ def cost(work: Path) -> None:
 
     ms = interleaved(
         {
-            "a  decode the PNGs": decode(paths),
-            "b  decode + HoughCircles + SMI": hough,
-            "c  sonarrec from PNG": ours("fan"),
-            "d  sonarrec from raw MCAP": ours("none.mcap"),
+            "decode the PNGs": decode(paths),
+            "decode + HoughCircles + SMI": hough,
+            "sonarrec from PNG": ours("fan"),
+            "sonarrec from raw MCAP": ours("none.mcap"),
             "d' sonarrec from zstd MCAP": ours("zstd.mcap"),
-            "e  sonarrec from polar PNG": ours("polar"),
-            "f  sonarrec --preset offline": ours("fan", preset("offline")),
-            "g  decode the PNGs, 5 m window": decode(far_paths),
-            "h  sonarrec from PNG, 5 m window": ours("far"),
-            "i  decode the PNGs, 130 deg": decode(wide_paths),
-            "j  sonarrec from PNG, 130 deg": ours("wide"),
+            "sonarrec from polar PNG": ours("polar"),
+            "sonarrec --preset offline": ours("fan", preset("offline")),
+            "decode the PNGs, 5 m window": decode(far_paths),
+            "sonarrec from PNG, 5 m window": ours("far"),
+            "decode the PNGs, 130 deg": decode(wide_paths),
+            "sonarrec from PNG, 130 deg": ours("wide"),
         }
     )
     rows, columns = images[0].shape
@@ -165,17 +165,16 @@ def cost(work: Path) -> None:
     print(f"three landmarks in view, {FRAMES} frames,")
     print(f"one core, median of {REPEATS} interleaved rounds; sonarrec: all that `run` does")
     print("(hashing the input, set-up, decoding, three stages, both CSV files)\n")
-    for name, value in ms.items():
-        print(f"  {name:<32} {value:7.2f} ms  {1e3 / value:7.0f} frames/s")
+    show("", [{"per frame": name, "ms": f"{value:.2f}"} for name, value in ms.items()])
     a, b, c, d, zstd, _, offline, g, h, i, j = ms.values()
     print()
-    judge("c/a  from PNG / decoding", c / a, 4.0)
-    judge("c/b  from PNG / Hough loop", c / b, 1.5)
-    judge("d/c  from raw MCAP / from PNG", d / c, 1.0)
-    judge("d'/c from zstd MCAP / from PNG", zstd / c, 1.0)
-    judge("f/c  offline / default", offline / c, 2.0)
-    judge("h/g  5 m window / decoding", h / g, 6.0)
-    judge("j/i  130 deg / decoding", j / i, 10.0)
+    judge("from PNG / decoding", c / a, 4.0)
+    judge("from PNG / Hough loop", c / b, 1.5)
+    judge("from raw MCAP / from PNG", d / c, 1.0)
+    judge("from zstd MCAP / from PNG", zstd / c, 1.0)
+    judge("offline / default", offline / c, 2.0)
+    judge("5 m window / decoding", h / g, 6.0)
+    judge("130 deg / decoding", j / i, 10.0)
     where(ours("fan"))
     memory(work, images)
 
@@ -207,12 +206,6 @@ def where(task: Callable[[], object]) -> None:
     print("\nWhere the time of c goes, ms per frame\n")
     for name, times in taken.items():
         print(f"  {name:<32} {statistics.median(times) / FRAMES * 1e3:7.2f}")
-
-
-def judge(what: str, value: float, most: float, unit: str = "") -> None:
-    """One figure beside its goal."""
-    word = "met" if value <= most else "NOT met"
-    print(f"  {what:<32} {value:7.2f}{unit:<4}  goal <= {most:.3g}{unit}: {word}")
 
 
 # On Linux a new process is charged with the peak of the one it was forked from, until it runs
@@ -247,9 +240,9 @@ def memory(work: Path, images: list[np.ndarray]) -> None:
         write_mcap(log, repeated, "none", work / "fan" / "sonar.toml")
         peaks.append(peak(log))
         log.unlink()
-        judge(f"{frames} frames", peaks[-1], 150, " MB")
-    judge(f"{LONG[1]} / {LONG[0]} frames", peaks[1] / peaks[0], 1.05)
-    judge(f"{FRAMES} PNGs, 130 deg", peak(work / "wide"), 150, " MB")
+        judge(f"peak memory, {frames} frames, MB", peaks[-1], 150)
+    judge(f"peak memory, {LONG[1]} / {LONG[0]} frames", peaks[1] / peaks[0], 1.05)
+    judge(f"peak memory, {FRAMES} PNGs, 130 deg, MB", peak(work / "wide"), 150)
 
 
 def start() -> None:
@@ -261,7 +254,7 @@ def start() -> None:
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         taken.append(time.perf_counter() - begun)
     print(f"\nStart, median of {REPEATS}\n")
-    judge("python -m sonarrec --help", statistics.median(taken[1:]), 0.3, " s")
+    judge("sonarrec --help, s", statistics.median(taken[1:]), 0.3)
 
 
 def two_cores(cores: list[int]) -> None:
@@ -296,53 +289,26 @@ def on_two_cores(scene: Scene, frames: int, cores: list[int]) -> None:
     judge(f"{scene.name}: two cores / one core", share, 1 / 1.6)
 
 
-def accuracy(work: Path) -> None:
-    """Print the Hough loop with a majority vote beside smi and framework, both protocols."""
-    print("\nAccuracy on simulated logs, TPR / FPR at the operating point (the project's own")
-    print(f"evaluation; {METHOD}: HoughCircles + SMI + nearest-neighbour track + majority vote,")
-    print("tuned by `python -m tests.studies.baseline` on other seeds)\n")
-    methods = ("smi", "framework", METHOD)
-    print(f"  {'log':<16} {'protocol':<9}" + "".join(f"{m:>20}" for m in methods))
-    for which in REPORTED:
-        scene = load_scene(which) if isinstance(which, str) else random_scene(*which, frames=248)
-        log = work / scene.name
-        write_recording(scene, log)
-        results = run_log(log, work / "accuracy", preset=preset("default")).folder
-        rival = work / "rival" / scene.name
-        rival.mkdir(parents=True)
-        for name in ("frames.csv", "run.toml"):
-            (rival / name).write_bytes((results / name).read_bytes())
-        images = [read_grey(p) for p in sorted(log.glob("*.png"))]
-        fan = fan_of(log, images[0])
-        loop = HoughSmi(fan, scene.landmark_set)
-        sights = enumerate(map(loop, images))
-        write_estimates(rival / "estimates.csv", sights, loop, fan, scene.landmark_set)
-        found = {
-            (s.method, s.protocol): s.count()
-            for folder in (results, rival)
-            for s in evaluate(folder, log / "gt.csv").scored
-            if folder == results or s.method == METHOD
-        }
-        for protocol in ("paper", "strict"):
-            counts = [found[m, protocol] for m in methods]
-            cells = "".join(f"{c.tpr:>12.3f} /{c.fpr:6.4f}" for c in counts)
-            print(f"  {scene.name:<16} {protocol:<9}{cells}")
-
-
 def main() -> None:
     """All of it on one core; where there are two, then what the second is worth."""
-    cores = os.sched_getaffinity(0) if hasattr(os, "sched_setaffinity") else {0}
-    if len(cores) > 1:
+    parser = argparse.ArgumentParser(prog="python -m tests.studies.bench", description=__doc__)
+    parser.add_argument("--cores", help="those to use; they are found where this is not given")
+    add_record_option(parser)
+    asked = parser.parse_args()
+    if asked.cores is None and hasattr(os, "sched_setaffinity"):
+        cores = ",".join(map(str, sorted(os.sched_getaffinity(0))[-2:]))
         # Begun anew, for numpy has threads for as many cores as there were when it was imported.
-        os.sched_setaffinity(0, {max(cores)})
-        subprocess.run([sys.executable, "-m", "tests.studies.bench"], check=True)
-        two_cores(sorted(cores)[-2:])
-        return
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+        again = [sys.executable, "-m", "tests.studies.bench", *sys.argv[1:], "--cores", cores]
+        os.execv(sys.executable, again)
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory(prefix="sonarrec_bench_") as name:
         cost(Path(name))
-        start()
-        accuracy(Path(name))
+    start()
+    cores = [int(core) for core in (asked.cores or "").split(",") if core]
+    if len(cores) > 1:
+        two_cores(cores)
+    save(asked.record)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,8 @@ from sonarrec.mapping.factors import Graph, factors, graph_of
 from sonarrec.mapping.path import Drift
 from sonarrec.mapping.tables import CHI2_95
 from sonarrec.mapping.write import write_all
-from tests.studies.scenes import judge, seeds, show
+from tests.studies.results.record import add_record_option, judge, save, show
+from tests.studies.scenes import seeds
 from tests.support.vehicle import (
     VehicleRun,
     drifting,
@@ -267,6 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.maps", description=__doc__)
     parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
     parser.add_argument("--out", type=Path, default=Path("build") / "maps")
+    add_record_option(parser)
     parser.add_argument("--again", action="store_true", help="map results that are there already")
     asked = parser.parse_args(arguments)
     begun = time.monotonic()
@@ -288,6 +290,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "Maps without poses, relative to the first frame, by the measured motion", pooled(alone), {}
     )
     show_paths(errors)
+    save(asked.record)
     print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
 
 

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from tests.studies.results.record import add_record_option, judge, save, show
 from tests.support.hard_logs import HardLog, noise_images
 
 GOAL_MB = 400
@@ -134,21 +135,26 @@ def main() -> None:
     """A row for every shape."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mb", type=int, default=1000, help="size of each log (default 1000)")
-    size = parser.parse_args().mb * 10**6
+    add_record_option(parser)
+    asked = parser.parse_args()
+    size = asked.mb * 10**6
     with tempfile.TemporaryDirectory(prefix="sonarrec_memory_") as name:
         if shutil.disk_usage(name).free < 4 * size:
             sys.exit(f"{name}: too little room, {4 * size / 1e9:.0f} GB are needed")
         path = Path(name) / "log.mcap"
-        print(f"Reading logs of {size / 1e6:.0f} MB (goal: at most {GOAL_MB} MB)\n")
-        print(f"  {'shape':<38}{'frames':>8}{'peak MB':>9}{'s':>8}")
+        lines = []
         for shape, write in shapes(path, size).items():
             write()
             start = time.perf_counter()
             frames, peak = peak_of_reading(path)
             taken = time.perf_counter() - start
-            verdict = "" if peak <= GOAL_MB else "  NOT met"
-            print(f"  {shape:<38}{frames:>8}{peak:>9.0f}{taken:>8.1f}{verdict}", flush=True)
+            lines.append(
+                {"shape": shape, "frames": frames, "MB": f"{peak:.0f}", "s": f"{taken:.1f}"}
+            )
             path.unlink()
+        show(f"Logs of {size / 1e6:.0f} MB", lines)
+        judge("peak memory, MB", max(float(line["MB"]) for line in lines), GOAL_MB)
+    save(asked.record)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,8 @@ from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
-from tests.studies.scenes import seeds, show, told
+from tests.studies.results.record import add_record_option, save, show
+from tests.studies.scenes import seeds, told
 from tests.support.simulated import Job, in_processes, recognise, score
 
 REPORTED = range(3001, 3004)  # 3000 was looked at while the rules were made
@@ -280,6 +281,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.pictures", description=__doc__)
     parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
     parser.add_argument("--out", type=Path, default=Path("build/pictures"))
+    add_record_option(parser)
     parser.add_argument("--as-they-are", action="store_true", help="what is filled of these")
     parser.add_argument("--outlines", action="store_true", help="how well the fan is found")
     given = parser.parse_args(arguments)
@@ -311,6 +313,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for name in CHANGES
     ]
     show(f"TPR / FPR, protocol strict, and false claims: {len(recordings)} recordings", lines)
+    save(given.record)
 
 
 if __name__ == "__main__":

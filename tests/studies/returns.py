@@ -18,7 +18,8 @@ from learning.random_scenes import ALL_KINDS, random_scene
 from sonarrec.config import preset
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.scene import Scene
-from tests.studies.scenes import seeds, show, told
+from tests.studies.results.record import add_record_option, save, show
+from tests.studies.scenes import seeds, told
 from tests.support.simulated import Job, in_processes, recognise
 
 NAMES = ("default", "offline")
@@ -100,6 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, default=KINDS)
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
     parser.add_argument("--out", type=Path, default=Path("build") / "returns")
+    add_record_option(parser)
     asked = parser.parse_args(arguments)
     configs = [preset(name) for name in NAMES]
     drawn = {k: [panning(seed, k, asked.frames) for seed in asked.seeds] for k in asked.kinds}
@@ -123,6 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 | {"back": str(r.back), "right": told(r.right / max(r.back, 1), ".3f")}
             )
     show("IDs that leave the view and return; frames away and back", lines)
+    save(asked.record)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from sonarrec.simulation.scene import load_scene
 from sonarrec.simulation.simulate import write_recording
+from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scoring import peak_of, timed
 from tests.support.batch import SAMPLE, command, environment, rows, tables
 
@@ -190,7 +191,7 @@ def long(home: Path, largest: int) -> None:
     images = sorted(SAMPLE.glob("*.png"))
     head, *truth = (SAMPLE / "gt.csv").read_text(encoding="utf-8").splitlines(keepends=True)
     shown = [tuple(line.split(",", 1)) for line in truth]
-    count = 1000
+    count, lines = 1000, []
     while count <= largest:
         log, results = home / f"frames{count}", home / "long" / f"frames{count}"
         log.mkdir()
@@ -215,8 +216,11 @@ def long(home: Path, largest: int) -> None:
             if count <= MOST_CALIBRATED or words[0] != "calibrate":
                 peak, took = timed(lambda words=words: peak_of(*words))  # type: ignore[misc]
                 name = " ".join(map(str, words[: 2 if words[0] == "truth" else 1]))
-                print(f"{count} frames, {name}: {took:.1f} s, {peak:.0f} MB", flush=True)
+                lines.append(
+                    {"command": name, "frames": count, "MB": f"{peak:.0f}", "s": f"{took:.1f}"}
+                )
         count *= 10
+    show("One log, the sample again and again: peak memory and time", lines)
 
 
 def main() -> None:
@@ -224,6 +228,7 @@ def main() -> None:
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--part", choices=["thousand", "throughput", "cluster", "growth", "long"])
+    add_record_option(parser)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
@@ -239,6 +244,7 @@ def main() -> None:
             growth(home, source, asked.logs)
         if asked.part in (None, "long"):
             long(home, asked.frames)
+    save(asked.record)
 
 
 if __name__ == "__main__":

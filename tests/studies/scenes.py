@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import textwrap
 import time
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -30,6 +29,7 @@ from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, interval
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.summary import Summary, summarise
 from tests.studies.measured import Reliability, errors, honesty, reliability
+from tests.studies.results.record import add_record_option, judge, save, show
 from tests.support.simulated import (
     METHODS,
     PRESETS,
@@ -166,12 +166,6 @@ def beyond(found: Evaluation, summary: Summary, name: str, folders: Sequence[Pat
     )
 
 
-def show(heading: str, lines: Sequence[dict[str, str]]) -> None:
-    """A table on screen, one line per element."""
-    print(f"\n{heading}\n")
-    print(textwrap.indent(pd.DataFrame(lines).to_string(index=False), "  "))
-
-
 def told(value: float, form: str) -> str:
     """A number; a dash where there is none, "never" where it is infinite."""
     if math.isinf(value):
@@ -179,7 +173,7 @@ def told(value: float, form: str) -> str:
     return "-" if math.isnan(value) else format(value, form)
 
 
-def show_rates(rows: Sequence[Row]) -> None:
+def show_rates(rows: Sequence[Row], keep: bool) -> None:
     """Per kind of scene, pooled, and those beside the pool."""
     of_kind = {kind: [r for r in rows if r.kind == kind] for kind in ALL_KINDS}
     pool = [r for r in rows if r.kind in KINDS_OF_SCENE]
@@ -194,10 +188,10 @@ def show_rates(rows: Sequence[Row]) -> None:
                 count = pooled(some, name, protocol)
                 line[name] = f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}"
             lines.append(line)
-    show("TPR / FPR at the operating point, protocol strict", lines)
+    show("TPR / FPR at the operating point, protocol strict", lines, keep=keep)
 
 
-def show_intervals(rows: Sequence[Row]) -> None:
+def show_intervals(rows: Sequence[Row], keep: bool) -> None:
     """Per kind of scene and pooled: how sure the rates of our presets are, and the false claims."""
     parts = [(kind, [r for r in rows if r.kind == kind]) for kind in ALL_KINDS]
     parts += [("POOLED", [r for r in rows if r.kind in KINDS_OF_SCENE])]
@@ -221,6 +215,7 @@ def show_intervals(rows: Sequence[Row]) -> None:
             "TPR / FPR strict with 95 % intervals over recordings; false claims, and how many of\n"
             f"them are in the {WORST} recordings that have most",
             lines,
+            keep=keep,
         )
 
 
@@ -232,7 +227,7 @@ def show_beyond(measured: dict[str, Beyond]) -> None:
         for what, pair, form in (("TPR", b.tpr, ".3f"), ("FPR", b.fpr, ".4f")):
             line[what] = " to ".join(told(v, form) for v in pair)
         lines.append(line)
-    show("Pooled: 95 % intervals of the rates, over recordings", lines)
+    show("Pooled: 95 % intervals of the rates, over recordings", lines, keep=False)
     lines = []
     for name, b in measured.items():
         line = {"method": name}
@@ -264,6 +259,7 @@ def show_beyond(measured: dict[str, Beyond]) -> None:
         "Pooled: the score as the probability that the ID is right: mean score, share that was\n"
         "right, estimates",
         table.to_dict("records"),
+        keep=False,
     )
 
 
@@ -292,13 +288,6 @@ def show_goals(rows: Sequence[Row], measured: dict[str, Beyond]) -> None:
         judge("default, calibration error", default.reliability.ece, 0.05)
 
 
-def judge(what: str, value: float, bound: float, at_least: bool = False) -> None:
-    """One figure beside its goal."""
-    met = value >= bound if at_least else value <= bound
-    sign, word = (">=" if at_least else "<="), ("met" if met else "NOT met")
-    print(f"  {what:<46} {value:8.4f}  goal {sign} {bound:g}: {word}")
-
-
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """One line per recording, protocol and method."""
     lines = [
@@ -325,6 +314,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--ours", action="store_true", help="without `paper` and `hough`")
     parser.add_argument("--again", action="store_true", help="score results that are there already")
     parser.add_argument("--out", type=Path, default=Path("build") / "scenes")
+    add_record_option(parser)
     asked = parser.parse_args(arguments)
     begun = time.monotonic()
     recordings = [
@@ -348,8 +338,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"{len(recordings)} recordings of {asked.frames} frames: seeds {asked.seeds.start} to "
         f"{asked.seeds.stop - 1} of {len(asked.kinds)} kinds of scene"
     )
-    show_rates(rows)
-    show_intervals(rows)
+    show_rates(rows, keep=not asked.ours)
+    show_intervals(rows, keep=asked.ours)
     measured = {}
     folders = [r.folder for r in recordings if r.kind in KINDS_OF_SCENE]
     if folders:
@@ -358,6 +348,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         measured = {name: beyond(found, summary, name, folders) for name in methods(rows)}
         show_beyond(measured)
     show_goals(rows, measured)
+    save(asked.record)
     print(f"\n{asked.out}/scenes.csv; {(time.monotonic() - begun) / 60:.1f} minutes")
 
 

@@ -19,7 +19,8 @@ from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import Scene
-from tests.studies.scenes import seeds, show, told
+from tests.studies.results.record import add_record_option, save, show
+from tests.studies.scenes import seeds, told
 from tests.support.simulated import METHODS, Job, in_processes, recognise, score
 
 REPORTED = range(3000, 3004)
@@ -134,6 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
     parser.add_argument("--out", type=Path, default=Path("build") / "speeds")
+    add_record_option(parser)
     asked = parser.parse_args(arguments)
     drawn = {run: [steady(seed, *run, asked.frames) for seed in asked.seeds] for run in RUNS}
     configs = [preset(name) for name in NAMES]
@@ -146,6 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "and the error stated for that, but the heading's; IDs, TPR / FPR, strict",
         [row(run, some, asked.out) for run, some in drawn.items()],
     )
+    save(asked.record)
 
 
 if __name__ == "__main__":

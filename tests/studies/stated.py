@@ -28,7 +28,8 @@ from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan
 from tests.studies.bench import three_in_view
-from tests.studies.scenes import seeds, show, told
+from tests.studies.results.record import add_record_option, save, show
+from tests.studies.scenes import seeds, told
 from tests.support.simulated import Job, in_processes, recognise, score
 
 REPORTED = range(3004, 3007)
@@ -306,6 +307,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.stated", description=__doc__)
     parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
     parser.add_argument("--out", type=Path, default=Path("build/stated"))
+    add_record_option(parser)
     parser.add_argument("--windows", action="store_true", help="the second table alone")
     parser.add_argument("--dives", action="store_true", help="the third table alone")
     given = parser.parse_args(arguments)
@@ -324,6 +326,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"TPR / FPR, protocol strict: {len(recordings)} recordings",
         [{"stated": n} | rates([r.place(n) for r in recordings]) for n in STATEMENTS],
     )
+    save(given.record)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,8 @@ from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
 from sonarrec.simulation.things import object_radius
-from tests.studies.scenes import seeds, show, told
+from tests.studies.results.record import add_record_option, save, show
+from tests.studies.scenes import seeds, told
 from tests.support.simulated import (
     METHODS,
     PRESETS,
@@ -149,6 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=seeds, default=STUDIED, help="first:end, end left out")
     parser.add_argument("--frames", type=int, default=scene.frames, help="of each sequence")
     parser.add_argument("--out", type=Path, default=Path("build") / "study")
+    add_record_option(parser)
     asked = parser.parse_args(arguments)
     begun = time.monotonic()
     configs = [preset(name) for name in PRESETS]
@@ -174,6 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"\nPublished, one sequence, protocol paper, TPR / FPR: {published}")
     for note in summary.notes:
         print(f"note: {note}")
+    save(asked.record)
     minutes = (time.monotonic() - begun) / 60
     print(f"\n{asked.out}: {', '.join(files)}; {minutes:.1f} minutes")
 

@@ -19,7 +19,8 @@ import pandas as pd
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from tests.studies.scenes import show, told
+from tests.studies.results.record import add_record_option, save, show
+from tests.studies.scenes import told
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESETS = ("default", "offline")
@@ -102,6 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.worlds", description=__doc__)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "worlds")
+    add_record_option(parser)
     asked = parser.parse_args(arguments)
     lines, missing = [], []
     for name, parts in WORLDS.items():
@@ -117,6 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = [river(r, m, asked.out / "rivers") for r in rivers if r.is_file() for m in RADII_M]
     if lines:
         show("Real recordings without a landmark", lines)
+    save(asked.record)
     for name in missing:
         print(f"worlds: SKIPPED, not in {asked.data}: {name}", file=sys.stderr)
 

@@ -1,0 +1,74 @@
+"""Shows the tables of a study, and puts them on record: `show`, `judge`, `save`."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import textwrap
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+import tomli_w
+
+from tests.studies.results.digests import digests
+
+FOLDER = Path(__file__).parent
+ROOT = FOLDER.parents[2]
+GOALS = "Goals"
+_shown: list[tuple[str, list[dict[str, object]]]] = []  # in this process, which is one study
+
+
+def show(caption: str, lines: Sequence[Mapping[str, object]], *, keep: bool = True) -> None:
+    """Print a table, a mapping of column to cell for each line. keep: it goes on record."""
+    print(f"\n{caption}\n")
+    print(textwrap.indent(pd.DataFrame(lines).to_string(index=False), "  "), flush=True)
+    if keep and lines:
+        _shown.append((caption, [dict(line) for line in lines]))
+
+
+def judge(
+    what: str, value: float, bound: float, *, form: str = ".4g", at_least: bool = False
+) -> None:
+    """Print a figure beside its goal, and keep it: at most the bound, or at least."""
+    met = value >= bound if at_least else value <= bound
+    row = [
+        what,
+        format(value, form),
+        f"{'>=' if at_least else '<='} {bound:g}",
+        "yes" if met else "no",
+    ]
+    print(f"  {row[0]:<46} {row[1]:>9}  goal {row[2]}: {'met' if met else 'NOT met'}", flush=True)
+    if not any(caption == GOALS for caption, _ in _shown):
+        _shown.append((GOALS, []))
+    goals = next(lines for caption, lines in _shown if caption == GOALS)
+    goals.append(row)
+
+
+def add_record_option(parser: argparse.ArgumentParser) -> None:
+    """`--record NAME`, for `save`."""
+    parser.add_argument("--record", metavar="NAME", help="file in tests/studies/results to write")
+
+
+def save(name: str | None) -> None:
+    """Put what was shown, and the commit, into this folder's `name`.toml; None: do not.
+
+    Its title, command and words are written by hand, and so are the names in `digest`: on what
+    the figures depend. Make such a file for a new study.
+    """
+    if name is None:
+        return
+    path = FOLDER / f"{name}.toml"
+    study, now = tomllib.loads(path.read_text(encoding="utf-8")), digests()
+    ask = ["git", "rev-parse", "--short=8", "HEAD"]
+    study["commit"] = subprocess.check_output(ask, cwd=ROOT, text=True).strip()
+    study["digest"] = {of: now[of] for of in study["digest"]}
+    study["table"] = [
+        {
+            "caption": caption,
+            "csv": pd.DataFrame(lines).to_csv(index=False, lineterminator="\n"),
+        }
+        for caption, lines in _shown
+    ]
+    path.write_text(tomli_w.dumps(study, multiline_strings=True), encoding="utf-8")
