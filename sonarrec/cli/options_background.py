@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.landmarks import LandmarkSet
     from sonarrec.results.run_file import LogOptions
-    from sonarrec.simulation.background import Background, DiscLook
+    from sonarrec.simulation.background import Background
+    from sonarrec.simulation.background_files import DiscLook
 
 MOST_DB = 60.0
 
@@ -84,7 +85,7 @@ class LayoutChoice:
 
     def look(self, background: Background) -> DiscLook:
         """How the discs look; by default smeared as by the recording's own beams."""
-        from sonarrec.simulation.background import DiscLook
+        from sonarrec.simulation.background_files import DiscLook
 
         plate_db, width_deg = self.values["plate"], self.values["beam_width"]
         return DiscLook(

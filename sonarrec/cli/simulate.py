@@ -164,8 +164,9 @@ def _lay(
     """Lay landmarks into a recording, at one contrast or several."""
     from sonarrec.config import preset
     from sonarrec.landmarks import load_landmarks
-    from sonarrec.simulation.background import draw_layout, without_room
-    from sonarrec.simulation.background_files import check_free, write_backgrounds
+    from sonarrec.simulation.background_files import write_backgrounds
+    from sonarrec.simulation.layout import draw_layout, without_room
+    from sonarrec.simulation.simulate import check_free
 
     if out.suffix == ".mcap":
         raise UsageError(f"{out}: --background writes a folder of images; give a folder")
@@ -175,7 +176,7 @@ def _lay(
     folders = {db: out / f"contrast_{db:g}" for db in contrasts}
     if len(contrasts) == 1:
         folders = {contrasts[0]: out}
-    check_free(list(folders.values()))
+    check_free(*folders.values())
     with progress(quiet, title="motion") as step:
         log_options = laying.log_options(log_choice, frames)
         background = laying.survey(log, log_options, landmarks, config, step)
@@ -185,11 +186,13 @@ def _lay(
         progress(quiet, len(background.path), "discs") as step,
     ):
         write_backgrounds(background, layout, laying.look(background), folders, step)
-    tell(background.problems, [*background.notes, *without_room([layout], laying.count)])
+    told = background.diagnostics
+    told.note(*without_room([layout], laying.count))
+    tell(told.problems, told.notes)
     if not quiet:
         frames = number_of(len(background.path), "frame")
         count = number_of(layout.landmark_count, "landmark")
         fakes = number_of(len(layout.discs) - layout.landmark_count, "fake")
         for db, folder in folders.items():
             say(f"{name_as_text(folder)}: {frames}, {count} and {fakes} at {db:g} dB")
-    end(background.problems)
+    end(told.problems)

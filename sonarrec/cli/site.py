@@ -76,8 +76,8 @@ def site(
     from sonarrec.pipeline.prepare import RunOptions
     from sonarrec.readers.find import find_log
     from sonarrec.results.run_file import read_run
-    from sonarrec.simulation.background_files import check_free
-    from sonarrec.simulation.site.assess import SiteSetup, assess
+    from sonarrec.simulation.simulate import check_free
+    from sonarrec.simulation.site.assess import assess
     from sonarrec.simulation.site.page import render
     from sonarrec.simulation.site.results import write_site
 
@@ -87,7 +87,7 @@ def site(
     landmarks = earlier.landmark_set(values["landmarks"])
     log_options = _completed(laying.log_options(log_choice, frames), earlier, source)
     out = out or Path("sonarrec_site") / source.name
-    check_free([out])
+    check_free(out)
     with progress(quiet, title="motion") as step:
         background = laying.survey(log, log_options, landmarks, config, step)
     # One pass to run the recording as it is; per layout one for the discs and one per contrast.
@@ -97,24 +97,23 @@ def site(
             Path(log),
             replace(log_options, frames=background.span),  # not those of the run.toml
             out,
-            SiteSetup(
-                background,
-                landmarks,
-                laying.look(background),
-                RunOptions([config], values["landmarks"], model, settings.file),
-                keep,
-            ),
+            background,
+            landmarks,
+            laying.look(background),
+            RunOptions([config], values["landmarks"], model, settings.file),
             contrasts=contrasts,
             layouts=layouts,
             count=laying.count,
             seed=settings.values["seed"] or 0,
+            keep=keep,
             step=lambda doing: step(note=doing),
         )
     write_site(out, site_result, render(site_result))
-    tell(site_result.problems, site_result.notes)
+    told = site_result.diagnostics
+    tell(told.problems, told.notes)
     if not quiet:
         say(*_lines(site_result, out / "site.html", layouts))
-    end(site_result.problems)
+    end(told.problems)
 
 
 def _completed(given: LogOptions, earlier: RunFile, source: Source) -> LogOptions:

@@ -4,26 +4,48 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import SonarrecError
+from sonarrec.arrays import ByteImage
 from sonarrec.files.outputs import write_csv, writing
-from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.simulation.background import Background, ComposedFrame, DiscLook, Layout, compose
-from sonarrec.simulation.simulate import write_documents, write_image
+from sonarrec.landmarks import load_landmarks
+from sonarrec.simulation.background import Background
+from sonarrec.simulation.composite import Composer
+from sonarrec.simulation.layout import Layout, truth_of
+from sonarrec.simulation.simulate import check_free, write_documents, write_image
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
 
 
-def check_free(folders: Sequence[Path]) -> None:
-    """Raise SonarrecError if one of the folders exists and is not empty."""
-    for folder in folders:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise SonarrecError(f"{folder}: already exists and is not empty; choose another --out")
+@dataclass(frozen=True, slots=True)
+class DiscLook:
+    """How discs look at any contrast.
+
+    plate_db: level of the plate between ring and sectors above the floor. beam_width_deg: width of
+    the beams that smear them.
+    """
+
+    plate_db: float
+    beam_width_deg: float
+
+
+def compose(
+    background: Background, layout: Layout, look: DiscLook, contrasts: Sequence[float]
+) -> Iterator[tuple[int, dict[float, ByteImage]]]:
+    """Yield (number, image with the discs of a layout by contrast) of the recording's frames.
+
+    contrasts: levels of ring and sectors above the floor, dB.
+    """
+    composer = Composer(
+        background.fan, layout.landmarks, background.dynamic_range_db, look.beam_width_deg
+    )
+    for frame in background.frames():
+        pose = background.path[frame.index]
+        yield frame.index, composer.lay(frame.image, layout.discs, pose, contrasts, look.plate_db)
 
 
 def write_backgrounds(
@@ -39,48 +61,30 @@ def write_backgrounds(
     basin. folders: by contrast (dB); they must be empty or new. step: called after each frame.
     Raises SonarrecError if a folder is in use or cannot be written.
     """
-    check_free([*folders.values()])
-    with writing(", ".join(map(str, folders.values()))):
-        for folder in folders.values():
-            folder.mkdir(parents=True, exist_ok=True)
-        _write_frames(compose(background, layout, look, [*folders]), folders, step)
-        for db, folder in folders.items():
-            document = _background_table(background, layout, look, db)
-            _write_companions(folder, background, layout.landmarks, document)
-
-
-def _write_frames(
-    frames: Iterable[ComposedFrame], folders: Mapping[float, Path], step: Callable[[], None] | None
-) -> None:
-    """Write the images and gt.csv of every contrast, frame by frame. Raises OSError."""
-    with ExitStack() as stack:
+    check_free(*folders.values())
+    with writing(", ".join(map(str, folders.values()))), ExitStack() as stack:
         tables = []
         for folder in folders.values():
+            folder.mkdir(parents=True, exist_ok=True)
             file = (folder / "gt.csv").open("w", newline="", encoding="utf-8")
             tables.append(csv.writer(stack.enter_context(file), lineterminator="\n"))
-        for table in tables:
-            table.writerow(TRUTH_COLUMNS)
-        for frame in frames:
+            tables[-1].writerow(TRUTH_COLUMNS)
+        for index, images in compose(background, layout, look, [*folders]):
             for db, folder in folders.items():
-                write_image(folder / f"{frame.index:06d}.png", frame.images[db])
+                write_image(folder / f"{index:06d}.png", images[db])
             for table in tables:
-                table.writerows(truth_rows(frame.index, frame.truth))
+                table.writerows(truth_rows(index, truth_of(background, layout, index)))
             if step:
                 step()
-
-
-def _write_companions(
-    folder: Path, background: Background, landmarks: LandmarkSet, document: Mapping[str, Any]
-) -> None:
-    """Write what lies beside the images. document: background.toml. Raises OSError."""
-    documents = {"background": document}
-    if landmarks != load_landmarks("basin"):
-        documents["landmarks"] = landmarks.as_table()
-    if background.has_poses:
-        _write_poses(folder / "poses.csv", background)
-    # sonar.toml comes last: a folder without geometry is not taken for a whole recording.
-    documents["sonar"] = {"sonar": _sonar(background).as_table()}
-    write_documents(folder, documents)
+        for db, folder in folders.items():
+            documents = _background_tables(background, layout, look, db)
+            if layout.landmarks != load_landmarks("basin"):
+                documents["landmarks"] = layout.landmarks.as_table()
+            if background.has_poses:
+                _write_poses(folder / "poses.csv", background)
+            # Last: a folder without geometry is not taken for a whole recording.
+            documents["sonar"] = {"sonar": _sonar(background).as_table()}
+            write_documents(folder, documents)
 
 
 def _sonar(background: Background) -> Sonar:
@@ -114,25 +118,24 @@ def _write_poses(path: Path, background: Background) -> None:
     write_csv(path, ["timestamp_ns", "yaw", "x", "y"], rows)
 
 
-def _background_table(
+def _background_tables(
     background: Background, layout: Layout, look: DiscLook, contrast_db: float
 ) -> dict[str, Any]:
-    """The tables of background.toml: how the recording was made, and where every disc lies."""
+    """The document background.toml: how the recording was made, and where every disc lies."""
     first, end = background.span
-    return {
-        "background": {
-            "log": background.where,
-            "frames": f"{first}:{'' if end is None else end}",
-            "landmark_set": layout.landmarks.name,
-            "contrast_db": contrast_db,
-            **asdict(look),
-            "dynamic_range_db": background.dynamic_range_db,
-            "seed": layout.seed,
-            "motion": "told by poses" if background.has_poses else "measured between the images",
-            "motion_unknown": background.unknown,
-        },
-        "disc": [
-            {k: round(v, 5) if isinstance(v, float) else v for k, v in asdict(disc).items()}
-            for disc in layout.discs
-        ],
+    about = {
+        "log": background.where,
+        "frames": f"{first}:{'' if end is None else end}",
+        "landmark_set": layout.landmarks.name,
+        "contrast_db": contrast_db,
+        **asdict(look),
+        "dynamic_range_db": background.dynamic_range_db,
+        "seed": layout.seed,
+        "motion": "told by poses" if background.has_poses else "measured between the images",
+        "motion_unknown": background.unknown,
     }
+    discs = [
+        {k: round(v, 5) if isinstance(v, float) else v for k, v in asdict(disc).items()}
+        for disc in layout.discs
+    ]
+    return {"background": {"background": about, "disc": discs}}

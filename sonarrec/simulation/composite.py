@@ -16,6 +16,7 @@ smear reaches beyond the disc's edge, disc and frame are mixed by the disc's sha
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -63,24 +64,11 @@ class LaidDisc:
     y_m: float
     orientation_deg: float
 
-
-def seen_from(disc: LaidDisc, pose: Pose) -> tuple[float, float]:
-    """(ground range in m, bearing in deg) of a disc's centre."""
-    dx, dy = disc.x_m - pose.x_m, disc.y_m - pose.y_m
-    bearing = math.degrees(math.atan2(dx, dy)) - pose.pan_deg
-    return math.hypot(dx, dy), (bearing + 180) % 360 - 180
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """One frame as power; both are (rows, columns) float32.
-
-    power: 0 where the frame is black. bare: the same without the texture between the two scales;
-    discs are made of it.
-    """
-
-    power: FloatImage
-    bare: FloatImage
+    def seen_from(self, pose: Pose) -> tuple[float, float]:
+        """(ground range in m, bearing in deg) of the disc's centre."""
+        dx, dy = self.x_m - pose.x_m, self.y_m - pose.y_m
+        bearing = math.degrees(math.atan2(dx, dy)) - pose.pan_deg
+        return math.hypot(dx, dy), (bearing + 180) % 360 - 180
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,24 +107,47 @@ class Composer:
         cells_px = FINE_BEAMS * math.radians(self._beam_deg) * middle_px
         # The fine scale stays below a third of the light's, so that light is not taken for speckle.
         cells_px = min(cells_px, LIGHT * radius_px / 3)
-        self._fine = _odd(max(FINE * radius_px, cells_px, LEAST_FINE_PX))
-        self._light = _odd(max(LIGHT * radius_px, 3 * self._fine))
-        self._seen = [self._box_mean(self._inside, n) for n in (self._fine, self._light)]
+        fine = _odd(max(FINE * radius_px, cells_px, LEAST_FINE_PX))
+        self._scales = fine, _odd(max(LIGHT * radius_px, 3 * fine))
+        self._seen = [_box_mean(self._inside, width) for width in self._scales]
 
-    def surface(self, image: ByteImage) -> Surface:
-        """The power of a frame. image: (fan.rows, fan.columns) uint8."""
-        power = self._power[image] * self._inside
+    def lay(
+        self,
+        image: ByteImage,
+        discs: Sequence[LaidDisc],
+        pose: Pose,
+        contrasts_db: Sequence[float],
+        plate_db: float,
+    ) -> dict[float, ByteImage]:
+        """A frame with discs on it, by contrast. Pixels that no disc covers are unchanged.
+
+        image: (fan.rows, fan.columns) uint8. contrasts_db: levels of ring and sectors over the
+        floor. plate_db: level of the plate.
+        """
+        power = self._power[image] * self._inside  # 0 where the frame is black
         fine, light = (
-            self._box_mean(power, n) / np.maximum(seen, np.float32(1e-6))
-            for n, seen in zip((self._fine, self._light), self._seen, strict=True)
+            _box_mean(power, width) / np.maximum(seen, np.float32(1e-6))
+            for width, seen in zip(self._scales, self._seen, strict=True)
         )
+        # The same without the texture between the two scales: discs are made of it.
         bare = power / np.maximum(fine, np.float32(1e-6)) * light
-        return Surface(np.asarray(power, np.float32), np.asarray(bare, np.float32))
+        footprints = [one for disc in discs if (one := self.footprint(disc, pose)) is not None]
+        images = {}
+        for contrast_db in contrasts_db:
+            images[contrast_db] = laid = image.copy()
+            ring, plate = (np.float32(10 ** (db / 10)) for db in (contrast_db, plate_db))
+            for one in footprints:
+                gain = ring * one.bright + plate * np.maximum(one.share - one.bright, 0)
+                mixed = (1 - one.share) * power[one.box] + gain * bare[one.box]
+                grey = np.log10(np.maximum(mixed, 1e-12)) * np.float32(10 / self._db)
+                where = one.share > 0
+                laid[one.box][where] = np.rint(np.clip(grey, 0, 255)).astype(np.uint8)[where]
+        return images
 
     def footprint(self, disc: LaidDisc, pose: Pose) -> Footprint | None:
         """The pixels that a disc covers, seen from a pose; None if it is out of view."""
         fan, radius = self.fan, self._landmarks.radius_m
-        ground, bearing = seen_from(disc, pose)
+        ground, bearing = disc.seen_from(pose)
         if ground <= radius or abs(bearing) > 120:
             return None
         range_m = float(slant_range(fan, ground))
@@ -173,28 +184,6 @@ class Composer:
         share, bright = smeared
         return Footprint(box, np.minimum(share, 1), bright)
 
-    def lay(
-        self,
-        image: ByteImage,
-        surface: Surface,
-        footprints: list[Footprint],
-        contrast_db: float,
-        plate_db: float,
-    ) -> ByteImage:
-        """The frame with discs on it. Pixels that no disc covers are unchanged.
-
-        contrast_db: level of ring and sectors over the floor. plate_db: level of the plate.
-        """
-        laid = image.copy()
-        ring, plate = (np.float32(10 ** (db / 10)) for db in (contrast_db, plate_db))
-        for one in footprints:
-            gain = ring * one.bright + plate * np.maximum(one.share - one.bright, 0)
-            power = (1 - one.share) * surface.power[one.box] + gain * surface.bare[one.box]
-            grey = np.log10(np.maximum(power, 1e-12)) * np.float32(10 / self._db)
-            where = one.share > 0
-            laid[one.box][where] = np.rint(np.clip(grey, 0, 255)).astype(np.uint8)[where]
-        return laid
-
     def _pattern(
         self, disc: LaidDisc, pose: Pose, patch_m: FloatArray, patch_deg: FloatArray
     ) -> tuple[FloatImage, FloatImage]:
@@ -204,11 +193,8 @@ class Composer:
         world = np.radians(patch_deg + pose.pan_deg)
         u = (pose.x_m + ground * np.sin(world) - disc.x_m) / landmarks.radius_m
         v = (pose.y_m + ground * np.cos(world) - disc.y_m) / landmarks.radius_m
-        turn = math.radians(disc.orientation_deg)
-        u, v = (
-            u * math.cos(turn) + v * math.sin(turn),
-            v * math.cos(turn) - u * math.sin(turn),
-        )
+        cos, sin = (way(math.radians(disc.orientation_deg)) for way in (math.cos, math.sin))
+        u, v = u * cos + v * sin, v * cos - u * sin
         rho = np.hypot(u, v)
         share = (rho <= 1) & (patch_m > floor_depth(self.fan))[:, None]
         if disc.kind == "landmark":
@@ -224,17 +210,17 @@ class Composer:
         bearing = np.array([patch_deg[0], patch_deg[-1], np.clip(0, patch_deg[0], patch_deg[-1])])
         column, row = pixel_from_polar(self.fan, patch_m[[0, -1], None], bearing)
         sides = []
-        for place, size in ((row, self.fan.rows), (column, self.fan.columns)):
-            low, high = max(math.floor(place.min()), 0), min(math.ceil(place.max()) + 1, size)
+        for where, size in ((row, self.fan.rows), (column, self.fan.columns)):
+            low, high = max(math.floor(where.min()), 0), min(math.ceil(where.max()) + 1, size)
             if low >= high:
                 return None
             sides.append(slice(low, high))
         return sides[0], sides[1]
 
-    @staticmethod
-    def _box_mean(image: FloatImage, width: int) -> FloatImage:
-        blurred = cv2.blur(image, (width, width), borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(blurred, np.float32)
+
+def _box_mean(image: FloatImage, width: int) -> FloatImage:
+    blurred = cv2.blur(image, (width, width), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred, np.float32)
 
 
 def _odd(width: float) -> int:

@@ -1,19 +1,16 @@
-"""Chooses places for discs on the floor of a recording, at random.
-
-Each disc is whole in view in at least one frame.
-"""
+"""Layouts: discs at random positions on the floor of a recording, each whole in view once."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from sonarrec.arrays import BoolArray
-from sonarrec.errors import SonarrecError
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.geometry import (
-    STEEPEST,
     floor_depth,
     ground_range,
     in_image,
@@ -23,58 +20,48 @@ from sonarrec.geometry import (
 )
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
+from sonarrec.simulation.background import WHOLE, Background, nearest_floor_m
 from sonarrec.simulation.composite import DiscKind, LaidDisc
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.truth import visible_share
+from sonarrec.simulation.truth import LandmarkTruth, truth_row, visible_share
 
-APART = 2.4  # least distance between centres, in radii
-WHOLE = 0.99  # share of the disc that is in view in the frame for which it is placed
+SPACING = 2.4  # least distance between centres, in radii
 LIT = 0.9  # share of the disc that must lie where the recording shows echoes
 MOST_IN_VIEW = 6  # discs in view at once, if the user gives no number
 MOST_DISCS = 200
-TRIES = 400  # places tried for one disc
+TRIES = 400  # positions tried for one disc
 
 
-def check_room(fan: Fan, landmarks: LandmarkSet, where: str) -> None:
-    """Raise SonarrecError if no whole disc can be in view. where: names the recording."""
-    nearest = max(fan.range_min_m, STEEPEST * floor_depth(fan))
-    if nearest >= fan.range_max_m:
-        raise SonarrecError(
-            f"{where}: nothing of the floor is in view: from height_m = {floor_depth(fan):g} it "
-            f"begins at {nearest:.2f} m and range_max_m = {fan.range_max_m:g}; correct one of them"
-        )
-    near, far = (float(ground_range(fan, r)) for r in (nearest, fan.range_max_m))
-    middle = math.radians((fan.bearing_min_deg + fan.bearing_max_deg) / 2)
-    here = Pose(0.0, floor_depth(fan), 0.0, 0.0)
-    shares = [
-        visible_share(fan, here, g * math.sin(middle), g * math.cos(middle), landmarks.radius_m)
-        for g in np.linspace(near, far, 40).tolist()
-    ]
-    if max(shares) < WHOLE:
-        raise SonarrecError(
-            f"{where}: a disc of radius_m = {landmarks.radius_m:g} is nowhere whole in view: the "
-            f"fan shows {nearest:.2f} to {fan.range_max_m:.2f} m of the floor and "
-            f"{fan.bearing_max_deg - fan.bearing_min_deg:.1f} deg; choose smaller --landmarks"
-        )
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Discs on the floor of a recording.
 
-
-def lay_out(
-    fan: Fan,
-    path: Sequence[Pose],
-    lit: BoolArray,
-    landmarks: LandmarkSet,
-    rng: np.random.Generator,
-    count: int | None = None,
-) -> list[LaidDisc]:
-    """Place discs at random on the floor that the path shows, with random orientations.
-
-    path: the sonar's pose in every frame. lit: (fan.rows, fan.columns) where the recording shows
-    echoes. count: number of landmarks; every ID comes equally often, and with each round of IDs one
-    blank and one filled disc. None: as many as possible with at most MOST_IN_VIEW in view at once.
-    Fewer are placed if there is no room.
+    landmarks: the set that they belong to. seed: of the random numbers that placed them.
     """
-    near = float(ground_range(fan, max(fan.range_min_m, STEEPEST * floor_depth(fan))))
-    far = float(ground_range(fan, fan.range_max_m))
+
+    landmarks: LandmarkSet
+    discs: tuple[LaidDisc, ...]
+    seed: int
+
+    @property
+    def landmark_count(self) -> int:
+        """How many of the discs are landmarks; the others are fakes."""
+        return sum(disc.kind == "landmark" for disc in self.discs)
+
+
+def draw_layout(
+    background: Background, landmarks: LandmarkSet, seed: int, count: int | None = None
+) -> Layout:
+    """Place discs at random on the floor that the recording shows, with random orientations.
+
+    count: number of landmarks; every ID comes equally often, and with each round of IDs one blank
+    and one filled disc. None: as many as possible with at most MOST_IN_VIEW in view at once. Fewer
+    are placed if there is no room. The same seed gives the same layout. Raises SonarrecError if
+    there is room for no landmark.
+    """
+    rng = np.random.default_rng([seed, 17])
+    fan, path, radius = background.fan, background.path, landmarks.radius_m
+    near, far = (float(ground_range(fan, r)) for r in (nearest_floor_m(fan), fan.range_max_m))
     poses = np.array([(p.pan_deg, p.x_m, p.y_m) for p in path])
     in_view = np.zeros(len(path), dtype=np.int64)
     discs: list[LaidDisc] = []
@@ -86,21 +73,51 @@ def lay_out(
             bearing = rng.uniform(fan.bearing_min_deg, fan.bearing_max_deg)
             world = math.radians(bearing + pose.pan_deg)
             x, y = pose.x_m + ground * math.sin(world), pose.y_m + ground * math.cos(world)
-            apart = APART * landmarks.radius_m
-            if any(math.hypot(d.x_m - x, d.y_m - y) < apart for d in discs):
+            if any(math.hypot(d.x_m - x, d.y_m - y) < SPACING * radius for d in discs):
                 continue
-            there = _in_view(fan, poses, x, y)
-            if count is None and in_view[there].max(initial=0) >= MOST_IN_VIEW:
+            dx, dy = x - poses[:, 1], y - poses[:, 2]
+            bearings = (np.degrees(np.arctan2(dx, dy)) - poses[:, 0] + 180) % 360 - 180
+            shown = in_image(fan, slant_range(fan, np.hypot(dx, dy)), bearings)
+            if count is None and in_view[shown].max(initial=0) >= MOST_IN_VIEW:
                 continue
-            if not _shows(fan, lit, landmarks.radius_m, ground, bearing):
-                continue
-            turn = rng.uniform(0, 360)
-            discs.append(LaidDisc(kind, landmark, x, y, turn))
-            in_view += there
-            break
+            if _is_lit(fan, background.lit, radius, ground, bearing):
+                discs.append(LaidDisc(kind, landmark, x, y, rng.uniform(0, 360)))
+                in_view += shown
+                break
         else:
             break  # no room for this disc, so none for more
-    return discs
+    layout = Layout(landmarks, tuple(discs), seed)
+    if not layout.landmark_count:
+        raise SonarrecError(
+            f"{background.where}: no place on the floor shows echoes over a whole disc of radius_m "
+            f"= {radius:g}; see whether the geometry is right: sonarrec info --preview"
+        )
+    return layout
+
+
+def without_room(layouts: Sequence[Layout], count: int | None) -> list[str]:
+    """A line if a layout has fewer landmarks than were asked for. count: None if none was."""
+    least = min(layout.landmark_count for layout in layouts)
+    if count is None or least >= count:
+        return []
+    where = " in a layout" if len(layouts) > 1 else ""
+    return [f"there was room for only {least} of {number_of(count, 'landmark')}{where}"]
+
+
+def truth_of(background: Background, layout: Layout, frame: int) -> tuple[LandmarkTruth, ...]:
+    """The landmarks that are at least partly in view in a frame, in the layout's order."""
+    fan, pose = background.fan, background.path[frame]
+    rows = []
+    for disc in layout.discs:
+        if disc.kind == "landmark":
+            radius = layout.landmarks.radius_m
+            share = round(visible_share(fan, pose, disc.x_m, disc.y_m, radius), 4)
+            if share:
+                ground, bearing = disc.seen_from(pose)
+                seen = float(slant_range(fan, ground)), bearing
+                rotation = disc.orientation_deg + pose.pan_deg
+                rows.append(LandmarkTruth(disc.landmark, *truth_row(fan, seen, share, rotation)))
+    return tuple(rows)
 
 
 def _rounds(
@@ -116,22 +133,14 @@ def _rounds(
         left -= len(chosen) + (2 if count is None else 0)
 
 
-def _in_view(fan: Fan, poses: np.ndarray, x: float, y: float) -> BoolArray:
-    """(frames,) whether a place is in view. poses: (frames, 3) pan (deg), x, y (m)."""
-    dx, dy = x - poses[:, 1], y - poses[:, 2]
-    bearing = (np.degrees(np.arctan2(dx, dy)) - poses[:, 0] + 180) % 360 - 180
-    return np.asarray(in_image(fan, slant_range(fan, np.hypot(dx, dy)), bearing), dtype=bool)
-
-
-def _shows(fan: Fan, lit: BoolArray, radius_m: float, ground: float, bearing: float) -> bool:
+def _is_lit(fan: Fan, lit: BoolArray, radius_m: float, ground: float, bearing: float) -> bool:
     """Whether a disc is whole in view and lies where there are echoes.
 
-    ground, bearing: of its centre, m and deg. lit: as in `lay_out`.
+    ground, bearing: of its centre, m and deg. lit: as in Background.
     """
     angle = math.radians(bearing)
     x, y = ground * math.sin(angle), ground * math.cos(angle)
-    here = Pose(0.0, floor_depth(fan), 0.0, 0.0)
-    if visible_share(fan, here, x, y, radius_m) < WHOLE:
+    if visible_share(fan, Pose(0.0, floor_depth(fan), 0.0, 0.0), x, y, radius_m) < WHOLE:
         return False
     dx, dy = points_on_disc(radius_m, 200)
     dx, dy = x + dx, y + dy

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -15,10 +16,10 @@ from sonarrec.arrays import ByteImage
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.remote.urls import local
-from sonarrec.simulation.render import SimulatedFrame, render
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, load_scene, scene_sonar, scene_table
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
-from sonarrec.sonar import Geometry, Sonar
+from sonarrec.sonar import Sonar
 
 COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
 """Files written beside the frames."""
@@ -65,7 +66,7 @@ def write_recording(
     messages of the schema state the sonar's geometry, sonar.toml states only the rest. Raises
     SonarrecError if `out` cannot be written or is in use.
     """
-    from sonarrec.simulation.mcap_writer import check_schema
+    from sonarrec.simulation.mcap_writer import McapImageWriter, check_schema, is_polar
 
     if image_format not in ("png", "mcap"):
         raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
@@ -73,65 +74,52 @@ def write_recording(
     if single_file and image_format != "mcap":
         raise UsageError(f"{out}: a name ending in .mcap needs --format mcap")
     sonar = scene_sonar(scene)
-    polar = sonar.layout == "polar"
+    geometry = sonar.complete(scene.name) if sonar.layout == "polar" else None
     if image_format == "mcap":
-        check_schema(schema, compression, polar)
+        check_schema(schema, compression, geometry is not None)
+        if is_polar(schema):  # its messages state the rest
+            tilt, height, rate = sonar.tilt_deg, sonar.height_m, sonar.frame_rate_hz
+            sonar = Sonar(tilt_deg=tilt, height_m=height, frame_rate_hz=rate)
     folder, prefix = (out.parent, f"{out.stem}.") if single_file else (out, "")
-    _check_free(out, [folder / f"{prefix}{name}" for name in COMPANIONS])
+    if single_file and out.is_dir():
+        raise SonarrecError(f"{out}: is a folder; choose another --out")
+    check_free(out, *(folder / f"{prefix}{name}" for name in COMPANIONS))
     frames = render(scene)
-    # A scene that cannot be rendered leaves no folder behind.
-    frames = chain([next(frames)], frames)
-    if image_format == "mcap":
-        geometry = sonar.complete(scene.name) if polar else None
-        file_name = out if single_file else out / "frames.mcap"
-        frames = _to_mcap(frames, file_name, schema, compression, geometry)
-        sonar = _stated_beside(sonar, schema)
-    else:
-        frames = _to_png(frames, out)
+    first = next(frames)  # a scene that cannot be rendered leaves no folder behind
+    documents = {"scene": scene_table(scene)}
+    if scene.landmark_set != load_landmarks("basin"):
+        documents["landmarks"] = scene.landmark_set.as_table()
+    # Last: a folder without geometry is not taken for a whole recording.
+    documents["sonar"] = {"sonar": sonar.as_table()}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file, lineterminator="\n")
+        with ExitStack() as stack:
+            file = (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8")
+            table = csv.writer(stack.enter_context(file), lineterminator="\n")
             table.writerow(TRUTH_COLUMNS)
-            for frame in frames:
+            mcap = None
+            if image_format == "mcap":
+                name = out if single_file else out / "frames.mcap"
+                mcap = McapImageWriter(name, schema=schema, compression=compression, sonar=geometry)
+                stack.enter_context(mcap)
+            for frame in chain([first], frames):
+                if mcap is None:
+                    write_image(out / f"{frame.index:06d}.png", frame.image)
+                else:
+                    mcap.write(frame.timestamp_ns, frame.image)
                 table.writerows(truth_rows(frame.index, frame.truth))
                 if progress:
                     progress(frame.index + 1)
-        _describe(scene, sonar, folder, prefix)
+        write_documents(folder, documents, prefix)
     except OSError as error:
         raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
 
 
-def _check_free(out: Path, companions: Sequence[Path]) -> None:
-    """Raise SonarrecError if `out` or a file beside it exists.
-
-    Empty folders may exist, unless `out` is a single file.
-    """
-    single_file = out.suffix == ".mcap"
-    for path in (out, *companions):
-        if path.is_file() or (path.is_dir() and (single_file or any(path.iterdir()))):
+def check_free(*paths: Path) -> None:
+    """Raise SonarrecError if one of these exists and is not an empty folder."""
+    for path in paths:
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
-
-
-def _stated_beside(sonar: Sonar, schema: str) -> Sonar:
-    """What sonar.toml beside an MCAP states: only what messages of this schema do not."""
-    from sonarrec.simulation.mcap_writer import is_polar
-
-    if not is_polar(schema):
-        return sonar
-    return Sonar(
-        tilt_deg=sonar.tilt_deg, height_m=sonar.height_m, frame_rate_hz=sonar.frame_rate_hz
-    )
-
-
-def _describe(scene: Scene, sonar: Sonar, folder: Path, prefix: str) -> None:
-    """Write scene.toml, sonar.toml and, if the landmark set is not basin, landmarks.toml."""
-    documents = {"scene": scene_table(scene)}
-    if scene.landmark_set != load_landmarks("basin"):
-        documents["landmarks"] = scene.landmark_set.as_table()
-    # sonar.toml comes last: a folder without geometry is not taken for a whole recording.
-    documents["sonar"] = {"sonar": sonar.as_table()}
-    write_documents(folder, documents, prefix)
 
 
 def write_documents(folder: Path, documents: Mapping[str, Any], prefix: str = "") -> None:
@@ -143,33 +131,7 @@ def write_documents(folder: Path, documents: Mapping[str, Any], prefix: str = ""
         (folder / f"{prefix}{name}.toml").write_text(text, encoding="utf-8", newline="")
 
 
-def _to_png(frames: Iterator[SimulatedFrame], folder: Path) -> Iterator[SimulatedFrame]:
-    """Write each frame as NNNNNN.png into the folder, and yield it."""
-    for frame in frames:
-        write_image(folder / f"{frame.index:06d}.png", frame.image)
-        yield frame
-
-
 def write_image(path: Path, image: ByteImage) -> None:
     """Write an image as a PNG. Raises OSError."""
     # Not by imwrite, which dies of names that are not UTF-8.
     path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-
-
-def _to_mcap(
-    frames: Iterator[SimulatedFrame],
-    path: Path,
-    schema: str,
-    compression: str,
-    sonar: Geometry | None,
-) -> Iterator[SimulatedFrame]:
-    """Write each frame as a message of an MCAP, and yield it.
-
-    sonar: the geometry for polar pings; None for fan images.
-    """
-    from sonarrec.simulation.mcap_writer import McapImageWriter
-
-    with McapImageWriter(path, schema=schema, compression=compression, sonar=sonar) as writer:
-        for frame in frames:
-            writer.write(frame.timestamp_ns, frame.image)
-            yield frame

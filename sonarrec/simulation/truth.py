@@ -15,7 +15,7 @@ from sonarrec.nouns import Fan
 from sonarrec.simulation.fish import Fishes
 from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.plane import FLAT, Plane, within_a_turn
+from sonarrec.simulation.plane import FLAT, Plane
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
 from sonarrec.simulation.things import object_radius
 
@@ -74,28 +74,9 @@ def visible_share(
     x_m, y_m: its centre on the floor. lean: by how much the disc leans and the azimuth towards
     which it does, deg; its lower edge touches the floor.
     """
-    if _aside(fan, pose, x_m, y_m, 2 * radius_m, plane):
-        return 0.0
     dx, dy, up = _disc(radius_m, lean)
     slant, bearing = plane.seen(pose, x_m + dx, y_m + dy, up)
     return float(np.mean(in_image(fan, slant, bearing)))
-
-
-def _aside(fan: Fan, pose: Pose, x_m: float, y_m: float, reach_m: float, plane: Plane) -> bool:
-    """Whether everything within reach_m of a place on the floor is certainly out of view.
-
-    Always False if the sonar rolls or the floor slopes.
-    """
-    if pose.roll_deg or plane.slope_deg:
-        return False
-    dx, dy = x_m - pose.x_m, y_m - pose.y_m
-    away = math.hypot(dx, dy)
-    if away <= reach_m:
-        return False
-    middle = (fan.bearing_min_deg + fan.bearing_max_deg) / 2
-    off = abs(float(within_a_turn(math.degrees(math.atan2(dx, dy)) - pose.pan_deg - middle)))
-    off -= math.degrees(math.asin(reach_m / away))
-    return away - reach_m > fan.range_max_m or off > fan.bearing_max_deg - middle
 
 
 @lru_cache(maxsize=256)
@@ -123,11 +104,11 @@ def truth_in_view(
     """Landmarks and distractors in view of a frame, rounded to the digits of gt.csv."""
     radius = scene.landmark_set.radius_m
     plane = Plane.of(scene)
-    things: list[tuple[PlacedLandmark | PlacedObject, float]]
-    things = [(item, radius) for item in scene.landmarks]
-    things += [(item, object_radius(scene, item)) for item in scene.objects]
+    items: list[tuple[PlacedLandmark | PlacedObject, float]]
+    items = [(item, radius) for item in scene.landmarks]
+    items += [(item, object_radius(scene, item)) for item in scene.objects]
     landmarks, distractors = [], []
-    for item, size in things:
+    for item, size in items:
         x, y = place_of(item)
         lean = (item.lean_deg, item.lean_towards_deg)
         share = round(visible_share(fan, pose, x, y, size, plane, lean), 4)
@@ -142,20 +123,19 @@ def truth_in_view(
     if fishes is not None:
         slant, bearing = plane.seen(pose, fishes.x_m, fishes.y_m, fishes.up_m)
         for n in np.flatnonzero(in_image(fan, slant, bearing)):
-            turn = 90 - float(fishes.heading_deg[n]) + pose.pan_deg
-            distractors.append(
-                DistractorTruth("fish", *truth_row(fan, (slant[n], bearing[n]), 1.0, turn))
-            )
+            rotation = 90 - float(fishes.heading_deg[n]) + pose.pan_deg
+            row = truth_row(fan, (slant[n], bearing[n]), 1.0, rotation)
+            distractors.append(DistractorTruth("fish", *row))
     return tuple(landmarks), tuple(distractors)
 
 
 def truth_row(
-    fan: Fan, seen: tuple[FloatArray | float, FloatArray | float], share: float, turn_deg: float
+    fan: Fan, seen: tuple[FloatArray | float, FloatArray | float], share: float, rotation_deg: float
 ) -> tuple[float, float, float, float, float, float]:
-    """The fields of a row of truth after the thing's name, rounded.
+    """The fields of a row of truth after the object's name, rounded.
 
-    seen: (slant range in m, bearing in deg). share: the part of it in view, 0 to 1. turn_deg: its
-    orientation.
+    seen: (slant range in m, bearing in deg). share: the part of it in view, 0 to 1. rotation_deg:
+    its orientation.
     """
     slant, bearing = (float(value) for value in seen)
     column, row = pixel_from_polar(fan, slant, bearing)
@@ -165,5 +145,5 @@ def truth_row(
         round(slant, 5),
         round(bearing, 4),
         share,
-        round(turn_deg % 360, 3),
+        round(rotation_deg % 360, 3),
     )

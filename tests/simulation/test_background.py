@@ -17,22 +17,15 @@ from click.testing import CliRunner
 from learning.random_scenes import random_scene
 from sonarrec.cli import main
 from sonarrec.config import preset
-from sonarrec.errors import SonarrecError
+from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.nouns import Fan
 from sonarrec.readers import open_log
-from sonarrec.simulation.background import (
-    Background,
-    DiscLook,
-    Layout,
-    compose,
-    draw_layout,
-    survey,
-    truth_of,
-)
-from sonarrec.simulation.background_files import write_backgrounds
+from sonarrec.simulation.background import Background, survey
+from sonarrec.simulation.background_files import DiscLook, compose, write_backgrounds
 from sonarrec.simulation.composite import Composer, LaidDisc
+from sonarrec.simulation.layout import Layout, draw_layout, truth_of
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.simulate import write_recording
@@ -116,10 +109,7 @@ def test_the_contrast_is_the_one_asked_for(contrast: float) -> None:
     measured = []
     for _ in range(12):
         image = speckle(rng)
-        shapes = [composer.footprint(disc, here) for disc in discs]
-        laid = composer.lay(
-            image, composer.surface(image), [s for s in shapes if s is not None], contrast, -6.0
-        )
+        laid = composer.lay(image, discs, here, [contrast], -6.0)[contrast]
         floor = power_of(image)
         measured.append([power_of(laid)[m].mean() / floor[m].mean() for m in (filled, plate)])
     ring_db, plate_db = 10 * np.log10(np.mean(measured, axis=0))
@@ -133,9 +123,10 @@ def test_the_light_of_the_floor_stays_on_the_disc() -> None:
     composer = Composer(FAN, BASIN, 50.0, 0.4)
     image = speckle(np.random.default_rng(2))
     image[:, 201:] = np.minimum(image[:, 201:].astype(int) + 51, 255).astype(np.uint8)
-    disc = composer.footprint(LaidDisc("filled", 0, 0.0, 2.5, 0.0), Pose(0.0, 0.7, 0.0, 0.0))
+    filled, here = LaidDisc("filled", 0, 0.0, 2.5, 0.0), Pose(0.0, 0.7, 0.0, 0.0)
+    disc = composer.footprint(filled, here)
     assert disc is not None
-    laid = power_of(composer.lay(image, composer.surface(image), [disc], 6.0, -6.0))[disc.box]
+    laid = power_of(composer.lay(image, [filled], here, [6.0], -6.0)[6.0])[disc.box]
     inside = disc.share > 0.99
     column = np.arange(disc.box[1].start, disc.box[1].stop)
     left, right = inside & (column < 190), inside & (column > 212)
@@ -152,8 +143,8 @@ def test_nothing_but_the_discs_is_touched(background: Background) -> None:
     assert height is not None
     ground = np.sqrt(np.maximum(range_m**2 - height**2, 0))
     frames = background.frames()
-    for one in compose(background, layout, LOOK, [6.0]):
-        pose = background.path[one.index]
+    for index, images in compose(background, layout, LOOK, [6.0]):
+        pose = background.path[index]
         azimuth = np.radians(bearing + pose.pan_deg)
         x, y = pose.x_m + ground * np.sin(azimuth), pose.y_m + ground * np.cos(azimuth)
         # The smear ends 2 sigma out: 1.7 cm of slant range, 0.34 deg; a pixel more for drawing.
@@ -162,8 +153,8 @@ def test_nothing_but_the_discs_is_touched(background: Background) -> None:
             spill = 0.017 * 1.5 + np.radians(0.34) * 4 + 2 * fan.metres_per_pixel
             near |= np.hypot(x - disc.x_m, y - disc.y_m) < BASIN.radius_m + spill
         before = next(frames).image
-        assert np.array_equal(one.images[6.0][~near], before[~near])
-        assert not np.array_equal(one.images[6.0], before)
+        assert np.array_equal(images[6.0][~near], before[~near])
+        assert not np.array_equal(images[6.0], before)
 
 
 def test_the_path_and_the_truth_follow_the_known_pan(background: Background, scene: Scene) -> None:
@@ -365,7 +356,7 @@ def test_black_floor_has_no_room() -> None:
     path = (Pose(0.0, 0.7, 0.0, 0.0),)
     dark = Background(
         *("dark", lambda: None, (0, None), FAN, path),  # type: ignore[arg-type]
-        *(np.zeros((FAN.rows, FAN.columns), dtype=bool), 4.0, 0, False, 0.4, 50.0, (), ()),
+        *(np.zeros((FAN.rows, FAN.columns), dtype=bool), 4.0, 0, False, 0.4, 50.0, Diagnostics()),
     )
     with pytest.raises(SonarrecError, match="no place on the floor shows echoes"):
         draw_layout(dark, BASIN, 0)

@@ -21,8 +21,7 @@ from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
-from sonarrec.simulation.motion import Pose, sweep_deg
-from sonarrec.simulation.plane import FLAT
+from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     BUILT_IN,
@@ -33,14 +32,12 @@ from sonarrec.simulation.scene import (
     SonarSection,
     load_scene,
     scene_bearings,
-    scene_fan,
     scene_from_table,
     scene_sonar,
     scene_table,
 )
 from sonarrec.simulation.simulate import write_recording
 from sonarrec.simulation.things import object_radius
-from sonarrec.simulation.truth import _aside, visible_share
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.in_view import share_in_image
 from tests.support.bare import BARE, POLAR, mean_power, power
@@ -213,29 +210,6 @@ def test_visible_share_against_monte_carlo() -> None:
         seen &= slant * np.cos(np.radians(bearing)) > 1.25  # the image's last row
         assert rows[item.id] == pytest.approx(seen.mean(), abs=0.005)
         assert 0 < rows[item.id] < 1
-
-
-def test_a_disc_told_at_a_glance_to_be_out_of_view_has_no_point_in_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Whichever way the vehicle has turned, wherever it is, and of leaning discs too."""
-    wide = replace(BARE, sonar=replace(BARE.sonar, field_of_view_deg=130.0))
-    rng = np.random.default_rng(0)
-    told = []
-    for fan in (scene_fan(BARE), scene_fan(wide)):
-        for _ in range(150):
-            x, y, *place = (rng.uniform(-1, 1, 4) * (3, 3, 1, 1)).tolist()
-            pose = Pose(rng.uniform(-400, 400), rng.uniform(0.2, 1.5), *place)
-            lean = (rng.uniform(0, 80) * rng.integers(2), rng.uniform(0, 360))
-            disc = (fan, pose, x, y, rng.uniform(0.05, 0.5), FLAT, lean)
-            with monkeypatch.context() as by_points:
-                by_points.setattr("sonarrec.simulation.truth._aside", lambda *_: False)
-                share = visible_share(*disc)
-            assert visible_share(*disc) == share
-            told.append((share > 0, _aside(fan, pose, x, y, 2 * disc[4], FLAT)))
-    # Most that are out of view are told so.
-    assert told.count((False, True)) > 3 * told.count((False, False)) > 0
-    assert told.count((True, False)) > 30
 
 
 def test_what_the_image_of_a_wide_fan_cuts_off_is_not_visible() -> None:

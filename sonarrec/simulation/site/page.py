@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,25 +11,12 @@ from sonarrec import __version__
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.by_range import Rate
-from sonarrec.evaluation.cells import Cell
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
 from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.report.templates import filled
 from sonarrec.simulation.site.results import ENOUGH, ContrastResults, ExampleFrame, Site, span_text
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A frame of one contrast."""
-
-    caption: str
-    alt: str
-    source: str
-    width: int
-    height: int
 
 
 def render(site: Site) -> str:
@@ -45,7 +32,7 @@ def render(site: Site) -> str:
         colours=[COLOURS[n % len(COLOURS)] for n in range(len(site.contrasts))],
         styles=STYLES,
         steps=[span_text(r.near_m, r.far_m) for r in site.contrasts[0].rates.by_range],
-        rate_cell=_cell,
+        rate_cell=lambda rate, digits: cells.cell(rate.value, rate.low, rate.high, digits),
         over_contrast=_over_contrast(site.contrasts),
         over_range=_over_range(site.contrasts),
         false_claims=_false_claims(site.contrasts),
@@ -55,31 +42,13 @@ def render(site: Site) -> str:
     )
 
 
-def _cell(rate: Rate, digits: int) -> Cell:
-    return cells.cell(rate.value, rate.low, rate.high, digits)
-
-
-def _contrast_axis(results: Sequence[ContrastResults]) -> Axis:
-    low, high = results[0].contrast_db, results[-1].contrast_db
-    margin = max(0.05 * (high - low), 0.5)
-    return Axis(low - margin, high + margin)
-
-
 def _over_contrast(results: Sequence[ContrastResults]) -> Chart:
     """TPR over contrast, with its interval as thin lines."""
     rates = [one.rates.tpr for one in results]
-    x = _contrast_axis(results).share(np.array([one.contrast_db for one in results]))
-    goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
-    edges = (np.array([getattr(rate, name) for rate in rates]) for name in ("low", "high"))
-    return _contrast_chart(
-        results,
-        np.array([rate.value for rate in rates]),
-        [f"TPR {rate.value:.3f}" for rate in rates],
-        UNIT,
-        "TPR",
-        Shape(goal, None, "line thin", f"{ENOUGH:.0%}"),
-        *(Shape(polyline(x, edge), 0, "faint", "interval") for edge in edges),
-    )
+    edges = [np.array([getattr(rate, name) for rate in rates]) for name in ("low", "high")]
+    texts = [f"TPR {rate.value:.3f}" for rate in rates]
+    value = np.array([rate.value for rate in rates])
+    return _contrast_chart(results, value, texts, UNIT, "TPR", edges)
 
 
 def _false_claims(results: Sequence[ContrastResults]) -> Chart:
@@ -96,20 +65,30 @@ def _contrast_chart(
     texts: Sequence[str],
     up: Axis,
     name: str,
-    *shapes: Shape,
+    edges: Sequence[FloatArray] = (),
 ) -> Chart:
-    """A line over contrast. texts: of the dots. up: the vertical axis. shapes: drawn below it."""
-    axis = _contrast_axis(results)
-    x, y = axis.share(np.array([one.contrast_db for one in results])), up.share(value)
-    texts = [f"{one.contrast_db:g} dB: {text}" for one, text in zip(results, texts, strict=True)]
+    """A line over contrast. texts: of the dots. up: the vertical axis. edges: of the interval."""
+    contrast = np.array([one.contrast_db for one in results])
+    margin = max(0.05 * (contrast[-1] - contrast[0]), 0.5)
+    axis = Axis(contrast[0] - margin, contrast[-1] + margin)
+    x, y = axis.share(contrast), up.share(value)
+    texts = [f"{db:g} dB: {text}" for db, text in zip(contrast, texts, strict=True)]
     dots = [
         Dot(100 * float(a), 100 * float(b), text, 0)
         for a, b, text in zip(x, y, texts, strict=True)
         if np.isfinite(b)
     ]
-    drawn = [*shapes, Shape(polyline(x, y), 0, "line", name)]
+    drawn = [_goal()] if edges else []
+    drawn += [Shape(polyline(x, edge), 0, "faint", "interval") for edge in edges]
+    drawn.append(Shape(polyline(x, y), 0, "line", name))
     labels = "contrast over the floor, dB", name
     return Chart("; ".join(texts), drawn, axis.ticks(), up.ticks(5), dots, *labels)
+
+
+def _goal() -> Shape:
+    """A line across a chart at ENOUGH."""
+    path = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
+    return Shape(path, None, "line thin", f"{ENOUGH:.0%}")
 
 
 def _over_range(results: Sequence[ContrastResults]) -> Chart:
@@ -117,35 +96,30 @@ def _over_range(results: Sequence[ContrastResults]) -> Chart:
     steps = results[0].rates.by_range
     axis = Axis(steps[0].near_m, steps[-1].far_m)
     x = axis.share(np.array([(r.near_m + r.far_m) / 2 for r in steps]))
-    shapes, dots, texts = [], [], []
-    goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
-    shapes.append(Shape(goal, None, "line thin", f"{ENOUGH:.0%}"))
+    shapes, dots, texts = [_goal()], [], []
     for n, one in enumerate(results):
         value = np.array([r.tpr.value for r in one.rates.by_range])
         label = f"{one.contrast_db:g} dB"
         shapes.append(Shape(polyline(x, value), n, f"line style-{n % STYLES}", label))
-        for at, rate in zip(x, one.rates.by_range, strict=True):
+        for share, rate in zip(x, one.rates.by_range, strict=True):
             if rate.tpr.cases:
                 text = f"{label}, {span_text(rate.near_m, rate.far_m)}: {rate.tpr.value:.2f}"
                 texts.append(text)
-                dots.append(Dot(100 * float(at), 100 * rate.tpr.value, text, n))
+                dots.append(Dot(100 * float(share), 100 * rate.tpr.value, text, n))
     return Chart(
         "; ".join(texts), shapes, axis.ticks(), UNIT.ticks(5), dots, "slant range, m", "TPR"
     )
 
 
-def _picture(example: ExampleFrame) -> Picture:
+def _picture(example: ExampleFrame) -> dict[str, Any]:
+    """A frame of one contrast, for the template."""
     image = shrunk(example.image, LARGEST)
-    declared = (
-        f"{example.declared} of {example.truth} declared"
-        if example.truth
-        else "no landmark in view"
-    )
-    return Picture(
-        f"{example.contrast_db:g} dB, frame {example.frame}: {declared}.",
-        f"Sonar image at {example.contrast_db:g} dB, frame {example.frame}, "
-        f"with {number_of(example.truth, 'landmark')}",
-        as_webp(image, QUALITY),
-        image.shape[1],
-        image.shape[0],
-    )
+    where = f"{example.contrast_db:g} dB, frame {example.frame}"
+    found = f"{example.declared} of {example.truth} declared"
+    return {
+        "caption": f"{where}: {found if example.truth else 'no landmark in view'}.",
+        "alt": f"Sonar image at {where}, with {number_of(example.truth, 'landmark')}",
+        "source": as_webp(image, QUALITY),
+        "width": image.shape[1],
+        "height": image.shape[0],
+    }

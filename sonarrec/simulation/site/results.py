@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.arrays import ByteImage
-from sonarrec.errors import number_of
+from sonarrec.errors import Diagnostics, number_of
 from sonarrec.evaluation.by_range import Rate, RecognitionRates
 from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, unseen_share
 from sonarrec.files.outputs import write_csv, write_text, writing
-from sonarrec.simulation.background import Layout
+from sonarrec.simulation.layout import Layout
 
 ENOUGH = 0.9
 """Landmarks count as recognised at a contrast if they are in this share of their frames."""
@@ -65,8 +65,7 @@ class Site:
     """The results of `sonarrec site`.
 
     contrasts: rising. empty: claims per 100 frames on the recording itself; they are false if it
-    holds no landmarks. sentences: the answer in words. problems: what of the recording could not be
-    used.
+    holds no landmarks. sentences: the answer in words.
     """
 
     log: str
@@ -83,8 +82,7 @@ class Site:
     empty: float
     sentences: tuple[str, ...]
     shown: tuple[ExampleFrame, ...]
-    problems: tuple[str, ...]
-    notes: tuple[str, ...]
+    diagnostics: Diagnostics
 
 
 def sentences(results: Sequence[ContrastResults], claims: int, frames: int) -> list[str]:
@@ -131,7 +129,8 @@ def sentences(results: Sequence[ContrastResults], claims: int, frames: int) -> l
 
 def _certainty(rate: Rate) -> str:
     """A sentence on how certain a TPR of ENOUGH or more is."""
-    basis = f"This is based on {_passes(rate.units)}"
+    passes = number_of(rate.units, "pass", "es")
+    basis = f"This is based on {passes} of landmarks through the view"
     if math.isnan(rate.low) and rate.units >= MIN_UNITS:
         one_in = max(round(1 / unseen_share(rate.units)), 2)
         return (
@@ -146,10 +145,6 @@ def _certainty(rate: Rate) -> str:
     return f"{basis}; {interval} is {rate.low:.3f} to {rate.high:.3f}."
 
 
-def _passes(count: int) -> str:
-    return number_of(count, "pass", "es") + " of landmarks through the view"
-
-
 COLUMNS = (
     *("contrast_db", "range_from_m", "range_to_m", "landmark_frames", "passes", "recognised"),
     *("tpr", "tpr_low", "tpr_high", "frames", "false_claims", "false_per_100"),
@@ -162,8 +157,8 @@ def table(site: Site) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for one in site.contrasts:
         false = one.rates.false_per_100
-        steps: list[tuple[float | None, float | None, Rate]] = [
-            (None, None, one.rates.tpr),
+        steps: list[tuple[float, float, Rate]] = [
+            (math.nan, math.nan, one.rates.tpr),
             *((r.near_m, r.far_m, r.tpr) for r in one.rates.by_range),
         ]
         for near, far, rate in steps:
@@ -174,39 +169,37 @@ def table(site: Site) -> list[dict[str, Any]]:
                 "landmark_frames": rate.cases,
                 "passes": rate.units,
                 "recognised": rate.count,
-                **_three("tpr", rate),
+                **_with_interval("tpr", rate),
             }
-            if near is None:
+            if math.isnan(near):
                 row |= {"frames": false.cases, "false_claims": false.count}
-                row |= _three("false_per_100", false)
+                row |= _with_interval("false_per_100", false)
             rows.append(row)
     return rows
 
 
-def _three(name: str, rate: Rate) -> dict[str, float | None]:
-    return {
-        name: _rounded(rate.value),
-        f"{name}_low": _rounded(rate.low),
-        f"{name}_high": _rounded(rate.high),
-    }
+def _with_interval(name: str, rate: Rate) -> dict[str, float | None]:
+    values = {"": rate.value, "_low": rate.low, "_high": rate.high}
+    return {name + ending: _rounded(value) for ending, value in values.items()}
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None or math.isnan(value) else round(value, 4)
+def _rounded(value: float) -> float | None:
+    return None if math.isnan(value) else round(value, 4)
 
 
-def as_document(site: Site) -> dict[str, Any]:
-    """All figures and their basis, for JSON."""
+def write_site(out: Path, site: Site, page: str) -> None:
+    """Write site.html, site.csv and site.json. Raises SonarrecError if that fails."""
     stated = (
         *("log", "frames", "landmarks", "radius_m", "plate_db", "beam_width_deg"),
         *("dynamic_range_db", "preset", "seed"),
     )
-    return {
+    rates = table(site)
+    document = {
         **{name: getattr(site, name) for name in stated},
         "layouts": [{"seed": one.seed, "landmarks": one.landmark_count} for one in site.layouts],
         "claims_per_100_as_it_is": round(site.empty, 4),
         "summary": list(site.sentences),
-        "notes": [*site.problems, *site.notes],
+        "notes": [*site.diagnostics.problems, *site.diagnostics.notes],
         "contrasts": [
             {
                 "contrast_db": one.contrast_db,
@@ -215,14 +208,10 @@ def as_document(site: Site) -> dict[str, Any]:
             }
             for one in site.contrasts
         ],
-        "rates": table(site),
+        "rates": rates,
     }
-
-
-def write_site(out: Path, site: Site, page: str) -> None:
-    """Write site.html, site.csv and site.json. Raises SonarrecError if that fails."""
     with writing(out):
-        write_csv(out / "site.csv", COLUMNS, (row.values() for row in table(site)))
-        text = json.dumps(as_document(site), indent=2, ensure_ascii=False)
+        write_csv(out / "site.csv", COLUMNS, (row.values() for row in rates))
+        text = json.dumps(document, indent=2, ensure_ascii=False)
         write_text(out / "site.json", text + "\n")
         write_text(out / "site.html", page)
