@@ -79,7 +79,8 @@ def calibrate(
         )
     with writing(out):
         write_text(out, report.as_toml())
-    tell(report.problems, report.notes)
+    told = report.diagnostics
+    tell(told.problems, told.notes)
     if not quiet:
         say(*report.summary(), f"{out}: model, for `sonarrec run --model`")
-    end(report.problems)
+    end(told.problems)

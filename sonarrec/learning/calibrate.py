@@ -10,12 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.config import Config
-from sonarrec.errors import (
-    SonarrecError,
-    UsageError,
-    number_of,
-    printable,
-)
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
 from sonarrec.files.outputs import MODEL_MARK
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
@@ -42,14 +37,11 @@ from sonarrec.truth.fits import (
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
-
-@dataclass(frozen=True, slots=True)
-class Labelled:
-    """How much the truth holds. positions: rows in which something is seen. landmarks: IDs of each
-    log, whose discs are taken for one."""
-
-    positions: int
-    landmarks: int
+Gain = tuple[float, float, float]
+"""Mean log likelihood by the built-in and the learned model, and standard error of the gain."""
+Labelled = tuple[tuple[int, int], tuple[int, int]]
+"""(positions at which truth has something to be seen, landmarks: IDs of each log, whose discs are
+taken for one), then the same of those on which a track lay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +49,9 @@ class LearningReport:
     """A learned model, with what it was learned from and how good it is.
 
     frames: of all logs. seen: per ID of the set, then for 'none of these', the frames in which a
-    track showed it and the number of such tracks. before, after: mean log likelihood of the truth,
-    in nats per track and frame, by the built-in model and by one learned without the landmark or
-    other track; None if it is not measured, see `gain_on_the_rest`. problems: what could not be
-    used. notes: what the recordings do not teach. gain_error: standard error of after - before.
-    labelled: what the truth has in the frames that were read, and what of it a track lay on.
+    track showed it and the number of such tracks. gain: by models learned without the landmark or
+    other track; None if it is not measured, see `gain_on_the_rest`. labelled: in the frames that
+    were read. diagnostics: what could not be used, and what the recordings do not teach.
     """
 
     model: AppearanceModel
@@ -69,12 +59,9 @@ class LearningReport:
     logs: tuple[str, ...]
     frames: int
     seen: tuple[tuple[int, int], ...]
-    before: float | None
-    after: float | None
-    problems: list[str]
-    notes: list[str]
-    gain_error: float | None = None
-    labelled: tuple[Labelled, Labelled] | None = None
+    gain: Gain | None
+    labelled: Labelled
+    diagnostics: Diagnostics
 
     def summary(self) -> list[str]:
         """Lines to print on what the model was learned from, and how good it is."""
@@ -87,29 +74,26 @@ class LearningReport:
             f"{tracks:>4} {'track' if tracks == 1 else 'tracks'}"
             for name, (frames, tracks) in zip(names, self.seen, strict=True)
         ]
-        if self.labelled is not None:
-            whole, lain_on = self.labelled
-            lines.append(
-                f"tracks lay on {lain_on.positions} of "
-                f"{number_of(whole.positions, 'labelled position')}, and on {lain_on.landmarks} of "
-                f"{number_of(whole.landmarks, 'landmark')} (each ID of a log counts as one)"
-            )
-        if self.before is None or self.after is None:
-            lines.append(
+        (positions, landmarks), (positions_met, landmarks_met) = self.labelled
+        lines.append(
+            f"tracks lay on {positions_met} of {number_of(positions, 'labelled position')}, and on "
+            f"{landmarks_met} of {number_of(landmarks, 'landmark')} (each ID of a log counts as "
+            "one)"
+        )
+        if self.gain is None:
+            return [
+                *lines,
                 f"with fewer than {FOLDS} tracks of landmarks, or of others, or with one landmark, "
-                "the gain over the built-in model is not measured"
-            )
-        else:
-            lines.append(
-                "log likelihood per track and frame, on landmarks and other tracks left out: "
-                f"built-in model {self.before:.3f}, learned {self.after:.3f}"
-            )
-        if self.before is not None and self.after is not None and self.gain_error is not None:
-            lines.append(
-                f"gain {self.after - self.before:+.3f}, with a standard error of "
-                f"{self.gain_error:.3f} over landmarks and other tracks"
-            )
-        return lines
+                "the gain over the built-in model is not measured",
+            ]
+        before, after, error = self.gain
+        return [
+            *lines,
+            "log likelihood per track and frame, on landmarks and other tracks left out: "
+            f"built-in model {before:.3f}, learned {after:.3f}",
+            f"gain {after - before:+.3f}, with a standard error of {error:.3f} over landmarks and "
+            "other tracks",
+        ]
 
     def as_toml(self) -> str:
         """The model as a file, with what it was learned from as comments."""
@@ -142,7 +126,17 @@ def learn(
             "the appearance model serves features.measurement = track; this preset measures "
             "single frames by the published model and learns nothing"
         )
-    table = _truth_with_places(ground_truth, len(paths))
+    table = read_truth(ground_truth)
+    if table.position is None:
+        raise SonarrecError(
+            f"{ground_truth}: learning needs positions; add x_px,y_px or range_m,bearing_deg"
+        )
+    if len(paths) > 1 and table.log is None:
+        raise UsageError(
+            f"{ground_truth}: of {len(paths)} logs, the truth needs a log column that names them"
+        )
+    told = Diagnostics()
+    told.note(*columns_not_read(table))
     lessons: list[_Lesson] = []
     for path in paths:
         with open_log(path, **log_options.arguments()) as log:
@@ -150,45 +144,35 @@ def learn(
             name = table.name_of(possible_names(log.name, find_log(log.path).place.resolve()))
             if name in (lesson.log for lesson in lessons):
                 raise UsageError(f"{path}: a second log {name!r}; the truth tells logs by name")
-            lessons.append(_lesson(table, log, name, config, landmarks, observe))
+            lessons.append(_lesson(table, log, name, config, landmarks, observe, told))
     used = [lesson for lesson in lessons if lesson.misfit is None]
     names = [lesson.log for lesson in lessons]
     if not any(lesson.rows for lesson in used):
         misfits = [lesson.misfit for lesson in lessons if lesson.misfit is not None]
         why = without_rows(ground_truth, len(table.at), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
+    if len(paths) > 1:  # of one log a truth of several is used as it is
+        told.problem(*of_other_logs(table, names, "they teach nothing"))
     parts = [lesson.samples for lesson in used]
     prior = None if from_scratch else built_in_model()
     model = fit(parts, prior)
-    seen = _seen(parts, landmarks)
-    before, after, gain_error = gain_on_the_rest(parts, prior)
-    # Of one log a truth of several is used as it is.
-    others = of_other_logs(table, names, "they teach nothing") if len(paths) > 1 else []
+    seen = []  # frames and tracks of each ID, then of 'none of these'
+    for label_index in range(len(landmarks.ids) + 1):
+        tracks = [p.track[p.label == label_index] for p in parts]
+        seen.append((sum(map(len, tracks)), sum(len(np.unique(t)) for t in tracks)))
+    gain = gain_on_the_rest(parts, prior)
+    told.note(*_not_taught(landmarks, seen, gain))
+    labelled = np.sum([lesson.labelled for lesson in used], axis=0).tolist()
     return LearningReport(
         model=model,
         landmarks=landmarks,
         logs=tuple(lesson.log for lesson in used),
         frames=sum(lesson.frames for lesson in used),
-        seen=seen,
-        before=before,
-        after=after,
-        problems=[*(line for lesson in lessons for line in lesson.problems), *others],
-        notes=[
-            *columns_not_read(table),
-            *(line for lesson in lessons for line in lesson.notes),
-            *_not_taught(landmarks, seen, before, after),
-        ],
-        gain_error=gain_error,
-        labelled=(
-            _sum(lesson.labelled for lesson in used),
-            _sum(lesson.lain_on for lesson in used),
-        ),
+        seen=tuple(seen),
+        gain=gain,
+        labelled=labelled,
+        diagnostics=told,
     )
-
-
-def _sum(parts: Iterable[Labelled]) -> Labelled:
-    counts = [(part.positions, part.landmarks) for part in parts]
-    return Labelled(*map(sum, zip(*counts, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,8 +180,7 @@ class _Lesson:
     """What one log teaches.
 
     log: its name. samples: of its tracks. frames: how many were read. rows: of truth for it.
-    labelled: what that holds. lain_on: what of it a track lay on. misfit: why its truth cannot be
-    that of the log, so that nothing is learned; None if it can.
+    misfit: why its truth cannot be that of the log, so that nothing is learned; None if it can.
     """
 
     log: str
@@ -205,10 +188,7 @@ class _Lesson:
     frames: int
     rows: int
     labelled: Labelled
-    lain_on: Labelled
     misfit: str | None
-    problems: list[str]
-    notes: list[str]
 
 
 def _lesson(
@@ -218,6 +198,7 @@ def _lesson(
     config: Config,
     landmarks: LandmarkSet,
     observe: Callable[[], object] | None,
+    told: Diagnostics,
 ) -> _Lesson:
     """Read one log, and label its tracks by the table's rows on it.
 
@@ -227,64 +208,40 @@ def _lesson(
     begin = [*islice(rest, FRAMES_FOR_BEAMS)]
     (own,), beams = with_beams([config], log.beam_width_deg, begin)
     tracks = describe(_observed(chain(begin, rest), observe), own, landmarks, name=name)
-    notes = [f"{name}: {line}" for line in beams]
     truth = match_truth(table, tracks)
     samples = _labelled(tracks, truth)
     unlike = misfit(table, tracks, truth) or _no_track_on_a_row(table, tracks, truth, samples)
-    problems = list(log.problems)
+    told.note(*(f"{name}: {line}" for line in beams))
+    told.problem(*log.problems)
     if unlike is not None:
-        problems.append(f"{unlike}; nothing is learned from {name}")
+        told.problem(f"{unlike}; nothing is learned from {name}")
     else:
-        notes += pixels_elsewhere(table, tracks, "teach")
-        notes += places_outside(table, tracks, truth)
-        notes += as_proposed(table, name, "they teach what the program takes for true already")
-        notes += rows_on_frames(name, truth.rows, truth.between)
+        told.note(
+            *pixels_elsewhere(table, tracks, "teach"),
+            *places_outside(table, tracks, truth),
+            *as_proposed(table, name, "they teach what the program takes for true already"),
+            *rows_on_frames(name, truth.rows, truth.between),
+        )
         if truth.unprocessed:
-            problems.append(
+            told.problem(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
                 f"was read of {name}; they teach nothing"
             )
-    return _Lesson(
-        name,
-        samples,
-        len(tracks.frame),
-        truth.rows,
-        *_counted(tracks, truth),
-        unlike,
-        problems,
-        notes,
-    )
+    return _Lesson(name, samples, len(tracks.frame), truth.rows, _counted(tracks, truth), unlike)
 
 
-def _counted(tracks: Tracks, truth: Truth) -> tuple[Labelled, Labelled]:
-    """(what the truth holds, what of it a track lay on)."""
+def _counted(tracks: Tracks, truth: Truth) -> Labelled:
     assert truth.position is not None
     shown = truth.visible > 0
-    taught = shown & lain_on(tracks, truth.frame_index, truth.position)
-    return (
-        Labelled(int(shown.sum()), len(np.unique(truth.landmark_index[shown]))),
-        Labelled(int(taught.sum()), len(np.unique(truth.landmark_index[taught]))),
+    met = shown & lain_on(tracks, truth.frame_index, truth.position)
+    whole, part = (
+        (int(rows.sum()), len(np.unique(truth.landmark_index[rows]))) for rows in (shown, met)
     )
-
-
-def _truth_with_places(path: Path, logs: int) -> TruthTable:
-    """The truth for this many logs. Raises SonarrecError if it has no positions, or no log column
-    though there are several logs."""
-    table = read_truth(path)
-    if table.position is None:
-        raise SonarrecError(
-            f"{path}: learning needs positions; add x_px,y_px or range_m,bearing_deg"
-        )
-    if logs > 1 and table.log is None:
-        raise UsageError(f"{path}: of {logs} logs, the truth needs a log column that names them")
-    return table
+    return whole, part
 
 
 def _not_taught(
-    landmarks: LandmarkSet,
-    seen: Sequence[tuple[int, int]],
-    before: float | None,
-    after: float | None,
+    landmarks: LandmarkSet, seen: Sequence[tuple[int, int]], gain: Gain | None
 ) -> Iterator[str]:
     """A line for each thing that the recordings do not show.
 
@@ -297,7 +254,7 @@ def _not_taught(
             "fit these IDs is not shown"
         )
     # As they are printed, so that figures that look equal count as equal.
-    if before is not None and after is not None and round(after, 3) < round(before, 3):
+    if gain is not None and round(gain[1], 3) < round(gain[0], 3):
         yield (
             "the built-in model judges the tracks left out better than what is learned without "
             "them; label more passes, or keep to the built-in model"
@@ -342,12 +299,3 @@ def _no_track_on_a_row(
         f"{2 * ON * tracks.landmarks.radius_m:.3g} m of any of its {number_of(seen, 'position')}; "
         "are they of this geometry? `sonarrec truth check` draws them"
     )
-
-
-def _seen(parts: Sequence[Samples], landmarks: LandmarkSet) -> tuple[tuple[int, int], ...]:
-    """(frames, tracks) of each ID, then of 'none of these'."""
-    counts = []
-    for label_index in range(len(landmarks.ids) + 1):
-        tracks = [p.track[p.label == label_index] for p in parts]
-        counts.append((sum(map(len, tracks)), sum(len(np.unique(t)) for t in tracks)))
-    return tuple(counts)

@@ -19,19 +19,31 @@ fewer tracks of landmarks, or of others, the model is not measured."""
 
 def gain_on_the_rest(
     parts: Sequence[Samples], prior: AppearanceModel | None
-) -> tuple[float | None, float | None, float | None]:
+) -> tuple[float, float, float] | None:
     """Mean log likelihood by the built-in model and by models learned from the rest, and the
     standard error of the difference.
 
     The landmarks, each with all its tracks, and the other tracks are dealt into FOLDS parts; the
     two kinds are dealt separately, so that every part has both where there are enough. A landmark
-    is an ID of a log: seen again in another track, it looks as it did. All None with fewer than
-    FOLDS tracks of either, and with one landmark.
+    is an ID of a log: seen again in another track, it looks as it did. None with fewer than FOLDS
+    tracks of either, and with one landmark.
     """
-    units, is_landmark = _dealt_together(parts)
-    tracks = np.sum([_tracks_of(part) for part in parts], axis=0)
+    # Of each log the unit, a landmark or other track, that each sample shows, numbered over all.
+    units, kinds, tracks, count = [], [], np.zeros(2, int), 0
+    for part in parts:
+        ids = part.features.shape[1]
+        numbers, track = np.unique(part.track, return_inverse=True)
+        shown = np.full(len(numbers), ids)  # the first ID that each track shows
+        np.minimum.at(shown, track, part.label)
+        tracks += np.bincount(shown < ids, minlength=2)
+        key = np.where(shown < ids, shown, ids + np.arange(len(shown)))
+        keys, unit = np.unique(key[track], return_inverse=True)
+        units.append(count + unit)
+        kinds.append(keys < ids)
+        count += len(keys)
+    is_landmark = np.concatenate(kinds)
     if tracks.min() < FOLDS or np.count_nonzero(is_landmark) < 2:
-        return None, None, None
+        return None
     fold_of = np.empty(len(is_landmark), np.int64)
     for kind in (False, True):
         mine = np.flatnonzero(is_landmark == kind)
@@ -49,36 +61,6 @@ def gain_on_the_rest(
     was, now = np.concatenate(before), np.concatenate(after)
     error = _standard_error(now - was, np.concatenate(of_unit))
     return float(was.mean()), float(now.mean()), error
-
-
-def _shown(samples: Samples) -> tuple[IntArray, IntArray]:
-    """((n,) each sample's track, counted from 0; (t,) the first ID that each track shows, or K)."""
-    numbers, track = np.unique(samples.track, return_inverse=True)
-    shown = np.full(len(numbers), samples.features.shape[1])
-    np.minimum.at(shown, track, samples.label)
-    return track, shown
-
-
-def _tracks_of(samples: Samples) -> IntArray:
-    """(2,) number of tracks of landmarks, and of others."""
-    _, shown = _shown(samples)
-    landmarks = np.count_nonzero(shown < samples.features.shape[1])
-    return np.array([landmarks, len(shown) - landmarks])
-
-
-def _dealt_together(parts: Sequence[Samples]) -> tuple[list[IntArray], BoolArray]:
-    """(of each log (n,) the landmark or other track that each sample shows, counted from 0 over all
-    logs; whether each of them is a landmark)."""
-    units, kinds, count = [], [], 0
-    for part in parts:
-        ids = part.features.shape[1]
-        track, shown = _shown(part)
-        key = np.where(shown < ids, shown, ids + np.arange(len(shown)))
-        keys, unit = np.unique(key[track], return_inverse=True)
-        units.append(count + unit)
-        kinds.append(keys < ids)
-        count += len(keys)
-    return units, np.concatenate(kinds)
 
 
 def _standard_error(values: FloatArray, cluster: IntArray) -> float:

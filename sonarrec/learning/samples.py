@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,9 +62,8 @@ class Samples:
 class _Recorder:
     """Takes the place of the model while samples are gathered; keeps the last features."""
 
-    def __init__(self) -> None:
-        self.features: FloatArray = np.empty((0, 0, len(FEATURES)))
-        self.smear: FloatArray = np.empty(0)
+    features: FloatArray
+    smear: FloatArray
 
     def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         self.features, self.smear = features, smear
@@ -112,36 +111,36 @@ def describe(
     )
 
 
-def lain_on(tracks: Tracks, row: IntArray, place: FloatArray) -> BoolArray:
-    """(T,) whether a track lies on each landmark. row, place: as in `label`."""
+def _distances(
+    tracks: Tracks, row: IntArray, position: FloatArray
+) -> Iterator[tuple[slice, FloatArray]]:
+    """(the tracks of its frame, their distances from it in disc diameters) of each landmark."""
     first, end = (np.searchsorted(tracks.row, row, side) for side in ("left", "right"))
-    most = ON * 2 * tracks.landmarks.radius_m
-    return np.array(
-        [
-            bool((np.linalg.norm(tracks.position[a:b] - where, axis=1) <= most).any())
-            for a, b, where in zip(first, end, place, strict=True)
-        ],
-        dtype=bool,
-    )
+    diameter = 2 * tracks.landmarks.radius_m
+    for a, b, where in zip(first, end, position, strict=True):
+        yield slice(a, b), np.linalg.norm(tracks.position[a:b] - where, axis=1) / diameter
 
 
-def label(tracks: Tracks, row: IntArray, landmark: IntArray, place: FloatArray) -> Samples:
+def lain_on(tracks: Tracks, row: IntArray, position: FloatArray) -> BoolArray:
+    """(T,) whether a track lies on each landmark. row, position: as in `label`."""
+    distances = _distances(tracks, row, position)
+    return np.array([bool((distance <= ON).any()) for _, distance in distances], dtype=bool)
+
+
+def label(tracks: Tracks, row: IntArray, landmark: IntArray, position: FloatArray) -> Samples:
     """Label the tracks of a recording by its truth.
 
     row: (T,) index into tracks.frame of each landmark that is at least partly in view. landmark:
-    (T,) its index in the set, or HIDDEN. place: (T, 2) as Tracks.position.
+    (T,) its index in the set, or HIDDEN. position: (T, 2) as Tracks.position.
     """
     ids = len(tracks.landmarks.ids)
     labels = np.full(len(tracks.row), ids)
     nearest = np.full(len(tracks.row), np.inf)
-    first, end = (np.searchsorted(tracks.row, row, side) for side in ("left", "right"))
-    for a, b, what, where in zip(first, end, landmark, place, strict=True):
-        distance = np.linalg.norm(tracks.position[a:b] - where, axis=1)
-        closer = distance < nearest[a:b]
-        labels[a:b][closer], nearest[a:b][closer] = what, distance[closer]
-    distance = nearest / (2 * tracks.landmarks.radius_m)
-    labels[distance > ON] = ids
-    taught = (distance <= ON) | (distance > OFF)
+    for what, (here, distance) in zip(landmark, _distances(tracks, row, position), strict=True):
+        closer = distance < nearest[here]
+        labels[here][closer], nearest[here][closer] = what, distance[closer]
+    labels[nearest > ON] = ids
+    taught = (nearest <= ON) | (nearest > OFF)
     return Samples(
         tracks.features[taught], tracks.smear[taught], labels[taught], tracks.number[taught]
     )

@@ -14,11 +14,11 @@ import pytest
 
 from learning.random_scenes import random_scene
 from sonarrec.config import Config, preset
+from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import BUILT_IN, LandmarkSet, load_landmarks
 from sonarrec.learning import calibrate
 from sonarrec.learning.calibrate import (
     FOLDS,
-    Labelled,
     LearningReport,
     _counted,
     _labelled,
@@ -249,7 +249,7 @@ def test_how_much_of_the_truth_a_track_lay_on_is_counted():
         between=0,
         tolerance_ns=None,
     )
-    assert _counted(tracks, truth) == (Labelled(4, 3), Labelled(3, 2))
+    assert _counted(tracks, truth) == ((4, 3), (3, 2))
 
 
 def samples_of(tracks: list[tuple[int, int]]) -> Samples:
@@ -276,9 +276,10 @@ def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
         return built_in
 
     monkeypatch.setattr("sonarrec.learning.left_out.fit", seen)
-    before, after, error = gain_on_the_rest(logs, None)
-    assert before == after
-    assert error == 0
+    gain = gain_on_the_rest(logs, None)
+    assert gain is not None
+    assert gain[0] == gain[1]
+    assert gain[2] == 0
     assert len(lessons) == FOLDS
     left_out = [0, 0]
     for parts in lessons:
@@ -290,7 +291,7 @@ def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
     assert left_out == [len(log.label) for log in logs]
     # Twice the same disc is nothing that a model could be tried on.
     alone = [samples_of([(0, 3), (4, 2)] * 6)]
-    assert gain_on_the_rest(alone, None) == (None, None, None)
+    assert gain_on_the_rest(alone, None) is None
 
 
 @pytest.mark.slow
@@ -313,11 +314,12 @@ def test_what_is_measured_is_what_landmarks_elsewhere_bring():
     for seed in (3, 4, 5):
         rng = np.random.default_rng(seed)
         here = logs(8)
-        _, after, _ = gain_on_the_rest(here, None)
-        assert after is not None
+        gain = gain_on_the_rest(here, None)
+        assert gain is not None
         learned = fit(here, None)
         told.append(
-            [after] + [np.mean([log_likelihood(learned, p) for p in of]) for of in (logs(30), here)]
+            [gain[1]]
+            + [np.mean([log_likelihood(learned, p) for p in of]) for of in (logs(30), here)]
         )
     after, elsewhere, own = np.mean(told, axis=0)
     assert 1.8 * elsewhere < after < (elsewhere + own) / 2
@@ -411,7 +413,7 @@ def test_what_was_learned_from_is_told(site):
     logs = [site / "one", site / "two"]
     report = learn(logs, site / "gt.csv", preset("default"), BASIN, LogOptions())
     assert report.frames == 140
-    assert not report.problems
+    assert not report.diagnostics.problems
     on = sum(frames for frames, _ in report.seen[:-1])
     with (site / "gt.csv").open(newline="") as file:
         truth = list(csv.DictReader(file))
@@ -420,9 +422,9 @@ def test_what_was_learned_from_is_told(site):
     seen = {i for i, (frames, _) in zip(BASIN.ids, report.seen, strict=False) if frames}
     assert seen == {int(r["landmark"]) for r in truth}
     for i in set(BASIN.ids) - seen:
-        assert any(f"ID.{i}" in note for note in report.notes)
+        assert any(f"ID.{i}" in note for note in report.diagnostics.notes)
     tracks = sum(count for _, count in report.seen[:-1])
-    assert (report.before is None) == (tracks < FOLDS)
+    assert (report.gain is None) == (tracks < FOLDS)
     # With the built-in model as the start nothing moves far; without it everything does.
     built_in = built_in_model()
     scratch = learn(
@@ -504,7 +506,8 @@ def test_logs_of_one_name_are_known_by_their_folders(tmp_path):
     truth = labelled(tmp_path / "gt.csv", "\n".join([*table, ""]))
     logs = [tmp_path / "a" / "pan", tmp_path / "b" / "pan"]
     report = learn(logs, truth, preset("default"), BASIN, LogOptions())
-    assert (report.logs, report.frames, report.problems) == (("a-pan", "b-pan"), 24, [])
+    assert (report.logs, report.frames) == (("a-pan", "b-pan"), 24)
+    assert report.diagnostics.problems == []
     alone = learn(logs[1:], truth, preset("default"), BASIN, LogOptions())
     assert [2 * frames for frames, _ in alone.seen] == [frames for frames, _ in report.seen]
     assert alone.seen[0][0] > 0
@@ -594,19 +597,18 @@ def test_a_proposal_that_nobody_checked_is_told(tmp_path):
 def test_names_of_logs_do_not_break_the_model_file():
     model = built_in_model()
     seen = ((1, 1),) * 4 + ((9, 2),)
-    report = LearningReport(
-        model, BASIN, ("day\n1", "d\x07y_2", "dïve"), 10, seen, None, None, [], []
-    )
+    logs, none = ("day\n1", "d\x07y_2", "dïve"), ((0, 0), (0, 0))
+    report = LearningReport(model, BASIN, logs, 10, seen, None, none, Diagnostics())
     parse_model(report.as_toml(), "it")
     assert report.summary()[0] == r"learned from 10 frames of day\n1, d\x07y_2, dïve"
 
 
 def test_worse_is_told_only_where_the_printed_figures_differ():
-    def told(before, after):
-        return list(_not_taught(BASIN, ((1, 1),) * 5, before, after))
+    def told(*gain):
+        return list(_not_taught(BASIN, ((1, 1),) * 5, gain or None))
 
-    assert told(-0.0162, -0.0158) == told(-0.0158, -0.0162) == told(None, None) == []
-    assert "judges the tracks left out better" in told(-0.015, -0.017)[0]
+    assert told(-0.0162, -0.0158, 0) == told(-0.0158, -0.0162, 0) == told() == []
+    assert "judges the tracks left out better" in told(-0.015, -0.017, 0)[0]
 
 
 def test_the_standard_error_of_the_gain_is_that_of_drawing_whole_tracks():
