@@ -27,7 +27,7 @@ from sonarrec.report.logs import (
 )
 from sonarrec.report.mistakes import Episode, episodes, in_words
 from sonarrec.report.outliers import Outlier, failed_logs, outliers, outliers_first
-from sonarrec.report.page import MOST_MISTAKES, LogsOverview, RecordingImages, render
+from sonarrec.report.page import MOST_MISTAKES, render
 from sonarrec.report.pictures import Picture, PictureRequest
 from sonarrec.report.recordings import match_recordings, open_recording
 from sonarrec.results.read import find_logs, not_whole
@@ -83,15 +83,23 @@ def write_report(
         protocol = protocols(pooled)[0]
         mistakes = {m: episodes(evaluation, m, protocol) for m in evaluation.joined.methods}
     sonar = options.sonar or Sonar()
-    drawn, missing = _draw_all(logs, evaluation, mistakes, recordings, sonar, topic)
+    pictures, shown, missing = _draw_all(logs, evaluation, mistakes, recordings, sonar, topic)
     incomplete = (line for log in logs for line in not_whole(log.results, "shown"))
     unused = (*(incomplete if pooled is None else pooled.unused), *unread, *missing)
-    overview = LogsOverview(
-        len(chosen.folders) if pooled is None else len(pooled.logs), chosen.outliers
+    page = render(
+        logs,
+        evaluation,
+        pooled,
+        mistakes,
+        pairs or ground_truth,
+        pictures,
+        shown,
+        unused,
+        len(chosen.folders) if pooled is None else len(pooled.logs),
+        chosen.outliers,
     )
-    truth = pairs or ground_truth
-    write_page(path, render(logs, evaluation, pooled, mistakes, truth, drawn, unused, overview))
-    return Report(path, len(drawn.pictures), sum(len(s.frames) for s in drawn.shown), unused)
+    write_page(path, page)
+    return Report(path, len(pictures), sum(len(s.frames) for s in shown), unused)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +192,7 @@ def _draw_all(
     recordings: Sequence[Path],
     sonar: Sonar,
     topic: str | None,
-) -> tuple[RecordingImages, list[str]]:
+) -> tuple[list[Picture], list[frames.ShownLog], list[str]]:
     """Pictures and frames of the recordings given; a line for each recording not found."""
     sources, missing = match_recordings(logs, recordings, sonar, topic)
     recorded = [log for log in logs if log.results.name in sources]
@@ -204,7 +212,7 @@ def _draw_all(
             taken, shown_log = frames.take(recording, log, requested, frames_held[name], most_bytes)
         pictures |= taken
         shown_logs.append(shown_log)
-    return RecordingImages([pictures[w] for w in requests], shown_logs), missing
+    return [pictures[w] for w in requests], shown_logs, missing
 
 
 def _named_frames(

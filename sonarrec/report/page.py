@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from heapq import nlargest
 from importlib.resources import files
 from pathlib import Path
@@ -16,7 +17,6 @@ from sonarrec import __version__
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.counting.reliability import FEW
 from sonarrec.evaluation.evaluate import Evaluation
@@ -26,21 +26,19 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import (
-    JudgedSighting,
     ReportedLog,
     Track,
     judged_sightings,
     tracks,
     true_landmark,
 )
-from sonarrec.report.measured import MEASURED, MeasuredColumn
 from sonarrec.report.mistakes import Episode, in_words
 from sonarrec.report.outliers import Outlier
 from sonarrec.report.pictures import Picture
 from sonarrec.report.settings import settings_tables
-from sonarrec.report.svg import STYLES, Axis, Chart, darkened, frames_a_bar, glyph
+from sonarrec.report.svg import STYLES, Chart, darkened, frames_a_bar, glyph
 from sonarrec.report.templates import filled
-from sonarrec.results.sightings import PASS_GAP
+from sonarrec.results.sightings import PASS_GAP, Sighting
 from sonarrec.times import date_text, is_date, time_text
 
 MOST_TRACKS = 12
@@ -51,105 +49,8 @@ MOST_RATES = 40  # logs with a row of rates
 MOST_LINES = 20  # notes, and lines on what could not be used
 
 
-@dataclass(frozen=True, slots=True)
-class TrackView:
-    """One track: its facts, the strip of truth and a panel per method."""
-
-    track: Track
-    claims: str
-    frames: str
-    times: str
-    axis: Axis
-    truth: int | None
-    strip: Chart | None
-    panels: list[charts.TrackPanel]
-
-
-@dataclass(frozen=True, slots=True)
-class LogView:
-    """One log's part of the page."""
-
-    log: ReportedLog
-    facts: list[tuple[str, str]]
-    problems: list[str]
-    timeline: list[tuple[int, list[charts.Lane]]]
-    frames_a_bar: int
-    axis: Axis
-    """The time axis of the whole log."""
-    unseen: list[int]
-    sightings: list[JudgedSighting]
-    sightings_left: int
-    measured: list[MeasuredColumn]
-    """Columns with a value in any sighting."""
-    dated: bool
-    """Whether the log's times are dates."""
-    tracks: list[TrackView]
-    tracks_in_all: int
-    silent: list[charts.Lane]
-    """Tracks that were never declared, on the log's time axis."""
-    silent_in_all: int
-    settings: list[tuple[str, list[tuple[str, str]]]]
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingImages:
-    """Content from the recordings: pictures in order, and frames to show on a click."""
-
-    pictures: list[Picture] = field(default_factory=list)
-    shown: list[ShownLog] = field(default_factory=list)
-
-
-@dataclass(frozen=True, slots=True)
-class MistakeView:
-    """One episode with its text."""
-
-    episode: Episode
-    sentence: str
-    frames: str
-
-
-@dataclass(frozen=True, slots=True)
-class Mistakes:
-    """One method's episodes, the worst first."""
-
-    method: str
-    count: Count
-    shown: list[MistakeView]
-    left: int
-
-
-@dataclass(frozen=True, slots=True)
-class Scores:
-    """Content from ground truth.
-
-    rates, rates_per_log, others (figures), differences: from `cells`. units: such as "12 passes".
-    over: the part of captions on intervals. tested: labels of the figures in differences. starred:
-    whether a table has a 0/0. curves: per protocol its name, the ROC over all IDs and that of each
-    ID. reliability: per method.
-    """
-
-    protocols: list[str]
-    rates: list[tuple[str, list[cells.OperatingPoint]]]
-    rates_per_log: list[tuple[str, list[cells.OperatingPoint]]]
-    units: str
-    over: str
-    others: list[tuple[str, list[cells.Cell]]]
-    tested: list[str]
-    differences: list[tuple[str, list[cells.Cell]]]
-    notes: list[str]
-    tables: list[cells.Table]
-    starred: bool
-    curves: list[tuple[str, Chart, list[tuple[int, Chart]]]]
-    reliability: list[tuple[str, Chart]]
-    mistakes: list[Mistakes]
-
-
-@dataclass(frozen=True, slots=True)
-class LogsOverview:
-    """How many logs there are, and those that differ from the rest."""
-
-    in_all: int
-    outliers: Sequence[Outlier]
+View = dict[str, Any]
+"""Values of the template that belong together, by name."""
 
 
 def render(
@@ -158,15 +59,18 @@ def render(
     pooled: Pooled | None,
     wrong: Mapping[str, Sequence[Episode]],
     truth: Path | None,
-    drawn: RecordingImages,
+    pictures: Sequence[Picture],
+    shown: Sequence[ShownLog],
     unused: Sequence[str],
-    overview: LogsOverview,
+    logs_in_all: int,
+    outliers: Sequence[Outlier],
 ) -> str:
     """The whole page as HTML.
 
     logs, evaluation: those with panels. pooled: all logs. evaluation, pooled, truth: None without
-    ground truth. wrong: the mistakes of each method. unused: one line for each part of the input
-    that could not be used.
+    ground truth. wrong: the mistakes of each method. pictures, shown: of the recordings. unused: a
+    line for each part of the input that could not be used. logs_in_all: also those without panels.
+    outliers: logs that differ from the rest.
     """
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
@@ -177,21 +81,22 @@ def render(
     map_picture = _map_picture(logs)
     return filled(
         "report.html",
-        number=_number,
+        number=lambda value, digits: f"{value:,.{digits}f}",
         time_of_day=time_text,
         version=__version__,
-        title=_title(logs, overview),
+        title=_title(logs, logs_in_all),
         contents=_contents(
             scores is not None,
-            bool(scores and scores.others),
-            several=overview.in_all > 1,
-            outliers=bool(overview.outliers),
+            bool(scores and scores["others"]),
+            several=logs_in_all > 1,
+            outliers=bool(outliers),
             mapped=map_picture is not None,
         ),
         few=FEW,
         pass_gap=PASS_GAP,
         landmarks=landmarks,
         methods=methods,
+        measured=_measured,
         **_styles(landmarks, methods),
         logs=[_log_view(log, most_tracks) for log in logs],
         tracker=logs[0].tracker,
@@ -199,10 +104,20 @@ def render(
         evaluation=evaluation,
         scores=scores,
         unused=_first(unused),
-        overview=overview,
+        logs_in_all=logs_in_all,
+        outliers=outliers,
         most_outliers=MOST_RATES,
         pooled=pooled,
-        **_images(drawn),
+        **{
+            name: [p for p in pictures if p.request.group == group]
+            for name, group in (
+                *(("surest", "surest"), ("rarest", "rarest")),
+                ("mistake_pictures", "mistake"),
+            )
+        },
+        held={log.name: n for n, log in enumerate(shown)},
+        shown=shown,
+        shown_json=_json(shown),
         **_script(),
         map_picture=map_picture,
     )
@@ -220,18 +135,6 @@ def _styles(landmarks: LandmarkSet, methods: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _images(drawn: RecordingImages) -> dict[str, Any]:
-    """Variables of the template: pictures of the recordings, and their frames in the player."""
-    return {
-        "surest": [p for p in drawn.pictures if p.request.group == "surest"],
-        "rarest": [p for p in drawn.pictures if p.request.group == "rarest"],
-        "mistake_pictures": [p for p in drawn.pictures if p.request.group == "mistake"],
-        "held": {shown.name: n for n, shown in enumerate(drawn.shown)},
-        "shown": drawn.shown,
-        "shown_json": _json(drawn.shown),
-    }
-
-
 def _script() -> dict[str, str]:
     """Variables of the template: the page's script, and the hash by which the page allows it."""
     script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
@@ -239,9 +142,9 @@ def _script() -> dict[str, str]:
     return {"script": script, "script_hash": base64.b64encode(digest).decode()}
 
 
-def _title(logs: Sequence[ReportedLog], overview: LogsOverview) -> str:
-    if overview.in_all > len(logs):
-        return f"{overview.in_all} logs"
+def _title(logs: Sequence[ReportedLog], logs_in_all: int) -> str:
+    if logs_in_all > len(logs):
+        return f"{logs_in_all} logs"
     return ", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else "")
 
 
@@ -293,33 +196,39 @@ def _json(shown: Sequence[ShownLog]) -> str:
 
 def _scores(
     tracker: str, evaluation: Evaluation, pooled: Pooled, wrong: Mapping[str, Sequence[Episode]]
-) -> Scores:
+) -> View:
+    """What is known with ground truth.
+
+    rates, rates_per_log, others (figures), differences: from `cells`. units: such as "12 passes".
+    over: the part of captions on intervals. tested: labels of the figures in differences. starred:
+    whether a table has a 0/0. curves: as from `_curves`. reliability: per method.
+    """
     methods, protocols = pooled.methods, cells.protocols(pooled)
     summary = summarise(pooled)
     per_log = cells.rates_per_log(pooled)
     if len(per_log) > MOST_RATES:
         per_log = sorted(per_log, key=_mistakes_of)[:MOST_RATES]
     tables = [cells.paper_table(s, thousands=",") for s in pooled.scored]
-    return Scores(
-        protocols=protocols,
-        rates=cells.rates(pooled, summary),
-        rates_per_log=per_log,
-        units=units_text(summary.units),
-        over=over_units(summary),
-        others=cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
-        tested=[metric.label for metric in cells.TESTED],
-        differences=cells.differences(summary, protocols[0]),
-        notes=_first([*pooled.notes, *summary.notes]),
-        tables=tables,
-        starred=any("*" in cell for table in tables for _, row in table.rows for cell in row),
-        curves=_curves(pooled),
-        reliability=[
+    return {
+        "protocols": protocols,
+        "rates": cells.rates(pooled, summary),
+        "rates_per_log": per_log,
+        "units": units_text(summary.units),
+        "over": over_units(summary),
+        "others": cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
+        "tested": [metric.label for metric in cells.TESTED],
+        "differences": cells.differences(summary, protocols[0]),
+        "notes": _first([*pooled.notes, *summary.notes]),
+        "tables": tables,
+        "starred": any("*" in cell for table in tables for _, row in table.rows for cell in row),
+        "curves": _curves(pooled),
+        "reliability": [
             (r.method, charts.reliability(r, methods.index(r.method)))
             for r in summary.reliability
             if r.landmark_text == "top"
         ],
-        mistakes=_mistakes(tracker, evaluation, pooled, wrong),
-    )
+        "mistakes": _mistakes(tracker, evaluation, pooled, wrong),
+    }
 
 
 def _mistakes_of(row: tuple[str, list[cells.OperatingPoint]]) -> int:
@@ -327,33 +236,59 @@ def _mistakes_of(row: tuple[str, list[cells.OperatingPoint]]) -> int:
     return -sum(rates.missed + rates.false for rates in row[1])
 
 
-def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
+def _log_view(log: ReportedLog, most_tracks: int) -> View:
+    """One log's part of the page.
+
+    axis: of the whole log's time. measured: heads of columns with a value in any sighting. dated:
+    whether the log's times are dates. silent: tracks that were never declared, on that axis.
+    """
     sightings = judged_sightings(log)
     found_tracks = tracks(log, most_tracks, MOST_SILENT)
     stamps = log.results.timestamp_ns
     rows = charts.timeline(log)
     ids_drawn = {k for k, _ in rows}
-    return LogView(
-        log=log,
-        facts=list(_facts(log)),
-        problems=list(log.run.input.problems),
-        timeline=rows,
-        frames_a_bar=frames_a_bar(len(log.time)),
-        axis=charts.time_axis(log)[0],
-        unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in ids_drawn],
-        sightings=sorted(
+    valued = {head for s in sightings for head, value, _ in _measured(s.sighting) if value}
+    return {
+        "log": log,
+        "facts": list(_facts(log)),
+        "problems": list(log.run.input.problems),
+        "timeline": rows,
+        "frames_a_bar": frames_a_bar(len(log.time)),
+        "axis": charts.time_axis(log)[0],
+        "unseen": [i for k, i in enumerate(log.results.landmarks.ids) if k not in ids_drawn],
+        "sightings": sorted(
             nlargest(MOST_SIGHTINGS, sightings, key=lambda s: s.sighting.frames_declared),
             key=lambda s: (s.sighting.first_frame, s.sighting.last_frame),
         ),
-        sightings_left=len(sightings[MOST_SIGHTINGS:]),
-        measured=[m for m in MEASURED if any(m.value(s.sighting) for s in sightings)],
-        dated=stamps is not None and is_date(int(stamps[0])),
-        tracks=[_track_view(log, track) for track in found_tracks.declared],
-        tracks_in_all=found_tracks.declared_in_all,
-        silent=charts.silent_lanes(log, found_tracks.silent),
-        silent_in_all=found_tracks.silent_in_all,
-        settings=list(settings_tables(log.run.table)),
-    )
+        "sightings_left": len(sightings[MOST_SIGHTINGS:]),
+        "measured": [head for head, *_ in MEASURED if head in valued],
+        "dated": stamps is not None and is_date(int(stamps[0])),
+        "tracks": [_track_view(log, track) for track in found_tracks.declared],
+        "tracks_in_all": found_tracks.declared_in_all,
+        "silent": charts.silent_lanes(log, found_tracks.silent),
+        "silent_in_all": found_tracks.silent_in_all,
+        "settings": list(settings_tables(log.run.table)),
+    }
+
+
+MEASURED = (
+    ("range, m", "range_m", 3, "range_sigma_m"),
+    ("bearing, deg", "bearing_deg", 1, "bearing_sigma_deg"),
+    ("orientation, deg", "orientation_deg", 0, "orientation_sigma_deg"),
+    ("x, m", "x_m", 2, None),
+    ("y, m", "y_m", 2, None),
+)
+"""Columns of measurements in the table of sightings: head, field, digits, field of its error."""
+
+
+def _measured(sighting: Sighting) -> Iterator[tuple[str, str, str]]:
+    """(head, value, standard error) of each column of MEASURED, as text, "" if not known."""
+    for head, name, digits, error in MEASURED:
+        texts = []
+        for field in (name, error):
+            value = math.nan if field is None else getattr(sighting, field)
+            texts.append("" if math.isnan(value) else f"{value:.{digits}f}")
+        yield head, texts[0], texts[1]
 
 
 def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
@@ -374,7 +309,8 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
         yield "preset" + "s" * (len(presets) > 1), ", ".join(presets)
 
 
-def _track_view(log: ReportedLog, track: Track) -> TrackView:
+def _track_view(log: ReportedLog, track: Track) -> View:
+    """One track: its facts, the strip of truth and a panel per method."""
     results = log.results
     ids = results.landmarks.ids
     claims = []
@@ -383,16 +319,16 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
         if count:
             claims.append(f"ID.{ids[k]} in {count} of {number_of(len(track.at), 'frame')}")
     first, last = int(track.frame_index[0]), int(track.frame_index[-1])
-    return TrackView(
-        track=track,
-        claims=", ".join(claims),
-        frames=_span(int(results.frame[first]), int(results.frame[last])),
-        times=f"{log.time[first]:.1f} to {log.time[last]:.1f} s" if log.clock == "s" else "",
-        axis=charts.track_axis(log, track),
-        truth=true_landmark(log, track),
-        strip=charts.truth_strip(log, track),
-        panels=charts.track_panels(log, track),
-    )
+    return {
+        "track": track,
+        "claims": ", ".join(claims),
+        "frames": _span(int(results.frame[first]), int(results.frame[last])),
+        "times": f"{log.time[first]:.1f} to {log.time[last]:.1f} s" if log.clock == "s" else "",
+        "axis": charts.track_axis(log, track),
+        "truth": true_landmark(log, track),
+        "strip": charts.truth_strip(log, track),
+        "panels": charts.track_panels(log, track),
+    }
 
 
 def _curves(
@@ -416,22 +352,24 @@ def _mistakes(
     evaluation: Evaluation,
     pooled: Pooled,
     wrong: Mapping[str, Sequence[Episode]],
-) -> list[Mistakes]:
+) -> list[View]:
+    """Each method's episodes, the worst first."""
     mistakes = []
     for method in sorted(pooled.methods, key=lambda m: m != tracker):
         count = cells.scored_by(pooled, method, cells.protocols(pooled)[0]).count()
-        views = []
         episodes = wrong.get(method, [])  # the method may be in other logs only
-        for episode in episodes[:MOST_MISTAKES]:
-            frames = _span(episode.first, episode.last)
-            views.append(MistakeView(episode, in_words(episode, evaluation.joined), frames))
-        mistakes.append(Mistakes(method, count, views, len(episodes) - len(views)))
+        shown = [
+            {
+                "episode": episode,
+                "sentence": in_words(episode, evaluation.joined),
+                "frames": _span(episode.first, episode.last),
+            }
+            for episode in episodes[:MOST_MISTAKES]
+        ]
+        left = len(episodes) - len(shown)
+        mistakes.append({"method": method, "count": count, "shown": shown, "left": left})
     return mistakes
 
 
 def _span(first: int, last: int) -> str:
     return f"{first}" if first == last else f"{first} to {last}"
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:,.{digits}f}"

@@ -8,7 +8,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 
-def filled(template: str, package: str = "sonarrec.report", **values: Any) -> str:
+def filled(template: str, package: str = "sonarrec.report", /, **values: Any) -> str:
     """A template of a package filled with values, as HTML. It may include those of this folder."""
     return _environment(package).get_template(template).render(values)
 

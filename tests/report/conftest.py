@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sonarrec.arrays import ByteImage
-from sonarrec.report import frames, pictures, site_page
+from sonarrec.report import frames, pictures
 from tests.support.browser import chromium
 from tests.support.command import SAMPLE, sonarrec
 
@@ -29,11 +29,7 @@ def _encoded_once() -> Iterator[None]:
     def once(image: ByteImage, quality: int) -> str:
         return encoded(image.tobytes(), image.shape, quality)
 
-    with (
-        patch.object(frames, "as_webp", once),
-        patch.object(pictures, "as_webp", once),
-        patch.object(site_page, "as_webp", once),
-    ):
+    with patch.object(frames, "as_webp", once), patch.object(pictures, "as_webp", once):
         yield
 
 
