@@ -17,7 +17,7 @@ from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, describe, label
 from sonarrec.nouns import Frame
-from sonarrec.recogniser.stage3_features.model import BUILT_IN
+from sonarrec.recogniser.stage3.model import BUILT_IN
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.simulation.truth import LandmarkTruth

@@ -20,8 +20,8 @@ from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
-from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
+from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
+from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
 from sonarrec.truth.fits import (

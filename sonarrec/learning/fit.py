@@ -11,8 +11,8 @@ import numpy.typing as npt
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError
 from sonarrec.learning.samples import Samples
-from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, smeared_share
+from sonarrec.recogniser.stage3.description import FEATURES
+from sonarrec.recogniser.stage3.model import AppearanceModel, smeared_share
 
 KNOTS = 8  # of a curve, at quantiles of what was seen
 # Penalties, in samples: on a curve's values, and on their second differences.

@@ -10,7 +10,7 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
+from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 
 FOLDS = 5
 """Parts of the landmarks and other tracks; each is left out once, to measure the model on it. With

@@ -12,10 +12,10 @@ from sonarrec.config import Config
 from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan, Frame
-from sonarrec.recogniser.levels import Levels
-from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.recogniser.restore.saturation import Levels
+from sonarrec.recogniser.restore.static_pixels import Unchanging
+from sonarrec.recogniser.stage3.description import FEATURES
 from sonarrec.recogniser.three_stages import ThreeStages
-from sonarrec.recogniser.unchanging import Unchanging
 
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
 # does not. Those between are left out.

@@ -14,9 +14,9 @@ from sonarrec.errors import UsageError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.readers.log import Log
-from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
-from sonarrec.recogniser.side_by_side import SideBySide
-from sonarrec.recogniser.stage3_features.model import read_model
+from sonarrec.recogniser.presets.side_by_side import SideBySide
+from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
+from sonarrec.recogniser.stage3.model import read_model
 
 Presets = str | Config | Sequence[str | Config]
 """One preset by name or as a Config, or several to run side by side."""

@@ -19,9 +19,9 @@ from sonarrec.readers import open_log
 from sonarrec.readers.find import SONAR_FILE, Source, find_log
 from sonarrec.readers.log import Log, digest_of
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
-from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
-from sonarrec.recogniser.side_by_side import SideBySide
-from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
+from sonarrec.recogniser.presets.side_by_side import SideBySide
+from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
+from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
 from sonarrec.results.folders import MADE, MADE_BY, check_name
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 

@@ -15,7 +15,7 @@ from sonarrec.nouns import (
     Motion,
     Selection,
 )
-from sonarrec.recogniser.stage3_features import Evidence
+from sonarrec.recogniser.stage3 import Evidence
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Groups
 from sonarrec.recogniser.between_stages import Batch
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3_features import Beliefs, likeliest, settled
-from sonarrec.recogniser.stage3_features.shape_matrix import STEP_DEG, whole_steps
-from sonarrec.recogniser.stage3_features.smi import Identification
+from sonarrec.recogniser.stage3 import Beliefs, likeliest, settled
+from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, whole_steps
+from sonarrec.recogniser.stage3.smi import Identification
 
 # Standard error of a group's mean, as a share of its particles' spread: chosen on tuning seeds,
 # checked against the truth by `make scenes`.

@@ -11,18 +11,18 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.poses import PoseTable
-from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, Batch, WorkingImage
 from sonarrec.recogniser.estimates import EstimateMaker
-from sonarrec.recogniser.odometry import Odometry
+from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.recogniser.stage1_candidates import CandidateSelector
-from sonarrec.recogniser.stage2_continuity import ContinuityFilter
-from sonarrec.recogniser.stage3_features import Measurement, shape_matrix
-from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement, Classifier
-from sonarrec.recogniser.stage3_features.model import built_in_model
-from sonarrec.recogniser.stage3_features.published import PublishedMeasurement
-from sonarrec.recogniser.stage3_features.smi import identify
+from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
+from sonarrec.recogniser.stage1 import CandidateSelector
+from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.recogniser.stage3 import Measurement, shape_matrix
+from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
+from sonarrec.recogniser.stage3.model import built_in_model
+from sonarrec.recogniser.stage3.published import PublishedMeasurement
+from sonarrec.recogniser.stage3.smi import identify
 
 SMI = "smi"
 FRAMEWORK = "framework"

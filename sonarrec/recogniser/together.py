@@ -12,7 +12,7 @@ import cv2
 
 from sonarrec.nouns import Frame, FrameResult
 from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, WorkingImage
-from sonarrec.recogniser.odometry import PoseTally
+from sonarrec.recogniser.motion.odometry import PoseTally
 from sonarrec.recogniser.own_process import CAN_FORK, OwnProcess
 from sonarrec.recogniser.prefetch import Prefetcher
 from sonarrec.recogniser.three_stages import ThreeStages

@@ -26,9 +26,13 @@ from sonarrec.readers.find import find_log
 from sonarrec.readers.grey import DYNAMIC_RANGE_DB
 from sonarrec.readers.log import Log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
-from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, usual_beam_width_deg, with_beams
-from sonarrec.recogniser.odometry import Odometry
+from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
+from sonarrec.recogniser.restore.beam_width import (
+    FRAMES_FOR_BEAMS,
+    usual_beam_width_deg,
+    with_beams,
+)
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.truth import visible_share
 

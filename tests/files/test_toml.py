@@ -18,8 +18,8 @@ from sonarrec.config import Config, configs, with_assignments
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.files import toml
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.recogniser.stage3_features.model import read_model
+from sonarrec.recogniser.stage3.description import FEATURES
+from sonarrec.recogniser.stage3.model import read_model
 from sonarrec.results.run_file import read_run
 from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar import load_sonar

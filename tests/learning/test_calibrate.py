@@ -29,8 +29,8 @@ from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.left_out import _standard_error, gain_on_the_rest
 from sonarrec.learning.samples import Samples, Tracks, describe, label
 from sonarrec.nouns import Frame
-from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.recogniser.stage3_features.model import (
+from sonarrec.recogniser.stage3.description import FEATURES
+from sonarrec.recogniser.stage3.model import (
     AppearanceModel,
     built_in_model,
     parse_model,

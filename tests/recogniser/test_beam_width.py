@@ -20,7 +20,7 @@ from sonarrec.config import Config
 from sonarrec.errors import SonarrecError
 from sonarrec.learning import calibrate
 from sonarrec.nouns import Frame
-from sonarrec.recogniser.beam_width import (
+from sonarrec.recogniser.restore.beam_width import (
     beam_width_deg,
     measured_width_deg,
     usual_beam_width_deg,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.stage3_features.expected_symbol import (
+from sonarrec.recogniser.stage3.expected_symbol import (
     LEAST_SHOWN,
     LIGHT,
     LIGHT_ALIKE,
@@ -21,7 +21,7 @@ from sonarrec.recogniser.stage3_features.expected_symbol import (
     ExpectedSymbols,
     SymbolFit,
 )
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, ShapeSampler
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, ShapeSampler
 from tests.support.drawn import SECTORS, cross_pattern, disc_pattern, smeared_matrix
 
 BASIN = load_landmarks("basin")

@@ -14,7 +14,7 @@ from learning.random_scenes import random_scene
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
 from sonarrec.nouns import Fan, Motion
-from sonarrec.recogniser.odometry import Odometry
+from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.render import render

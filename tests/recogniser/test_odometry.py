@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.recogniser.pan import PanEstimator
+from sonarrec.recogniser.motion.pan import PanEstimator
 from sonarrec.recogniser.plane import FloorPlane, working_plane
 from tests.support.drawn import make_fan
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sonarrec.nouns import Groups
-from sonarrec.recogniser.stage3_features import Evidence
-from sonarrec.recogniser.stage3_features.opinions import (
+from sonarrec.recogniser.stage3 import Evidence
+from sonarrec.recogniser.stage3.opinions import (
     LEAST_BELIEF,
     LEAST_NOW,
     NOW,

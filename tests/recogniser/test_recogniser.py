@@ -20,7 +20,7 @@ from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Frame, FrameResult
 from sonarrec.recogniser import together
-from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 from sonarrec.recogniser.together import FRAMES_AT_ONCE
 from sonarrec.results.write import ResultsWriter

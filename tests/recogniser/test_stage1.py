@@ -16,7 +16,7 @@ from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Fan, Selection
 from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
-from sonarrec.recogniser.stage1_candidates import CandidateSelector, Correlation, gap_share
+from sonarrec.recogniser.stage1 import CandidateSelector, Correlation, gap_share
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled

@@ -10,8 +10,8 @@ from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Motion, Selection
 from sonarrec.recogniser.plane import FanPlane, Plane
-from sonarrec.recogniser.stage1_candidates import CandidateSelector
-from sonarrec.recogniser.stage2_continuity import ContinuityFilter
+from sonarrec.recogniser.stage1 import CandidateSelector
+from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.truth.in_view import share_in_image
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Groups
-from sonarrec.recogniser.stage3_features.published import (
+from sonarrec.recogniser.stage3.published import (
     FeatureEstimator,
     measurement_model,
     motion_model,

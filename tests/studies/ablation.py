@@ -19,8 +19,8 @@ from sonarrec.evaluation.counting.curves import tpr_at
 from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.stage1_candidates import RingScore, ScoreMaps
-from sonarrec.recogniser.stage3_features.expected_symbol import expected_symbols
+from sonarrec.recogniser.stage1 import RingScore, ScoreMaps
+from sonarrec.recogniser.stage3.expected_symbol import expected_symbols
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.render import render
 from tests.studies.measured import errors
@@ -65,7 +65,7 @@ def straight_ahead(_: FloorPlane, position: np.ndarray) -> np.ndarray:
     return np.full(len(position), np.pi / 2)
 
 
-_STAGE1, _STAGE3 = "stage1_candidates", "stage3_features"
+_STAGE1, _STAGE3 = "stage1", "stage3"
 ABLATIONS = {
     "the default": Ablation(),
     "circles in the fan, Eq. 1": Ablation(("candidates.plane=fan",)),
@@ -76,7 +76,7 @@ ABLATIONS = {
     ),
     "random walk, no measured motion": Ablation(("continuity.motion=random_walk",)),
     "the pan alone is measured": Ablation(
-        code={"image_motion.SET_OUT": np.inf, "image_motion.LEAST_SEARCHED": 2.0}
+        code={"motion.image_motion.SET_OUT": np.inf, "motion.image_motion.LEAST_SEARCHED": 2.0}
     ),
     "no memory of lost objects": Ablation(("continuity.remember_frames=0",)),
     "lost objects taken up half a diameter off": Ablation(
@@ -106,7 +106,7 @@ ABLATIONS = {
     ),
     "offline": Ablation(preset="offline"),
     "offline, spread though most frames disagree": Ablation(
-        code={"hindsight.LEAST_BORNE_OUT": 0.0}, preset="offline"
+        code={"presets.hindsight.LEAST_BORNE_OUT": 0.0}, preset="offline"
     ),
 }
 

@@ -25,11 +25,11 @@ import numpy as np
 from sonarrec.config import Config, preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.pipeline.run import run as run_log
-from sonarrec.recogniser.odometry import Odometry
+from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.stage1_candidates import CandidateSelector
-from sonarrec.recogniser.stage2_continuity import ContinuityFilter
-from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
+from sonarrec.recogniser.stage1 import CandidateSelector
+from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
 from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.mcap_writer import McapImageWriter

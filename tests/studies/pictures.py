@@ -30,9 +30,9 @@ from sonarrec.readers.colour_maps import LUMINANCE, find_map
 from sonarrec.readers.fan_outline import find_outline
 from sonarrec.readers.grey import single_channel
 from sonarrec.readers.plausible import FRAMES as LOOKED_AT
-from sonarrec.recogniser.levels import Levels
+from sonarrec.recogniser.restore.saturation import Levels
+from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from tests.studies.results.record import add_record_option, save, show

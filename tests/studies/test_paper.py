@@ -11,7 +11,7 @@ import pytest
 from learning.built_in import MODEL_SEEDS
 from sonarrec.config import PRESETS, preset
 from sonarrec.evaluation.counting.curves import PUBLISHED
-from sonarrec.recogniser.stage3_features.published import TABLE_3
+from sonarrec.recogniser.stage3.published import TABLE_3
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import load_scene, scene_fan, scene_table

@@ -26,7 +26,7 @@ from sonarrec.evaluation.matching.joined import join
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
-from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
 from sonarrec.results.read import read_log
 from sonarrec.results.run_file import run_table

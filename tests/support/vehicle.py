@@ -21,7 +21,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.nouns import Frame
 from sonarrec.readers.poses_csv import read_poses
-from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.together import FRAMES_AT_ONCE
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter

@@ -12,14 +12,14 @@ from sonarrec.config import preset
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
-from sonarrec.recogniser.stage3_features.published import (
+from sonarrec.recogniser.stage3.published import (
     FeatureEstimator,
     measurement_model,
     motion_model,
     update,
 )
-from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler, turned_codes
-from sonarrec.recogniser.stage3_features.smi import identify
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, turned_codes
+from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.recogniser.three_stages import ThreeStages
 from tests.studies.paper.choices import CHOSEN
 

@@ -27,7 +27,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.config import Config, preset, with_table
 from sonarrec.evaluation.counting.behaviour import on_truth
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.recogniser.stage3_features.published import TABLE_3
+from sonarrec.recogniser.stage3.published import TABLE_3
 from sonarrec.recogniser.three_stages import SMI
 from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene

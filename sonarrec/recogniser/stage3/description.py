@@ -8,8 +8,8 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3_features.expected_symbol import expected_symbols
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
+from sonarrec.recogniser.stage3.expected_symbol import expected_symbols
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands, turned_codes
 
 # Levels are in standard deviations of the grey levels about the object (see ShapeSampler). Those
 # named "local" are counted from the gap in the same direction, which late echoes and uneven light

@@ -11,12 +11,12 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.poses import PoseTable
-from sonarrec.recogniser.hindsight import Hindsight
-from sonarrec.recogniser.levels import Levels
-from sonarrec.recogniser.stage3_features.appearance import Classifier
+from sonarrec.recogniser.presets.hindsight import Hindsight
+from sonarrec.recogniser.restore.saturation import Levels
+from sonarrec.recogniser.restore.static_pixels import Unchanging
+from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 from sonarrec.recogniser.together import recognise_together
-from sonarrec.recogniser.unchanging import Unchanging
 
 
 class SideBySide:

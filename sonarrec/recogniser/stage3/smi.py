@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray
-from sonarrec.recogniser.stage3_features import Beliefs
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands
+from sonarrec.recogniser.stage3 import Beliefs
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands
 
 
 @dataclass(frozen=True, slots=True)

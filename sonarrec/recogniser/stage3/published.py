@@ -16,8 +16,8 @@ from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Groups
-from sonarrec.recogniser.stage3_features import Beliefs, Evidence
-from sonarrec.recogniser.stage3_features.smi import Identification, without_none
+from sonarrec.recogniser.stage3 import Beliefs, Evidence
+from sonarrec.recogniser.stage3.smi import Identification, without_none
 
 # Measurement models, rows k = true ID, columns j = measured ID.
 TABLE_2 = np.array(  # range window 1.25 m

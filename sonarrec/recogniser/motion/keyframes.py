@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage
-from sonarrec.recogniser.registration import FloorRegistration, Registration
+from sonarrec.recogniser.motion.registration import FloorRegistration, Registration
 
 # A keyframe serves from 6 to 12 cells away, as long as it matches. Steps of more than MOST_STEP
 # cells are measured from frame to frame: such errors are small then, and two pictures in a row have

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.nouns import Groups
-from sonarrec.recogniser.stage3_features import Evidence
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, whole_steps
+from sonarrec.recogniser.stage3 import Evidence
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, whole_steps
 
 _T = TypeVar("_T", bound=np.generic)
 # A track that comes back is judged by its new picture. The picture from before it left is added

@@ -15,7 +15,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.nouns import Groups
-from sonarrec.recogniser.stage3_features import Evidence
+from sonarrec.recogniser.stage3 import Evidence
 
 LEAST_BELIEF = 1e-2  # of a frame in the pool: no single frame rules an ID out for good
 LEAST_NOW = 1e-6  # of the frame that is reported: the tables have six digits

@@ -21,7 +21,7 @@ import numpy as np
 from sonarrec.arrays import ByteImage, FloatImage, IntArray
 from sonarrec.geometry import fan_mask
 from sonarrec.nouns import Fan, Frame
-from sonarrec.recogniser.unchanging import BLACK
+from sonarrec.recogniser.restore.static_pixels import BLACK
 
 # A picture is saturated, not merely bright, if this share of its echoes is at the highest levels in
 # excess of what the levels below them suggest. JPEG spreads the highest level over a few.

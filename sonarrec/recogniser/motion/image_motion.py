@@ -15,11 +15,11 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.nouns import Motion
-from sonarrec.recogniser.floor_cells import FloorCells
-from sonarrec.recogniser.keyframes import Keyframes
-from sonarrec.recogniser.pan import PanEstimator
+from sonarrec.recogniser.motion.floor_cells import FloorCells
+from sonarrec.recogniser.motion.keyframes import Keyframes
+from sonarrec.recogniser.motion.pan import PanEstimator
+from sonarrec.recogniser.motion.registration import FloorRegistration, Registration
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.registration import FloorRegistration, Registration
 
 # Least match of a registration that is believed: one that started from the last frame's motion,
 # and one that was searched for. Pictures of different floor match by up to 0.2 (tuning seeds), with

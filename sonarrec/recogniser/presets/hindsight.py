@@ -12,8 +12,8 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.recogniser.estimates import declared
-from sonarrec.recogniser.stage3_features import likeliest
-from sonarrec.recogniser.stage3_features.opinions import NOW, SO_FAR, Opinion, Opinions
+from sonarrec.recogniser.stage3 import likeliest
+from sonarrec.recogniser.stage3.opinions import NOW, SO_FAR, Opinion, Opinions
 
 LEAST_BORNE_OUT = 0.5  # least mean belief of a track's frames in the ID that all of them are given
 

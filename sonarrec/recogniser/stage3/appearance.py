@@ -18,11 +18,11 @@ from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Groups
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3_features import Beliefs, Evidence, likeliest
-from sonarrec.recogniser.stage3_features.description import Describer
-from sonarrec.recogniser.stage3_features.opinions import TrackBelief
-from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
-from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
+from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
+from sonarrec.recogniser.stage3.description import Describer
+from sonarrec.recogniser.stage3.opinions import TrackBelief
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
+from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 
 # Frames of a track from which on an ID is declared, where enough of the disc is in view. Discs
 # fewer than FEW_BEAMS beams wide need more: a single frame hardly shows their symbol.

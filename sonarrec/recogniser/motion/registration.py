@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
-from sonarrec.recogniser.floor_cells import FloorCells
-from sonarrec.recogniser.motion_grid import motion_grid
+from sonarrec.recogniser.motion.floor_cells import FloorCells
+from sonarrec.recogniser.motion.motion_grid import motion_grid
 
 STEPS = 8  # Gauss-Newton steps, at most
 CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad

@@ -25,8 +25,8 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3_features import settled
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands, ShapeSampler
+from sonarrec.recogniser.stage3 import settled
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, Bands, ShapeSampler
 
 # Typical echo levels over the floor, and the noise, dB. Grey levels are logarithms of the power,
 # which changes the shape of a smeared edge. Correlations hardly depend on these levels.

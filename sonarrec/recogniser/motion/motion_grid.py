@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage
-from sonarrec.recogniser.floor_cells import CellPlaces
+from sonarrec.recogniser.motion.floor_cells import CellPlaces
 
 
 class MotionGrid:

@@ -14,7 +14,7 @@ import pytest
 from sonarrec.geometry import PolarToFan, fan_mask
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
-from sonarrec.recogniser.levels import LIFTS, MEAN, OF_GAUSSIAN, SPREAD, Levels
+from sonarrec.recogniser.restore.saturation import LIFTS, MEAN, OF_GAUSSIAN, SPREAD, Levels
 from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record

@@ -8,7 +8,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.config import Continuity
 from sonarrec.nouns import Motion
 from sonarrec.poses import PoseTable
-from sonarrec.recogniser.image_motion import ImageMotion
+from sonarrec.recogniser.motion.image_motion import ImageMotion
 from sonarrec.recogniser.plane import Plane
 
 # The table's turns are compared with the images' where either is at least this large. The table is

@@ -1,0 +1,1 @@
+"""How the sonar moved from frame to frame: from poses, or measured in the images."""

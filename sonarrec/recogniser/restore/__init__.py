@@ -1,0 +1,1 @@
+"""Pictures as the sonar made them: static pixels, saturated levels, beam width."""
