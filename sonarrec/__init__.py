@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from sonarrec.config import preset
     from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.landmarks import load_landmarks
-    from sonarrec.pipeline.frames import Recogniser
-    from sonarrec.pipeline.run import run
     from sonarrec.readers import open_log
     from sonarrec.results.data_frames import read_results
+    from sonarrec.runs.frames import Recogniser
+    from sonarrec.runs.one import run
     from sonarrec.simulation.simulate import simulate
 
 # OpenCV reads this when it is loaded: it refuses image files whose headers state more than
@@ -29,13 +29,13 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Recogniser": "pipeline.frames",
+    "Recogniser": "runs.frames",
     "evaluate": "evaluation.evaluate",
     "load_landmarks": "landmarks",
     "open_log": "readers",
     "preset": "config",
     "read_results": "results.data_frames",
-    "run": "pipeline.run",
+    "run": "runs.one",
     "simulate": "simulation.simulate",
 }
 __all__ = [

@@ -17,8 +17,7 @@ FLOORS = (
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
     {"remote"},
-    {"truth", "pipeline"},
-    {"batch"},
+    {"truth", "runs"},
     {"evaluation", "overlay", "learning", "mapping"},
     {"report"},
     {"simulation"},
@@ -41,7 +40,7 @@ MAY_IMPORT = {
     ),
     "ruamel": ("readers.bag_folder",),
     "google": ("readers.mcap.foxglove",),  # protobuf
-    "distributed": ("batch.cluster",),
+    "distributed": ("runs.cluster",),
     "msgspec": ("files.toml",),
     "tomllib": ("files.toml",),
     "pandas": ("files.tables", "files.parquet", "results.data_frames", "report.mistakes"),
@@ -74,7 +73,7 @@ MAY_IMPORT = {
 # What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
 LIGHT = (
     "cli",
-    "pipeline",
+    "runs",
     "remote.run",
     "simulation.simulate",
     "readers.mcap.images",
@@ -255,16 +254,16 @@ def test_imports_run_downward_only() -> None:
     [
         (
             "geometry",
-            "from sonarrec.pipeline.run import process",
-            "geometry imports uphill from pipeline.run",
+            "from sonarrec.runs.one import process",
+            "geometry imports uphill from runs.one",
         ),
         ("nouns", "from sonarrec import config", "nouns imports uphill from config"),
         ("readers.log", "import sonarrec.results.write", "uphill from results.write"),
         ("recogniser.plane", "def f():\n    from sonarrec.readers import open_log", "from readers"),
         (
             "truth.check",
-            "from sonarrec.pipeline.run import process",
-            "truth.check imports uphill from pipeline.run",
+            "from sonarrec.runs.one import process",
+            "truth.check imports uphill from runs.one",
         ),
         (
             "recogniser.stage2",
@@ -283,17 +282,17 @@ def test_imports_run_downward_only() -> None:
             "from sonarrec.evaluation.counting import passes",
             "uphill from evaluation.counting.passes",
         ),
-        ("pipeline.run", "import click", "pipeline.run must not import click"),
+        ("runs.one", "import click", "runs.one must not import click"),
         ("readers.log", "from tqdm import tqdm", "readers.log must not import tqdm"),
         ("readers.images", "import mcap.reader", "readers.images must not import mcap"),
         ("simulation.world", "def f():\n    import pandas", "must not import pandas"),
         ("results.read", "import requests", "results.read must not import requests"),
         (
-            "pipeline.run",
+            "runs.one",
             "from sonarrec.files.tables import read_table",
-            "pipeline.run loads pandas, by files.tables",
+            "runs.one loads pandas, by files.tables",
         ),
-        ("cli.run", "from sonarrec.pipeline.run import process", "before a command is run"),
+        ("cli.run", "from sonarrec.runs.one import process", "before a command is run"),
         ("", "from sonarrec.readers import open_log", "nothing of ours as it is loaded"),
     ],
 )

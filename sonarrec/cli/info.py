@@ -22,10 +22,10 @@ from sonarrec.errors import MissingError, SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.nouns import Origin
-    from sonarrec.pipeline.radii import RadiusTrials
     from sonarrec.readers.info import LogInfo
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.remote.find import RemoteLog
+    from sonarrec.runs.radii import RadiusTrials
 
 
 @command(short_help="Show what is in a log, and whether it is complete.")
@@ -250,8 +250,8 @@ def _try_radii(
 ) -> RadiusTrials:
     """Recognise a part of the log with several radii. Raises SonarrecError if it cannot be read."""
     from sonarrec.landmarks import load_landmarks
-    from sonarrec.pipeline.radii import try_radii
     from sonarrec.readers import open_log
+    from sonarrec.runs.radii import try_radii
 
     landmark_set = load_landmarks(landmarks or "basin")
     with open_log(path, **reading) as opened, progress(quiet, title="radii") as step:

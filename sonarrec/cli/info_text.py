@@ -9,8 +9,8 @@ from sonarrec.errors import number_of
 from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:
-    from sonarrec.pipeline.radii import RadiusTrials
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
+    from sonarrec.runs.radii import RadiusTrials
 
 
 def lines(info: LogInfo) -> list[str]:

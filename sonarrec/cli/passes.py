@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:
-    from sonarrec.pipeline.run import Summary
     from sonarrec.results.sightings import Sighting
+    from sonarrec.runs.one import Summary
 
 
 def table(summary: Summary, folder: str) -> list[str]:

@@ -50,13 +50,13 @@ from sonarrec.errors import (
 )
 
 if TYPE_CHECKING:
-    from sonarrec.batch.processes import Watch
-    from sonarrec.batch.task import Task
-    from sonarrec.pipeline.prepare import RunOptions
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
     from sonarrec.results.run_file import LogOptions
+    from sonarrec.runs.many import Watch
+    from sonarrec.runs.prepare import RunOptions
+    from sonarrec.runs.task import Task
 
 
 _ODOMETRY = odometry_options(INPUT)
@@ -132,11 +132,11 @@ class _Batch:
 
     def run(self, tasks: list[Task], watch: Watch, jobs: int) -> None:
         """Run the tasks, `jobs` at once. It returns when all have ended."""
-        from sonarrec.batch.cores import cores
-        from sonarrec.batch.processes import run_apart, run_here
+        from sonarrec.runs.cores import cores
+        from sonarrec.runs.many import run_apart, run_here
 
         if self.scheduler is not None:
-            from sonarrec.batch.cluster import run_on_cluster
+            from sonarrec.runs.cluster import run_on_cluster
 
             run_on_cluster(tasks, self.scheduler, watch, self.timeout)
             return
@@ -238,11 +238,11 @@ def run(
       sonarrec run --from-file dives.txt
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
-    from sonarrec.batch.cores import cores
-    from sonarrec.batch.logs_table import LogsTable
     from sonarrec.cli.run_watch import RunWatch
     from sonarrec.files.parquet import check_parquet
-    from sonarrec.pipeline.prepare import RunOptions
+    from sonarrec.runs.cores import cores
+    from sonarrec.runs.logs_table import LogsTable
+    from sonarrec.runs.prepare import RunOptions
 
     log_options = log_choice.log_options(odometry, odometry_topic, frames)
     if tables == "parquet":
@@ -346,10 +346,10 @@ def _tasks(
     cache: CacheChoice,
 ) -> list[Task]:
     """A task for each log. out: the local folder of the results."""
-    from sonarrec.batch.task import Task
-    from sonarrec.pipeline.run import result_names
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.run import RemotePlaces
+    from sonarrec.runs.one import result_names
+    from sonarrec.runs.task import Task
 
     tasks = []
     names = result_names([log if isinstance(log, RemoteLog) else log.path for log in logs])
@@ -368,7 +368,7 @@ def _tasks(
 
 def _again(tasks: list[Task], out: Path, box: Outbox | None) -> tuple[list[Task], int]:
     """The tasks that are failed or partial in logs.csv, and how many have not ended."""
-    from sonarrec.batch.logs_table import NAME, again
+    from sonarrec.runs.logs_table import NAME, again
 
     if box is not None:
         box.fetch(NAME)
@@ -377,7 +377,7 @@ def _again(tasks: list[Task], out: Path, box: Outbox | None) -> tuple[list[Task]
 
 def _plan(tasks: list[Task]) -> None:
     """Print what would be done with each log: --dry-run."""
-    from sonarrec.batch.task import plan_task
+    from sonarrec.runs.task import plan_task
 
     faults = 0
     for task in tasks:

@@ -13,9 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.batch.logs_table import NAME, LogsTable
-from sonarrec.batch.processes import Watch
-from sonarrec.batch.task import Outcome, Task
 from sonarrec.cli.bars import fetching, progress, progress_of_logs
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, say, tell
 from sonarrec.cli.passes import as_json, table
@@ -25,9 +22,12 @@ from sonarrec.errors import (
     number_of,
     printable,
 )
-from sonarrec.pipeline.run import Summary
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import PROGRAM
+from sonarrec.runs.logs_table import NAME, LogsTable
+from sonarrec.runs.many import Watch
+from sonarrec.runs.one import Summary
+from sonarrec.runs.task import Outcome, Task
 
 if TYPE_CHECKING:
     from sonarrec.remote.upload import Outbox

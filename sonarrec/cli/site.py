@@ -73,9 +73,9 @@ def site(
       sonarrec site dive.mcap --tilt-deg 20 --height-m 0.7
       sonarrec site river.avi --contrast 0,6,12 --layouts 8 -o river_site
     """
-    from sonarrec.pipeline.prepare import RunOptions
     from sonarrec.readers.find import find_log
     from sonarrec.results.run_file import read_run
+    from sonarrec.runs.prepare import RunOptions
     from sonarrec.simulation.simulate import check_free
     from sonarrec.simulation.site.assess import assess
     from sonarrec.simulation.site.page import render
@@ -121,7 +121,7 @@ def _completed(given: LogOptions, earlier: RunFile, source: Source) -> LogOption
 
     Raises UsageError if that run used a table of poses that is not given again.
     """
-    from sonarrec.pipeline.prepare import digest_asked, is_same_log
+    from sonarrec.runs.prepare import digest_asked, is_same_log
 
     same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
     log_options = replace(earlier.complete(given, same_log=same_log), frames=given.frames)

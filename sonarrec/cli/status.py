@@ -18,7 +18,7 @@ from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_option
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
-    from sonarrec.batch.logs_table import Row
+    from sonarrec.runs.logs_table import Row
 
 
 @command(short_help="Show the progress of a run over many logs, and what failed.")
@@ -46,7 +46,7 @@ def status(out: Path | str, as_json: bool, cache: CacheChoice) -> None:
 
 
 def _tell(path: Path, out: Path | str, as_json: bool) -> None:
-    from sonarrec.batch.logs_table import read_logs
+    from sonarrec.runs.logs_table import read_logs
 
     if not path.is_file():
         raise UsageError(f"{path}: no such file; `sonarrec run -o {out}` writes it")

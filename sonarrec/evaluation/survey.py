@@ -13,7 +13,6 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TypeVar
 
-from sonarrec.batch.cores import cores
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.counting.parts import Part, part_of
 from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit
@@ -22,6 +21,7 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.results.counted_once import Recording, TruthOf, recording
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import read_log
+from sonarrec.runs.cores import cores
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 

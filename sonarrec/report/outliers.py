@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.batch import logs_table
 from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.pooled import Pooled
@@ -18,6 +17,7 @@ from sonarrec.report.logs import follows_by_default
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings_file import read_sightings
+from sonarrec.runs import logs_table
 
 MOST_OF_A_KIND = 5
 """So many logs at most are named for one reason."""

@@ -19,14 +19,14 @@ from sonarrec import config
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import PolarToFan, polar_from_pixel
-from sonarrec.pipeline.prepare import RunOptions
-from sonarrec.pipeline.run import process
 from sonarrec.readers import open_log
 from sonarrec.readers.beam_order import looks_beam_major
 from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.info import describe
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.results.run_file import LogOptions
+from sonarrec.runs.one import process
+from sonarrec.runs.prepare import RunOptions
 from sonarrec.simulation.mcap_writer import SCHEMAS, is_polar
 from sonarrec.sonar import Sonar
 from tests.support import messages

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.pipeline import radii
-from sonarrec.pipeline.frames import Recogniser
-from sonarrec.pipeline.radii import RadiusTrial, RadiusTrials, try_radii
 from sonarrec.readers import open_log
+from sonarrec.runs import radii
+from sonarrec.runs.frames import Recogniser
+from sonarrec.runs.radii import RadiusTrial, RadiusTrials, try_radii
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.logs import frames, image_folder
 

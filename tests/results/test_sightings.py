@@ -21,13 +21,13 @@ from sonarrec.errors import SonarrecError
 from sonarrec.files import toml
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate, FrameResult
-from sonarrec.pipeline.run import MOST_SIGHTINGS, run
 from sonarrec.poses import pose_table
 from sonarrec.results import sightings_file
 from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.results.sightings_file import read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
+from sonarrec.runs.one import MOST_SIGHTINGS, run
 from tests.results.test_write import tables
 from tests.support.drawn import make_fan
 
@@ -308,7 +308,7 @@ def test_json_is_the_one_thing_on_stdout(results: Path, tmp_path: Path) -> None:
 def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     """Of thirty passes the longest, in order, with the calendar's time."""
     from sonarrec.cli.passes import table
-    from sonarrec.pipeline.run import Summary, _longest
+    from sonarrec.runs.one import Summary, _longest
 
     start = 1_700_000_000 * 10**9
     with ResultsWriter(tmp_path / "dive", BASIN, tables()) as writer:

@@ -24,7 +24,6 @@ import numpy as np
 
 from sonarrec.config import Config, preset
 from sonarrec.landmarks import load_landmarks
-from sonarrec.pipeline.run import run as run_log
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.stage1 import CandidateSelector
@@ -32,6 +31,7 @@ from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
 from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.results.write import ResultsWriter
+from sonarrec.runs.one import run as run_log
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import write_recording

@@ -15,8 +15,8 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlay.overlay import Targets, write_overlay
-from sonarrec.pipeline.run import run as run_log
 from sonarrec.readers import open_log
+from sonarrec.runs.one import run as run_log
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 BUILD = SAMPLES.parent / "build" / "picture"

@@ -16,7 +16,7 @@ BEHAVIOUR = '''
 """Read by every process at its start: logs of these names misbehave while they are read."""
 import fcntl, os, signal, sys, time
 if "sonarrec" in "".join(sys.orig_argv):
-    from sonarrec.batch import task
+    from sonarrec.runs import task
     from sonarrec.readers import log
 
     task.GRACE_S = {grace}

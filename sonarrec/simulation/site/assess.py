@@ -21,11 +21,11 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, FrameResult
-from sonarrec.pipeline.prepare import RunOptions
-from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.results.run_file import LogOptions
+from sonarrec.runs.one import process
+from sonarrec.runs.prepare import RunOptions
 from sonarrec.simulation.background import Background, nearest_floor_m
 from sonarrec.simulation.background_files import DiscLook, write_backgrounds
 from sonarrec.simulation.layout import Layout, draw_layout, truth_of, without_room

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.batch import logs_table, processes
-from sonarrec.batch.logs_table import COLUMNS, LogsTable, read_logs
-from sonarrec.batch.task import Outcome, Task
 from sonarrec.errors import SonarrecError
-from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.results.folders import LockedError
 from sonarrec.results.run_file import LogOptions
+from sonarrec.runs import logs_table, processes
+from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
+from sonarrec.runs.prepare import RunOptions
+from sonarrec.runs.task import Outcome, Task
 from sonarrec.sonar import Sonar
 from tests.support.batch import GRACE_S, SAMPLE, command, environment, made, rows, tables
 from tests.support.command import sonarrec

@@ -14,10 +14,10 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, get_args
 
-from sonarrec.batch.task import Outcome, Status, Task
 from sonarrec.errors import SonarrecError
 from sonarrec.files.outputs import is_filled, replaced
 from sonarrec.results.folders import LockedError, part_of
+from sonarrec.runs.task import Outcome, Status, Task
 
 NAME = "logs.csv"
 WRITE_EVERY_S = 1.0

@@ -1,6 +1,6 @@
 """The process that runs logs: it reads Tasks from stdin and writes progress and Outcomes to stdout.
 
-All are pickled, since both ends are the same program. processes.py is the other end.
+All are pickled, since both ends are the same program. many.py is the other end.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from threading import Thread
 from time import monotonic, sleep
 from typing import IO
 
-from sonarrec.batch.task import GRACE_S, Outcome, Task, run_task
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import FrameResult
+from sonarrec.runs.task import GRACE_S, Outcome, Task, run_task
 
 REPORT_EVERY_S = 0.2
 

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.pipeline.frames import Recogniser
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.three_stages import FRAMEWORK
+from sonarrec.runs.frames import Recogniser
 
 # With a radius that is 5 % off one landmark in twenty is lost, with 10 % half or more (`make
 # stated`): steps of 10 % leave no gap.

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import pytest
 from click.testing import CliRunner
 
-from sonarrec.batch.cluster import run_on_cluster
-from sonarrec.batch.processes import Watch
-from sonarrec.batch.task import Outcome, Task, run_task
 from sonarrec.cli import main
 from sonarrec.config import preset
-from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.results.run_file import LogOptions
+from sonarrec.runs.cluster import run_on_cluster
+from sonarrec.runs.many import Watch
+from sonarrec.runs.prepare import RunOptions
+from sonarrec.runs.task import Outcome, Task, run_task
 from tests.support.batch import SAMPLE, command, environment, made, rows, tables
 from tests.support.command import sonarrec
 
@@ -161,7 +161,7 @@ def test_a_worker_in_another_folder_finds_the_geometry_above_the_log(
 
 
 def test_no_scheduler_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sonarrec.batch.cluster.PATIENCE", "1s")
+    monkeypatch.setattr("sonarrec.runs.cluster.PATIENCE", "1s")
     (log,) = made(tmp_path, "a", frames=2)
     words = ["run", str(log), "--scheduler", "tcp://127.0.0.1:1", "-o", str(tmp_path / "out")]
     done = CliRunner().invoke(main, words)

@@ -6,10 +6,10 @@ import logging
 from time import monotonic, sleep
 from typing import Any
 
-from sonarrec.batch.processes import Watch, Worker
-from sonarrec.batch.task import GRACE_S, Outcome, Task
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import LockedError
+from sonarrec.runs.many import Watch, Worker
+from sonarrec.runs.task import GRACE_S, Outcome, Task
 
 RETRIES = 2
 """How often a task is started again after its worker was lost."""

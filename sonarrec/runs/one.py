@@ -18,8 +18,6 @@ from sonarrec.nouns import (
     FrameResult,
     Stamps,
 )
-from sonarrec.pipeline.frames import Presets, configs_of
-from sonarrec.pipeline.prepare import PreparedRun, RunOptions, prepare
 from sonarrec.readers.find import find_log, log_name, results_name
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.remote.find import RemoteLog
@@ -35,6 +33,8 @@ from sonarrec.results.run_file import (
 from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.results.sightings_file import sightings_in
 from sonarrec.results.write import ResultsWriter
+from sonarrec.runs.frames import Presets, configs_of
+from sonarrec.runs.prepare import PreparedRun, RunOptions, prepare
 from sonarrec.sonar import Sonar, sonar_from
 
 Observe = Callable[[FrameResult, int | None], None]

@@ -17,15 +17,15 @@ from threading import Lock, Thread, Timer
 from time import monotonic
 from typing import IO
 
-from sonarrec.batch.task import GRACE_S, Outcome, Task, run_task
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import FrameResult
 from sonarrec.remote.fetch import fetch_ahead
+from sonarrec.runs.task import GRACE_S, Outcome, Task, run_task
 
 # The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the
 # cores, and OpenCV's threads would only compete.
 _START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-_START += "from sonarrec.batch.worker import main; main()"
+_START += "from sonarrec.runs.worker import main; main()"
 _ONE_THREAD = {"OPENCV_FOR_THREADS_NUM": "1"}
 
 Frames = Callable[[int, int | None], None]

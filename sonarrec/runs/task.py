@@ -10,12 +10,12 @@ from time import monotonic
 from typing import Literal
 
 from sonarrec.errors import SonarrecError, name_as_text
-from sonarrec.pipeline.prepare import RunOptions, prepare
-from sonarrec.pipeline.run import Observe, Summary, process
 from sonarrec.remote.fetch import Progress, fetched, no_progress
 from sonarrec.remote.run import RemotePlaces
 from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import LogOptions, existing_results
+from sonarrec.runs.one import Observe, Summary, process
+from sonarrec.runs.prepare import RunOptions, prepare
 
 Status = Literal["waiting", "running", "done", "partial", "failed"]
 GRACE_S = 10.0
@@ -27,7 +27,7 @@ class Task:
     """A log to run; it can be pickled, and handed to another process or machine."""
 
     path: str  # for a log on a server its URL without secrets
-    name: str  # of its results folder, see pipeline.run.result_names
+    name: str  # of its results folder, see runs.one.result_names
     out: str  # the folder for that folder
     log_options: LogOptions
     run_options: RunOptions

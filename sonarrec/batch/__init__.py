@@ -1,1 +1,0 @@
-"""Runs many logs in one call: in parallel processes or on a cluster, with a table of outcomes."""

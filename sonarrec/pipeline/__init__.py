@@ -1,1 +1,0 @@
-"""One log through the recogniser and onto disk."""

@@ -1,0 +1,1 @@
+"""Logs through the recogniser and onto disk: one, or many at once. All parallelism is here."""
