@@ -18,7 +18,7 @@ import pytest
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError
 from sonarrec.results.run_file import LogOptions
-from sonarrec.runs import logs_table, processes
+from sonarrec.runs import logs_table, many
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.runs.task import Outcome, Task
@@ -66,7 +66,7 @@ def test_logs_whose_process_cannot_be_started_have_failed(
     def refused(_: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    monkeypatch.setattr(processes.Worker, "_start", refused)
+    monkeypatch.setattr(many.Worker, "_start", refused)
     call = ["run", *made(tmp_path, "a", "b", frames=1), "-j", "2", "-o", tmp_path / "out"]
     told = sonarrec(*call, code=1).stderr
     assert f"{tmp_path / 'a'}: no process could be started for it (Too many open files)" in told
@@ -77,10 +77,10 @@ def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch)
     def broken(*_: object) -> Outcome:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(processes.Worker, "run", broken)
+    monkeypatch.setattr(many.Worker, "run", broken)
     tasks = [Task(name, name, "out", LogOptions(), RunOptions([])) for name in "ab"]
     with pytest.raises(ZeroDivisionError):
-        processes.run_apart(tasks, 2, processes.Watch())
+        many.run_apart(tasks, 2, many.Watch())
 
 
 def test_a_name_too_long_costs_that_log_only(tmp_path: Path) -> None:
