@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
-    from sonarrec.results.data_frames import read_results
+    from sonarrec.results.read import read_results
     from sonarrec.runs.frames import Recogniser
     from sonarrec.runs.one import run
     from sonarrec.simulation.simulate import simulate
@@ -34,7 +34,7 @@ _HOMES = {
     "load_landmarks": "landmarks",
     "open_log": "readers",
     "preset": "config",
-    "read_results": "results.data_frames",
+    "read_results": "results.read",
     "run": "runs.one",
     "simulate": "simulation.simulate",
 }

@@ -43,7 +43,7 @@ MAY_IMPORT = {
     "distributed": ("runs.cluster",),
     "msgspec": ("files.toml",),
     "tomllib": ("files.toml",),
-    "pandas": ("files.tables", "files.parquet", "results.data_frames", "report.mistakes"),
+    "pandas": ("files.tables", "files.parquet", "results.read", "report.mistakes"),
     "pyarrow": ("files.parquet",),
     "matplotlib": ("evaluation.plots", "mapping.picture", "report.svg", "truth.contact_sheet"),
     "fsspec": ("remote.store",),

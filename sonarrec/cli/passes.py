@@ -67,7 +67,7 @@ def as_json(summary: Summary, folder: str, sightings: Path) -> dict[str, Any]:
 
     folder: where its results are. sightings: their sightings.csv.
     """
-    from sonarrec.results.sightings_file import sightings_in
+    from sonarrec.results.sightings import sightings_in
 
     return {
         "folder": folder,

@@ -25,8 +25,8 @@ from sonarrec.evaluation.matching.pairs import (
     usable_pairs,
 )
 from sonarrec.evaluation.survey import LogToScore, SurveyedLog, UnreadableLog, map_logs, survey
-from sonarrec.results.counted_once import counted_once
 from sonarrec.results.read import find_logs, read_frames
+from sonarrec.results.same_log import counted_once
 from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import of_other_logs, rows_on_frames
 from sonarrec.truth.table import TruthTable, read_truth

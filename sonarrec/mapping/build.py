@@ -18,10 +18,10 @@ from sonarrec.mapping.passes import find_passes, read_declared
 from sonarrec.mapping.path import Drift, SonarPath, path_from_poses
 from sonarrec.mapping.poses_of_run import digest, poses_of_run
 from sonarrec.poses import PoseTable
-from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, cut_short, read_run
+from sonarrec.results.same_log import Recording, counted_once, recording
 from sonarrec.results.sightings import check_follows
 from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar

@@ -16,8 +16,7 @@ from sonarrec.nouns import follows
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run
-from sonarrec.results.sightings import Sighting
-from sonarrec.results.sightings_file import read_sightings
+from sonarrec.results.sightings import Sighting, read_sightings
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 

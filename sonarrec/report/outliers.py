@@ -16,7 +16,7 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.report.logs import follows_by_default
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import read_run
-from sonarrec.results.sightings_file import read_sightings
+from sonarrec.results.sightings import read_sightings
 from sonarrec.runs import logs_table
 
 MOST_OF_A_KIND = 5

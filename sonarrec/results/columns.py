@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from sonarrec.nouns import Estimate, FrameResult, Stamps
-from sonarrec.results.sightings import Sighting
 
 if TYPE_CHECKING:
     from sonarrec.files.tables import Kind  # imports pandas, which a run does not need
@@ -96,56 +94,6 @@ def belief_names(ids: Sequence[int]) -> list[str]:
 
 def _belief(name: str, k: int) -> Column[Estimate]:
     return Column(name, lambda _, e: f"{e.probabilities[k]:.6f}", "share")
-
-
-@dataclass(frozen=True, slots=True)
-class SightingColumn:
-    """One column of sightings.csv, with the name of a field of Sighting.
-
-    digits: after the decimal point; None: a whole number or a name. blank: whether the cell may be
-    empty, for a value that is not known.
-    """
-
-    name: str
-    digits: int | None = None
-    blank: bool = False
-
-    def cell(self, sighting: Sighting) -> object:
-        """The cell."""
-        value = getattr(sighting, self.name)
-        if self.digits is None:
-            return value
-        return "" if math.isnan(value) else f"{value:.{self.digits}f}"
-
-    def value(self, text: str) -> object:
-        """The value of a cell. Raises ValueError if the cell is invalid."""
-        if self.name == "method":
-            return text
-        if self.blank and not text:
-            return None if self.digits is None else math.nan
-        return int(text) if self.digits is None else float(text)
-
-
-SIGHTING_COLUMNS = (
-    SightingColumn("method"),
-    SightingColumn("landmark"),
-    SightingColumn("track", blank=True),
-    SightingColumn("first_frame"),
-    SightingColumn("last_frame"),
-    SightingColumn("start_ns"),
-    SightingColumn("end_ns"),
-    SightingColumn("frames_declared"),
-    SightingColumn("mean_score", 6),
-    SightingColumn("best_score", 6),
-    SightingColumn("range_m", 4, blank=True),
-    SightingColumn("bearing_deg", 3, blank=True),
-    SightingColumn("orientation_deg", 1, blank=True),
-    SightingColumn("range_sigma_m", 4, blank=True),
-    SightingColumn("bearing_sigma_deg", 3, blank=True),
-    SightingColumn("orientation_sigma_deg", 1, blank=True),
-    SightingColumn("x_m", 4, blank=True),
-    SightingColumn("y_m", 4, blank=True),
-)
 
 
 def kinds(columns: Iterable[Column[Part]]) -> dict[str, Kind]:

@@ -1,13 +1,111 @@
-"""Checks that results belong to a log."""
+"""Which recording results are of: checks against a log, and each recording counts once."""
 
 from __future__ import annotations
 
+import hashlib
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
+from sonarrec.arrays import IntArray
 from sonarrec.errors import SonarrecError, number_of
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_frames
 from sonarrec.results.run_file import RunFile
+
+Recording = tuple[str | None, Hashable]
+"""What identifies a recording: its SHA-256, None if not known, and a further key."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruthOf:
+    """A log's rows of a ground-truth table."""
+
+    file: Path
+    name: str
+    """Name of the log."""
+    rows: int
+    """How many there are."""
+    digest: str
+    """Hash over the rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class CountedOnce:
+    """Which of several results count, by index, and the messages about the others."""
+
+    kept: list[int]
+    notes: list[str]
+    unused: list[str]
+
+
+def counted_once(
+    folders: Sequence[Path],
+    recordings: Sequence[Recording],
+    frames: Callable[[int], IntArray],
+    action: str,
+    truths: Sequence[TruthOf] | None = None,
+) -> CountedOnce:
+    """Keep the first results of each recording; copies would count as independent logs.
+
+    Results of different frames of one recording all count.
+
+    recordings: from `recording`. frames: gives the frame numbers of the i-th results; it is called
+    only if two have one recording. action: what a command does with the results, such as "scored".
+    truths: the truth of each, if there is any; that of copies is not used.
+    """
+    selection = CountedOnce([], [], [])
+    first: dict[Recording, list[int]] = defaultdict(list)
+    for i, folder in enumerate(folders):
+        counted = first[recordings[i]]
+        twin = next((k for k in counted if np.intersect1d(frames(k), frames(i)).size), None)
+        if twin is None:
+            selection.kept.append(i)
+            counted.append(i)
+            continue
+        digest = recordings[i][0]
+        by = f"SHA-256 {digest[:12]}..." if digest else "by its tables"
+        line = f"{folder}: the same log as {folders[twin]} ({by}), which counts once"
+        if _tables(folder) != _tables(folders[twin]):
+            selection.unused.append(f"{line}; these other results of it are not {action}")
+        elif truths is not None and (message := _unused_truth(truths[i], truths[twin])):
+            selection.unused.append(f"{line}; {message}")
+        else:
+            selection.notes.append(line)
+    return selection
+
+
+def recording(folder: Path, run: RunFile, estimates: int) -> Recording:
+    """What identifies a recording: SHA-256 and topic; if run.toml lacks them, the tables' contents.
+
+    estimates: how many there are.
+    """
+    if run.input.recording:
+        return run.input.recording
+    # Tables without estimates may be equal by chance; then run.toml or the folder tells them apart.
+    place = None if estimates or run.table else folder.resolve()
+    return None, (_tables(folder), str(run.table), place)
+
+
+def _tables(folder: Path) -> str:
+    digest = hashlib.sha256()
+    for path in (folder / "frames.csv", estimates_of(folder)):
+        with path.open("rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()
+
+
+def _unused_truth(truth: TruthOf, first: TruthOf) -> str | None:
+    """A message on a truth that is not used; None if it equals the one that is used."""
+    if truth.digest == first.digest:
+        return None
+    if truth.file != first.file:
+        return f"its other truth, {truth.file}, is not used"
+    return f"its rows for {truth.name} in {truth.file} are not used" if truth.rows else None
 
 
 class RecordedLog(Protocol):

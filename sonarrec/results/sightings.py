@@ -1,20 +1,32 @@
-"""Sightings: one for each pass of a landmark, collected frame by frame."""
+"""Sightings: one for each pass of a landmark, collected frame by frame, written and read."""
 
 from __future__ import annotations
 
+import csv
 import math
-from collections import defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
 
-from sonarrec.errors import UsageError
+import numpy as np
+
+from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, follows
 from sonarrec.poses import PoseTable
+from sonarrec.results.folders import estimates_of
+from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.sonar import Sonar
 
 PASS_GAP = 10
 """A pass ends after so many frames without a declaration."""
+ROWS = 20_000
+"""Rows of estimates.csv that are read at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +62,36 @@ class Sighting:
     x_m: float
     y_m: float
 
+    def cells(self) -> Iterator[object]:
+        """The row of sightings.csv, by SIGHTING_COLUMNS."""
+        for name in SIGHTING_COLUMNS:
+            value = getattr(self, name)
+            if name not in _DIGITS:
+                yield value
+            else:
+                yield "" if math.isnan(value) else f"{value:.{_DIGITS[name]}f}"
+
+
+SIGHTING_COLUMNS = tuple(f.name for f in fields(Sighting))
+_DIGITS = {
+    **{"mean_score": 6, "best_score": 6},
+    **{"range_m": 4, "bearing_deg": 3, "orientation_deg": 1},
+    **{"range_sigma_m": 4, "bearing_sigma_deg": 3, "orientation_sigma_deg": 1},
+    **{"x_m": 4, "y_m": 4},
+}
+"""After the decimal point in sightings.csv; the other columns are names and whole numbers."""
+
+
+def _value(name: str, text: str) -> object:
+    """The value of a cell of sightings.csv. Raises ValueError if the cell is invalid."""
+    if name == "method":
+        return text
+    if name == "track" and not text:
+        return None
+    if name in _DIGITS:
+        return float(text) if text or name.endswith("score") else math.nan
+    return int(text)
+
 
 def check_follows(method: str) -> None:
     """Raise UsageError if the method has no tracks."""
@@ -58,27 +100,12 @@ def check_follows(method: str) -> None:
 
 
 @dataclass(slots=True)
-class _Mean:
-    """The mean of the known values."""
-
-    total: float = 0.0
-    count: int = 0
-
-    def add(self, value: float) -> None:
-        if not math.isnan(value):
-            self.total += value
-            self.count += 1
-
-    def value(self) -> float:
-        return self.total / self.count if self.count else math.nan
-
-
-@dataclass(slots=True)
 class _Pass:
     """A pass that has not ended; fields as in `Sighting`.
 
-    period_deg: the rotation after which the symbol looks the same. first_turn_deg: the first known
-    orientation. means: the means by name.
+    period_deg: the rotation after which the symbol looks the same. first_orientation_deg: the first
+    known one. total, count: (10,) sums over the known values, and how many these are, in the order
+    of `add`.
     """
 
     method: str
@@ -91,37 +118,41 @@ class _Pass:
     end_ns: int = 0
     frames_declared: int = 0
     best_score: float = 0.0
-    first_turn_deg: float = math.nan
-    means: dict[str, _Mean] = field(default_factory=lambda: defaultdict(_Mean))
+    first_orientation_deg: float = math.nan
+    total: FloatArray = field(default_factory=lambda: np.zeros(10))
+    count: IntArray = field(default_factory=lambda: np.zeros(10, np.int64))
 
     def add(
-        self, frame: int, timestamp_ns: int, estimate: Estimate, place: tuple[float, float]
+        self, frame: int, timestamp_ns: int, estimate: Estimate, position: tuple[float, float]
     ) -> None:
-        """Add a declaration. place: (x, y) on the floor, m, NaN if not known."""
+        """Add a declaration. position: (x, y) on the floor, m, NaN if not known."""
         self.frames_declared += frame != self.last_frame
         self.last_frame, self.end_ns = frame, timestamp_ns
         self.best_score = max(self.best_score, estimate.score)
-        if math.isnan(self.first_turn_deg):
-            self.first_turn_deg = estimate.orientation_deg
+        if math.isnan(self.first_orientation_deg):
+            self.first_orientation_deg = estimate.orientation_deg
         # Scaled so that rotations after which the symbol looks the same are equal.
-        turn = math.radians(estimate.orientation_deg * 360 / self.period_deg)
-        for name, value in (
-            ("score", estimate.score),
-            ("range", estimate.range_m),
-            ("bearing", estimate.bearing_deg),
-            ("cos", math.cos(turn)),
-            ("sin", math.sin(turn)),
-            ("range_sigma", estimate.range_sigma_m**2),
-            ("bearing_sigma", estimate.bearing_sigma_deg**2),
-            ("orientation_sigma", estimate.orientation_sigma_deg**2),
-            ("x", place[0]),
-            ("y", place[1]),
-        ):
-            self.means[name].add(value)
+        rotation = math.radians(estimate.orientation_deg * 360 / self.period_deg)
+        values = np.array(
+            [
+                *(estimate.score, estimate.range_m, estimate.bearing_deg),
+                *(math.cos(rotation), math.sin(rotation)),
+                *(estimate.range_sigma_m**2, estimate.bearing_sigma_deg**2),
+                *(estimate.orientation_sigma_deg**2, *position),
+            ]
+        )
+        known = ~np.isnan(values)
+        self.total += np.where(known, values, 0.0)
+        self.count += known
 
     def as_sighting(self) -> Sighting:
         """The pass as a row of sightings.csv."""
-        mean = {name: mean.value() for name, mean in self.means.items()}
+        means = np.where(self.count > 0, self.total / np.maximum(self.count, 1), np.nan).tolist()
+        score, range_m, bearing, cos, sin, *squares, x, y = means
+        range_sigma, bearing_sigma, orientation_sigma = map(math.sqrt, squares)
+        # Of equivalent directions the one nearest to the first orientation.
+        mean = math.degrees(math.atan2(sin, cos)) * self.period_deg / 360
+        first = self.first_orientation_deg
         return Sighting(
             method=self.method,
             landmark=self.landmark,
@@ -131,24 +162,17 @@ class _Pass:
             start_ns=self.start_ns,
             end_ns=self.end_ns,
             frames_declared=self.frames_declared,
-            mean_score=mean["score"],
+            mean_score=score,
             best_score=self.best_score,
-            range_m=mean["range"],
-            bearing_deg=mean["bearing"],
-            orientation_deg=self._turn_deg(mean["cos"], mean["sin"]),
-            range_sigma_m=math.sqrt(mean["range_sigma"]),
-            bearing_sigma_deg=math.sqrt(mean["bearing_sigma"]),
-            orientation_sigma_deg=math.sqrt(mean["orientation_sigma"]),
-            x_m=mean["x"],
-            y_m=mean["y"],
+            range_m=range_m,
+            bearing_deg=bearing,
+            orientation_deg=(first + math.remainder(mean - first, self.period_deg)) % 360,
+            range_sigma_m=range_sigma,
+            bearing_sigma_deg=bearing_sigma,
+            orientation_sigma_deg=orientation_sigma,
+            x_m=x,
+            y_m=y,
         )
-
-    def _turn_deg(self, cos: float, sin: float) -> float:
-        """The mean direction; of equivalent ones that nearest to the first orientation."""
-        turn = math.degrees(math.atan2(sin, cos)) * self.period_deg / 360
-        return (
-            self.first_turn_deg + math.remainder(turn - self.first_turn_deg, self.period_deg)
-        ) % 360
 
 
 class Sightings:
@@ -164,18 +188,17 @@ class Sightings:
 
     def add(self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate]) -> list[Sighting]:
         """Add the next frame; returns the passes that ended before it, in order of their ends."""
-        ended = [p for p in self._open.values() if frame - p.last_frame > PASS_GAP]
-        for pass_ in ended:
-            del self._open[pass_.method, pass_.landmark, pass_.track]
+        ended = {k: p for k, p in self._open.items() if frame - p.last_frame > PASS_GAP}
+        for key in ended:
+            del self._open[key]
         for e in estimates:
             if not e.declared:
                 continue
-            track = e.object if e.followed else None
-            key = e.method, e.landmark, track
+            key = e.method, e.landmark, e.object if e.followed else None
             if key not in self._open:
                 self._open[key] = _Pass(*key, frame, timestamp_ns, self._period_deg[e.landmark])
-            self._open[key].add(frame, timestamp_ns, e, self._place(timestamp_ns, e))
-        return _in_order(ended)
+            self._open[key].add(frame, timestamp_ns, e, self._on_floor(timestamp_ns, e))
+        return _in_order(ended.values())
 
     def close_all(self) -> list[Sighting]:
         """End and return the open passes."""
@@ -183,17 +206,86 @@ class Sightings:
         self._open.clear()
         return _in_order(ended)
 
-    def _place(self, timestamp_ns: int, estimate: Estimate) -> tuple[float, float]:
+    def _on_floor(self, timestamp_ns: int, estimate: Estimate) -> tuple[float, float]:
         """(x, y) on the floor in the frame of the poses, m; NaN if not known."""
-        place = None
+        position = None
         if self._fan is not None and self._poses is not None:
-            away = float(ground_range(self._fan, estimate.range_m))
+            ground = float(ground_range(self._fan, estimate.range_m))
             bearing = math.radians(estimate.bearing_deg)
-            place = self._poses.place(
-                timestamp_ns, away * math.sin(bearing), away * math.cos(bearing)
-            )
-        return place or (math.nan, math.nan)
+            right, ahead = ground * math.sin(bearing), ground * math.cos(bearing)
+            position = self._poses.place(timestamp_ns, right, ahead)
+        return position or (math.nan, math.nan)
 
 
-def _in_order(passes: list[_Pass]) -> list[Sighting]:
+def _in_order(passes: Iterable[_Pass]) -> list[Sighting]:
     return [p.as_sighting() for p in sorted(passes, key=lambda p: (p.last_frame, p.first_frame))]
+
+
+def read_sightings(
+    folder: Path, landmarks: str | None = None, sonar: Sonar | None = None
+) -> Iterator[Sighting]:
+    """The passes in one log's results, in order of their ends.
+
+    They are read from sightings.csv if the results are finished, else computed from frames.csv and
+    estimates.csv, without positions on the floor.
+    landmarks, sonar: as in `read.read_log`. Raises SonarrecError if a file cannot be used.
+    """
+    run, path = read_run(folder / "run.toml"), folder / "sightings.csv"
+    if run.finished and path.is_file():
+        return sightings_in(path)
+    return iter(_compute_sightings(folder, run, landmarks, sonar))
+
+
+def sightings_in(path: Path) -> Iterator[Sighting]:
+    """The rows of a sightings.csv. Raises SonarrecError, with the line, for an invalid row."""
+    line = 1
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            for row in csv.DictReader(file):
+                line += 1
+                values: dict[str, Any] = {n: _value(n, row[n]) for n in SIGHTING_COLUMNS}
+                yield Sighting(**values)
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    except KeyError as error:
+        raise SonarrecError(f"{path}: wrong columns, no {error.args[0]}") from None
+    except (csv.Error, TypeError, ValueError) as error:
+        raise SonarrecError(f"{path} line {line}: no sighting ({error})") from None
+
+
+def _compute_sightings(
+    folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
+) -> list[Sighting]:
+    # They import pandas, which a run does not need.
+    from sonarrec.results.read import estimate_tables, read_frames
+    from sonarrec.results.stream import estimates_in
+
+    frames = read_frames(folder)
+    times = frames.get("timestamp_ns", np.zeros(len(frames["frame"]), dtype=np.int64))
+    time_of = dict(zip(frames["frame"].tolist(), times.tolist(), strict=True))
+    landmark_set, fan = run.landmark_set(landmarks), run.fan(sonar)
+
+    def declared() -> Iterator[tuple[int, Estimate]]:
+        for _, table in estimate_tables(estimates_of(folder), landmark_set, ROWS):
+            rows = np.flatnonzero(table["declared"])
+            for _, frame, estimate in estimates_in(table, rows, landmark_set, fan):
+                if frame in time_of:
+                    yield frame, estimate
+
+    sightings = _passes(Sightings(landmark_set), declared(), time_of)
+    if sightings is None:  # a table of another program, which must be sorted in memory
+        sightings = _passes(Sightings(landmark_set), sorted(declared(), key=itemgetter(0)), time_of)
+    return sightings or []
+
+
+def _passes(
+    gathered: Sightings, declared: Iterable[tuple[int, Estimate]], time_of: Mapping[int, int]
+) -> list[Sighting] | None:
+    """The passes of (frame, estimate) pairs; None if the frames are not in order."""
+    sightings, last = list[Sighting](), -1
+    for frame, group in groupby(declared, key=itemgetter(0)):
+        if frame < last:
+            return None
+        sightings += gathered.add(frame, time_of[frame], (e for _, e in group))
+        last = frame
+    return [*sightings, *gathered.close_all()]

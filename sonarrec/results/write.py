@@ -18,9 +18,9 @@ from sonarrec.files.outputs import replaced
 from sonarrec.files.parquet import convert
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import NO_STAMPS, FrameResult, Stamps
-from sonarrec.results.columns import FRAME_COLUMNS, SIGHTING_COLUMNS, estimate_columns
+from sonarrec.results.columns import FRAME_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
-from sonarrec.results.sightings import Sighting, Sightings
+from sonarrec.results.sightings import SIGHTING_COLUMNS, Sighting, Sightings
 
 
 class _Table:
@@ -109,9 +109,7 @@ class ResultsWriter:
             self._write_run(finished=False)
             self._estimates = _Table(self._part / "estimates.csv", [c.name for c in self._columns])
             self._frames = _Table(self._part / "frames.csv", [c.name for c in FRAME_COLUMNS])
-            self._sightings = _Table(
-                self._part / "sightings.csv", [c.name for c in SIGHTING_COLUMNS]
-            )
+            self._sightings = _Table(self._part / "sightings.csv", SIGHTING_COLUMNS)
         except OSError as error:
             release(folder, self._lock)
             raise self._unwritable(error) from None
@@ -148,7 +146,7 @@ class ResultsWriter:
 
     def _seen(self, ended: Sequence[Sighting]) -> None:
         if ended:
-            self._sightings.append([c.cell(s) for c in SIGHTING_COLUMNS] for s in ended)
+            self._sightings.append([*s.cells()] for s in ended)
 
     def finish(self, problems: Sequence[str], unusable: int = 0) -> list[str]:
         """End a complete run: replace older results. Returns the notes of `exchange`.

@@ -30,8 +30,7 @@ from sonarrec.results.run_file import (
     frame_span,
     span_text,
 )
-from sonarrec.results.sightings import Sighting, Sightings
-from sonarrec.results.sightings_file import sightings_in
+from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.frames import Presets, configs_of
 from sonarrec.runs.prepare import PreparedRun, RunOptions, prepare

@@ -21,9 +21,8 @@ from sonarrec.errors import SonarrecError
 from sonarrec.files import parquet
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import FrameResult
-from sonarrec.results.data_frames import read_results
 from sonarrec.results.folders import estimates_of, part_of
-from sonarrec.results.read import estimate_tables, read_log
+from sonarrec.results.read import estimate_tables, read_log, read_results
 from sonarrec.results.write import ResultsWriter
 from tests.support.command import SAMPLE, sonarrec
 

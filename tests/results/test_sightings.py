@@ -22,10 +22,9 @@ from sonarrec.files import toml
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.poses import pose_table
-from sonarrec.results import sightings_file
+from sonarrec.results import sightings
 from sonarrec.results.folders import part_of
-from sonarrec.results.sightings import Sighting, Sightings
-from sonarrec.results.sightings_file import read_sightings, sightings_in
+from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import MOST_SIGHTINGS, run
 from tests.results.test_write import tables
@@ -260,7 +259,7 @@ def test_passes_are_worked_out_of_rows_in_any_order(tmp_path: Path) -> None:
 def test_passes_are_worked_out_in_memory_that_does_not_grow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sightings_file, "ROWS", 500)
+    monkeypatch.setattr(sightings, "ROWS", 500)
     monkeypatch.setattr(toml, "MAX_LENGTH", 2**16)  # of the landmark set, for which room is made
 
     def peak(times: int) -> int:

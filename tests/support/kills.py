@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.results.folders import part_of, restore
-from sonarrec.results.sightings_file import read_sightings, sightings_in
+from sonarrec.results.sightings import read_sightings, sightings_in
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
