@@ -82,8 +82,7 @@ def map_(
     """
     from sonarrec.mapping.build import MapOptions, make_map
     from sonarrec.mapping.path import Drift
-    from sonarrec.mapping.tables import lines
-    from sonarrec.mapping.write import write_all
+    from sonarrec.mapping.write import lines, write_all
 
     folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
     if out is None:
@@ -101,15 +100,15 @@ def map_(
     )
     site = make_map(folders, options)
     write_all(out, site, on_earth)
-    tell(site.problems, site.notes)
+    tell(site.diagnostics.problems, site.diagnostics.notes)
     if not quiet:
         say(f"{out}: {number_of(len(site.logs), 'log')}", *(f"  {line}" for line in lines(site)))
-    end(site.problems)
+    end(site.diagnostics.problems)
 
 
 def _origin(text: str) -> Any:
     """The GeographicOrigin of LAT,LON,HEADING. Raises UsageError if it is invalid."""
-    from sonarrec.mapping.tables import GeographicOrigin
+    from sonarrec.mapping.axes import GeographicOrigin
 
     origin = GeographicOrigin(*_numbers("--origin", text, 3))
     if not (abs(origin.latitude_deg) < 90 and abs(origin.longitude_deg) <= 180):
@@ -122,7 +121,7 @@ def _drift(text: str) -> Any:
     from sonarrec.mapping.path import Drift
 
     drift = Drift(*_numbers("--drift", text, 2))
-    if min(drift.place_m, drift.yaw_deg) < 0:
+    if min(drift.position_m, drift.yaw_deg) < 0:
         raise UsageError(f"--drift {text}: standard errors must not be negative")
     return drift
 

@@ -318,7 +318,7 @@ def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None
 
 def _write_odometry(path: Path, out: Path | str, name: str, cache: CacheChoice) -> None:
     """Write the path of the sonar from the results of a log, which may be on a server."""
-    from sonarrec.mapping.measured import write_path
+    from sonarrec.mapping.path import write_path
     from sonarrec.remote.run import RemoteFiles, inside
 
     with ExitStack() as stack:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 from operator import itemgetter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import FloatArray
 from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import SiteMap
@@ -19,11 +18,11 @@ from sonarrec.mapping.join import MappedLog, frame_shares
 from sonarrec.mapping.passes import (
     COMMON_SHARE,
     HEIGHT_SIGMA_M,
-    LEAST_PLACE_M,
-    LEAST_TURN_DEG,
+    LEAST_ORIENTATION_DEG,
+    LEAST_POSITION_M,
+    ORIENTATION_SIGMA_DEG,
     SAME_FRAMES,
-    TURN_SIGMA_DEG,
-    periods_of,
+    Pass,
 )
 
 FACTOR_COLUMNS = (
@@ -35,137 +34,111 @@ PER_PASS = 5
 """Most measurements that are taken from one pass."""
 # Given poses without drift are exact, but the numbers in a graph must be finite.
 LEAST_STEP_M, LEAST_STEP_DEG = 0.001, 0.01
-UNKNOWN_TURN_DEG = 1e3
+UNKNOWN_ORIENTATION_DEG = 1e3
+
+Vertices = dict[tuple[int, int], int]
+"""The numbers of the poses in a graph by (index of the log, row of its path), rising. Those of the
+landmarks follow, in the order of the map."""
 
 
-@dataclass(frozen=True, slots=True)
-class Factors:
-    """Measurements of landmarks from poses, n of them.
+class Factor(NamedTuple):
+    """The measurement of a landmark from a pose.
 
-    log: (n,) index of the map's log. row: (n,) of the log's path. number: (n,) index of the map's
-    landmark. slant_m: (n,) slant range. measured: (n, 3) ground range (m), bearing and orientation
-    (deg, as in estimates.csv; NaN if not known). If the symbol looks the same after a turn, it is
-    the orientation next to the map's. sigma: (n, 3) standard errors, so large that all measurements
-    of a pass, taken as independent, weigh as much as the pass, and passes that share frames as much
-    as one.
+    log: index of the map's log. row: of the log's path. number: index of the map's landmark.
+    slant_m: slant range. measured: ground range (m), bearing and orientation (deg, as in
+    estimates.csv; NaN if not known). If the symbol looks the same after a rotation, it is the
+    orientation next to the map's. sigma: standard errors, so large that all measurements of a pass,
+    taken as independent, weigh as much as the pass, and passes that share frames as much as one.
     """
 
-    log: IntArray
-    row: IntArray
-    number: IntArray
-    slant_m: FloatArray
-    measured: FloatArray
-    sigma: FloatArray
+    log: int
+    row: int
+    number: int
+    slant_m: float
+    measured: tuple[float, float, float]
+    sigma: tuple[float, float, float]
 
 
-def factors(site: SiteMap) -> Factors:
+def factors(site: SiteMap) -> list[Factor]:
     """The measurements of every landmark of the map: at most PER_PASS from each of its passes."""
-    rows: list[FloatArray] = [np.empty((0, 10))]
+    found: list[Factor] = []
     for number, landmark in enumerate(site.landmarks):
-        for g, members in groupby(landmark.members, key=itemgetter(0)):
-            passes = [k for _, k in members]
-            for k, share in zip(passes, frame_shares(site.logs[g], passes), strict=True):
-                of_pass = _of_pass(site, number, g, k)
-                of_pass[:, 7:] /= math.sqrt(share)
-                rows.append(of_pass)
-    table = np.concatenate(rows)
-    table = table[np.lexsort([table[:, 2], table[:, 1], table[:, 0]])]
-    log, row, number = table[:, :3].astype(np.int64).T
-    return Factors(log, row, number, table[:, 3], table[:, 4:7], table[:, 7:10])
+        for log, members in groupby(landmark.members, key=itemgetter(0)):
+            passes = [one for _, one in members]
+            for one, share in zip(passes, frame_shares(passes), strict=True):
+                found += _of_pass(site, number, log, one, share)
+    return sorted(found, key=itemgetter(0, 1, 2))
 
 
-def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
-    """(n, 10) measurements from one pass of a landmark.
-
-    The columns are log, row, number, slant range, three of `measured` and three of `sigma`.
-    """
-    log, landmark = site.logs[g], site.landmarks[number]
-    passes, declared = log.passes, log.declared
-    length = int(passes.estimates[k])
-    take = np.unique(np.linspace(0, length - 1, min(length, PER_PASS)).round().astype(int))
-    estimates = passes.order[passes.begin[k] + take]
-    row, (slant, bearing, turn) = declared.row[estimates], declared.polar[estimates].T
-    ground = ground_range(log.fan, slant)
-    period = float(periods_of(site.landmark_set, np.array([landmark.id]))[0])
+def _of_pass(site: SiteMap, number: int, log: int, one: Pass, share: float) -> list[Factor]:
+    """The measurements from one pass of a landmark. share: from `frame_shares`."""
+    landmark, path, fan = site.landmarks[number], site.logs[log].path, site.logs[log].fan
+    length = len(one.row)
+    chosen = np.unique(np.linspace(0, length - 1, min(length, PER_PASS)).round().astype(int))
+    row, (slant, bearing, orientation) = one.row[chosen], one.polar[chosen].T
+    ground = ground_range(fan, slant)
+    period = _period_deg(site, landmark.id)
     if math.isnan(period):
-        turn = np.full(len(row), np.nan)
-    elif not math.isnan(landmark.turn_deg):
-        off = turn - (landmark.turn_deg + log.path.pose[row, 0])
-        turn = turn - period * np.round(off / period)
+        orientation = np.full(len(row), np.nan)
+    elif not math.isnan(landmark.orientation_deg):
+        offset = orientation - (landmark.orientation_deg + path.pose[row, 0])
+        orientation = orientation - period * np.round(offset / period)
     # The share of a frame's variance that remains in the mean of the pass.
-    share = COMMON_SHARE + (1 - COMMON_SHARE) * min(SAME_FRAMES, length) / length
-    own = declared.sigma[estimates].T * np.array(
-        [slant / ground, np.ones(len(row)), np.ones(len(row))]
-    )
-    least = [
-        np.hypot(LEAST_PLACE_M, HEIGHT_SIGMA_M * floor_depth(log.fan) / ground),
-        np.degrees(LEAST_PLACE_M / ground),
-        np.full(len(row), math.hypot(LEAST_TURN_DEG, TURN_SIGMA_DEG)),
-    ]
-    sigma = np.sqrt(len(row) * (share * own**2 + np.square(least)))
+    remaining = COMMON_SHARE + (1 - COMMON_SHARE) * min(SAME_FRAMES, length) / length
     same = np.ones(len(row))
-    measured = [ground, bearing, turn % 360]
-    return np.column_stack([g * same, row, number * same, slant, *measured, *sigma])
+    own = one.sigma[chosen].T * np.array([slant / ground, same, same])
+    least = [
+        np.hypot(LEAST_POSITION_M, HEIGHT_SIGMA_M * floor_depth(fan) / ground),
+        np.degrees(LEAST_POSITION_M / ground),
+        np.full(len(row), math.hypot(LEAST_ORIENTATION_DEG, ORIENTATION_SIGMA_DEG)),
+    ]
+    sigma = np.sqrt(len(row) * (remaining * own**2 + np.square(least))) / math.sqrt(share)
+    measured = np.column_stack([ground, bearing, orientation % 360])
+    columns = (row.tolist(), slant.tolist(), measured.tolist(), sigma.T.tolist())
+    return [
+        Factor(log, at, number, slant_m, tuple(values), tuple(errors))
+        for at, slant_m, values, errors in zip(*columns, strict=True)
+    ]
 
 
-def write_factors(path: Path, site: SiteMap, measurements: Factors, graph: Graph) -> None:
+def _period_deg(site: SiteMap, landmark: int) -> float:
+    index = site.landmark_set.ids.index(landmark)
+    return float(site.landmark_set.periods_deg()[index])
+
+
+def pose_vertices(site: SiteMap, measurements: list[Factor]) -> Vertices:
+    """The poses in the graph: those of measurements, and the first and last known of each log."""
+    poses = {(one.log, one.row) for one in measurements}
+    for log, mapped in enumerate(site.logs):
+        known = mapped.path.known.tolist()
+        poses |= {(log, row) for row in known[:1] + known[-1:]}
+    return {pose: vertex for vertex, pose in enumerate(sorted(poses))}
+
+
+def write_factors(
+    path: Path, site: SiteMap, measurements: list[Factor], vertices: Vertices
+) -> None:
     """Write factors.csv: a row per measurement."""
-
-    def rows() -> Iterator[list[object]]:
-        for n in range(len(measurements.log)):
-            log = site.logs[measurements.log[n]]
-            ground, bearing, turn = measurements.measured[n].tolist()
-            sigma = measurements.sigma[n].tolist()
-            known = not math.isnan(turn)
-            yield [
-                log.name,
-                int(log.path.frame[measurements.row[n]]),
-                int(log.path.timestamp_ns[measurements.row[n]]),
-                graph.vertex(int(measurements.log[n]), int(measurements.row[n])),
-                graph.first_landmark + int(measurements.number[n]),
-                int(measurements.number[n]) + 1,
-                site.landmarks[measurements.number[n]].id,
-                f"{measurements.slant_m[n]:.4f}",
-                f"{ground:.4f}",
-                f"{bearing:.3f}",
-                f"{turn:.2f}" if known else "",
-                f"{sigma[0]:.4f}",
-                f"{sigma[1]:.3f}",
+    rows = []
+    for one in measurements:
+        log, landmark = site.logs[one.log], site.landmarks[one.number]
+        (ground, bearing, orientation), sigma = one.measured, one.sigma
+        known = not math.isnan(orientation)
+        rows.append(
+            [
+                *(log.name, log.path.frame[one.row], log.path.timestamp_ns[one.row]),
+                *(vertices[one.log, one.row], len(vertices) + one.number),
+                *(one.number + 1, landmark.id),
+                *(f"{one.slant_m:.4f}", f"{ground:.4f}", f"{bearing:.3f}"),
+                f"{orientation:.2f}" if known else "",
+                *(f"{sigma[0]:.4f}", f"{sigma[1]:.3f}"),
                 f"{sigma[2]:.2f}" if known else "",
             ]
-
-    write_csv(path, FACTOR_COLUMNS, rows())
-
-
-@dataclass(frozen=True, slots=True)
-class Graph:
-    """The vertices of a pose graph: poses of the logs, one log after the other, then landmarks.
-
-    rows: of each log the (n,) frames whose poses are in it, as indices of its path, rising.
-    first: the number of each log's first vertex. first_landmark: that of the first landmark.
-    """
-
-    rows: list[IntArray]
-    first: list[int]
-    first_landmark: int
-
-    def vertex(self, log: int, row: int) -> int:
-        """The number of the pose in a frame of a log."""
-        return self.first[log] + int(np.searchsorted(self.rows[log], row))
+        )
+    write_csv(path, FACTOR_COLUMNS, rows)
 
 
-def graph_of(site: SiteMap, measurements: Factors) -> Graph:
-    """The graph's poses: those of measurements, and the first and last known pose of each log."""
-    rows = []
-    for g, log in enumerate(site.logs):
-        known = np.flatnonzero(np.isfinite(log.path.pose).all(axis=1))
-        ends = known[[0, -1]] if len(known) else known
-        rows.append(np.unique(np.concatenate([ends, measurements.row[measurements.log == g]])))
-    first = np.cumsum([0, *(len(r) for r in rows)]).tolist()
-    return Graph(rows, first[:-1], first[-1])
-
-
-def write_g2o(path: Path, site: SiteMap, measurements: Factors, graph: Graph) -> None:
+def write_g2o(path: Path, site: SiteMap, measurements: list[Factor], vertices: Vertices) -> None:
     """Write graph.g2o: poses and landmarks as VERTEX_SE2, motion and measurements as EDGE_SE2.
 
     The axes are those of back ends: x ahead and y to the left of a sonar whose yaw is 0, angles
@@ -173,61 +146,57 @@ def write_g2o(path: Path, site: SiteMap, measurements: Factors, graph: Graph) ->
     first pose of each log is fixed.
     """
     lines = []
-    poses = [_se2(log.path.pose[rows]) for log, rows in zip(site.logs, graph.rows, strict=True)]
-    for first, trail in zip(graph.first, poses, strict=True):
-        lines += [_vertex(first + n, pose) for n, pose in enumerate(trail.tolist())]
-    for n, landmark in enumerate(site.landmarks):
-        turn = 0.0 if math.isnan(landmark.turn_deg) else math.radians(landmark.turn_deg - 90)
-        lines.append(
-            _vertex(graph.first_landmark + n, [landmark.place[1], -landmark.place[0], turn])
-        )
-    for log, rows, first, trail in zip(site.logs, graph.rows, graph.first, poses, strict=True):
-        for n in range(len(rows) - 1):
-            step, covariance = _step(log, rows[n], rows[n + 1], trail[n], trail[n + 1])
-            lines.append(_edge(first + n, first + n + 1, step, np.linalg.inv(covariance)))
-    for n in range(len(measurements.log)):
-        ground, bearing, turn = measurements.measured[n].tolist()
-        sigma = measurements.sigma[n].copy()
-        if math.isnan(turn):
-            turn, sigma[2] = 0.0, UNKNOWN_TURN_DEG
+    for (log, row), vertex in vertices.items():
+        lines.append(_vertex(vertex, *_se2(site.logs[log], row)))
+    for n, landmark in enumerate(site.landmarks, len(vertices)):
+        known = not math.isnan(landmark.orientation_deg)
+        angle = math.radians(landmark.orientation_deg - 90) if known else 0.0
+        lines.append(_vertex(n, landmark.position[1], -landmark.position[0], angle))
+    fixed = []
+    for log, poses in groupby(vertices, key=itemgetter(0)):
+        rows = [row for _, row in poses]
+        fixed.append(f"FIX {vertices[log, rows[0]]}")
+        for before, after in pairwise(rows):
+            step, covariance = _step(site.logs[log], before, after)
+            ends = vertices[log, before], vertices[log, after]
+            lines.append(_edge(*ends, step, np.linalg.inv(covariance)))
+    for one in measurements:
+        (ground, bearing, orientation), sigma = one.measured, np.array(one.sigma)
+        if math.isnan(orientation):
+            orientation, sigma[2] = 0.0, UNKNOWN_ORIENTATION_DEG
         angle = math.radians(bearing)
-        measured = [ground * math.cos(angle), -ground * math.sin(angle), math.radians(turn - 90)]
+        cos, sin = math.cos(angle), math.sin(angle)
+        measured = [ground * cos, -ground * sin, math.radians(orientation - 90)]
         # Along the line of sight and across it, in the axes ahead and to the left.
-        along = np.array([math.cos(angle), -math.sin(angle), 0])
-        across = np.array([math.sin(angle), math.cos(angle), 0]) * ground * math.radians(1)
-        turned = np.array([0, 0, math.radians(1)])
-        errors = np.column_stack([along, across, turned]) * sigma
-        pose = graph.vertex(int(measurements.log[n]), int(measurements.row[n]))
-        information = np.linalg.inv(errors @ errors.T)
-        lines.append(
-            _edge(pose, graph.first_landmark + int(measurements.number[n]), measured, information)
-        )
+        along = np.array([cos, -sin, 0])
+        across = np.array([sin, cos, 0]) * ground * math.radians(1)
+        errors = np.column_stack([along, across, [0, 0, math.radians(1)]]) * sigma
+        ends = vertices[one.log, one.row], len(vertices) + one.number
+        lines.append(_edge(*ends, measured, np.linalg.inv(errors @ errors.T)))
     # At the end, because GTSAM stops reading at such a line.
-    lines += [f"FIX {first}" for first, trail in zip(graph.first, poses, strict=True) if len(trail)]
-    write_text(path, "\n".join([*lines, ""]))
+    write_text(path, "\n".join([*lines, *fixed, ""]))
 
 
-def _se2(pose: FloatArray) -> FloatArray:
-    """(n, 3) x ahead, y left, angle counter-clockwise (rad) of (n, 3) yaw (deg), right, ahead."""
-    yaw, right, ahead = pose.T
-    return np.column_stack([ahead, -right, -np.radians(yaw)])
+def _se2(log: MappedLog, row: int) -> tuple[float, float, float]:
+    """x ahead, y left (m) and the angle counter-clockwise (rad) of a pose."""
+    yaw, right, ahead = log.path.pose[row].tolist()
+    return ahead, -right, -math.radians(yaw)
 
 
-def _step(
-    log: MappedLog, before: int, after: int, start: FloatArray, end: FloatArray
-) -> tuple[list[float], FloatArray]:
+def _step(log: MappedLog, before: int, after: int) -> tuple[list[float], FloatArray]:
     """The motion between two poses as seen from the first, and its covariance."""
+    start, end = np.array(_se2(log, before)), np.array(_se2(log, after))
     cos, sin = math.cos(start[2]), math.sin(start[2])
-    away, turn = end[:2] - start[:2], (end[2] - start[2] + math.pi) % (2 * math.pi) - math.pi
+    rotation = (end[2] - start[2] + math.pi) % (2 * math.pi) - math.pi
     into = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
     axes = into @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, -1]])
     covariance = axes @ log.path.step_covariance(before, after) @ axes.T
     least = np.square([LEAST_STEP_M, LEAST_STEP_M, math.radians(LEAST_STEP_DEG)])
-    return [*(into[:2, :2] @ away).tolist(), turn], covariance + np.diag(least)
+    shift = into[:2, :2] @ (end[:2] - start[:2])
+    return [*shift.tolist(), rotation], covariance + np.diag(least)
 
 
-def _vertex(number: int, pose: list[float]) -> str:
-    x, y, angle = pose
+def _vertex(number: int, x: float, y: float, angle: float) -> str:
     return f"VERTEX_SE2 {number} {x:.6f} {y:.6f} {math.remainder(angle, 2 * math.pi):.8f}"
 
 

@@ -14,17 +14,15 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.files.tables import Table, line_number
+from sonarrec.files.tables import line_number
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
 from sonarrec.nouns import Fan
 from sonarrec.results.read import estimate_tables
-from sonarrec.results.sightings import PASS_GAP
-from sonarrec.results.stream import positions
+from sonarrec.results.sightings import PASS_GAP, ROWS
+from sonarrec.results.stream import SIGMAS, positions
 
-ROWS = 20_000
-"""Rows of estimates.csv that are read at a time."""
 # How errors are correlated within a pass, chosen on tuning seeds of `make maps`.
 COMMON_SHARE = 0.5
 """Share of the variance that is common to all frames of a pass."""
@@ -32,9 +30,9 @@ SAME_FRAMES = 6.0
 """Number of frames over which the rest of the error is the same."""
 # Standard errors that come on top of those of the frames, because rings are not even and sonars
 # heave. They are independent from pass to pass.
-LEAST_PLACE_M = 0.003
-LEAST_TURN_DEG = 1.0
-TURN_SIGMA_DEG = 2.7
+LEAST_POSITION_M = 0.003
+LEAST_ORIENTATION_DEG = 1.0
+ORIENTATION_SIGMA_DEG = 2.7
 """Standard error of the orientation that is common to all passes of a landmark: how its symbol
 looks through the beam."""
 HEIGHT_SIGMA_M = 0.015
@@ -63,35 +61,39 @@ class DeclaredEstimates:
     strays: int
 
 
-@dataclass(frozen=True, slots=True)
-class Passes:
-    """All passes of one log, n of them, in order of their first frames.
+@dataclass(frozen=True, slots=True, eq=False)
+class Pass:
+    """One pass of m estimates, placed on the floor.
 
-    landmark, track: (n,). estimates: (n,) how many each has. score: (n,) mean.
-    first, last, middle: (n,) indices of frames in the path. place: (n, 2) x, y in the path's axes,
-    m. covariance: (n, 2, 2) of the place, without the path's error, m^2. lean: (n, 2) by how much
-    the place moves per metre of error in the height. turn_deg: (n,) where the first sector begins,
-    counter-clockwise from the x axis; NaN if not known. turn_sigma_deg: (n,) its standard error.
-    near_m, far_m: (n,) least and largest ground range. order: (m,) indices of the estimates, sorted
-    by pass. begin: (n,) where each pass begins in `order`.
+    score: the mean. row: (m,) frames as indices of the path, rising. polar, sigma: (m, 3) as in
+    DeclaredEstimates. position: (2,) x, y in the path's axes, m. covariance: (2, 2) of the
+    position, without the path's error, m^2. lean: (2,) by how much the position moves per metre of
+    error in the height. orientation_deg: where the first sector begins, counter-clockwise from the
+    x axis; NaN if not known. orientation_sigma_deg: its standard error. near_m, far_m: least and
+    largest ground range. drift: (2, 2) covariance of the position by the path's error up to here,
+    m^2. drift_yaw: the variance of the heading by it, deg^2.
     """
 
-    landmark: IntArray
-    track: IntArray
-    estimates: IntArray
-    score: FloatArray
-    first: IntArray
-    last: IntArray
-    middle: IntArray
-    place: FloatArray
+    landmark: int
+    track: int
+    score: float
+    row: IntArray
+    polar: FloatArray
+    sigma: FloatArray
+    position: FloatArray
     covariance: FloatArray
     lean: FloatArray
-    turn_deg: FloatArray
-    turn_sigma_deg: FloatArray
-    near_m: FloatArray
-    far_m: FloatArray
-    order: IntArray
-    begin: IntArray
+    orientation_deg: float
+    orientation_sigma_deg: float
+    near_m: float
+    far_m: float
+    drift: FloatArray
+    drift_yaw: float
+
+    @property
+    def middle(self) -> int:
+        """The frame in the middle, as an index of the path."""
+        return int(self.row[len(self.row) // 2])
 
 
 def read_declared(
@@ -99,8 +101,8 @@ def read_declared(
 ) -> DeclaredEstimates:
     """The declared estimates of a method. frame: (F,) the numbers in frames.csv, rising.
 
-    Raises SonarrecError if the table cannot be read, or if a declared estimate has no place or no
-    track.
+    Raises SonarrecError if the table cannot be read, or if a declared estimate has no position or
+    no track.
     """
     parts: list[FloatArray] = [np.empty((0, 10))]
     strays = 0
@@ -109,14 +111,18 @@ def read_declared(
         listed = np.isin(table["frame"], frame)
         strays += int(np.count_nonzero(declared & ~listed))
         chosen = np.flatnonzero(declared & listed)
-        rows = _columns(table, fan)[chosen]
-        if (rows[:, 2] < 0).any():  # two landmarks of one ID could not be kept apart
+        blank = np.full(len(declared), np.nan)
+        names = ("frame", "landmark", "object", "score")
+        measured = [table.get(name, blank) for name in ("orientation_deg", *SIGMAS)]
+        columns = [*(table.get(n, blank) for n in names), *positions(table, fan)[2:], *measured]
+        rows = np.column_stack(columns)[chosen]
+        if not (rows[:, 2] >= 0).all():  # two landmarks of one ID could not be kept apart
             raise SonarrecError(
                 f"{path}: a track needs object; not every declared row of {method} has it"
             )
-        without_place = ~np.isfinite(rows[:, 4:6]).all(axis=1)
-        if without_place.any():
-            line = line_number(path, first + int(chosen[np.argmax(without_place)]))
+        lacking = ~np.isfinite(rows[:, 4:6]).all(axis=1)
+        if lacking.any():
+            line = line_number(path, first + int(chosen[np.argmax(lacking)]))
             raise SonarrecError(
                 f"{path} line {line}: no position: neither x_px,y_px nor range_m,bearing_deg"
             )
@@ -134,177 +140,97 @@ def read_declared(
     )
 
 
-def _columns(table: Table, fan: Fan) -> FloatArray:
-    """(rows, 10) of a table of estimates; NaN for what it does not state, track -1.
-
-    The columns are frame, landmark, track, score, then slant range, bearing and orientation, then
-    the standard errors of these three.
-    """
-    blank = np.full(len(table["frame"]), np.nan)
-    _, _, range_m, bearing_deg = positions(table, fan)
-    return np.column_stack(
-        [
-            table["frame"],
-            table["landmark"],
-            np.asarray(table.get("object", np.full(len(blank), -1)), dtype=float),
-            table["score"],
-            range_m,
-            bearing_deg,
-            *(
-                np.asarray(table.get(name, blank), dtype=float)
-                for name in (
-                    "orientation_deg",
-                    "range_sigma_m",
-                    "bearing_sigma_deg",
-                    "orientation_sigma_deg",
-                )
-            ),
-        ]
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Runs:
-    """The estimates of n passes, one pass after the other.
-
-    order: (m,) indices of the estimates. begin: (n,) where each pass begins in `order`.
-    """
-
-    order: IntArray
-    begin: IntArray
-
-    @property
-    def length(self) -> IntArray:
-        """(n,) number of estimates in each pass."""
-        return np.diff(np.append(self.begin, len(self.order)))
-
-    def sum(self, values: np.ndarray) -> np.ndarray:
-        """(n, ...) sums over each pass of (m, ...) values."""
-        return self.reduced(np.add, values)
-
-    def reduced(self, operation: np.ufunc, values: np.ndarray) -> np.ndarray:
-        """(n, ...) an operation such as np.minimum over each pass of (m, ...) values."""
-        if not len(self.begin):  # NumPy refuses
-            return values[:0]
-        return np.asarray(operation.reduceat(values, self.begin, axis=0))
-
-    def by(self, key: IntArray) -> _Runs:
-        """The passes sorted by (n,) key; those of equal key stay in order."""
-        if not len(self.begin):
-            return self
-        rank = np.argsort(key, kind="stable")
-        length = self.length[rank]
-        begin = np.cumsum(length) - length
-        moved = np.arange(len(self.order)) - np.repeat(begin - self.begin[rank], length)
-        return _Runs(self.order[moved], begin)
-
-
 def find_passes(
     estimates: DeclaredEstimates, path: SonarPath, landmarks: LandmarkSet, fan: Fan
-) -> Passes:
-    """The passes of a log, placed on the floor.
+) -> list[Pass]:
+    """The passes of a log, placed on the floor, in order of their first frames.
 
     Estimates are left out if their frame has no pose, or if they are nearer than the floor.
     """
     ground = ground_range(fan, estimates.polar[:, 0])
-    usable = np.flatnonzero(np.isfinite(path.pose[estimates.row]).all(axis=1) & (ground > 0))
-    number = path.frame[estimates.row]
-    order = usable[
-        np.lexsort([number[usable], estimates.track[usable], estimates.landmark[usable]])
+    usable = np.isfinite(path.pose[estimates.row]).all(axis=1) & (ground > 0)
+    order = np.lexsort([estimates.row, estimates.track, estimates.landmark])
+    order = order[usable[order]]
+    landmark, track = estimates.landmark[order], estimates.track[order]
+    gap = np.diff(path.frame[estimates.row[order]])
+    ends = (np.diff(landmark) != 0) | (np.diff(track) != 0) | (gap > PASS_GAP)
+    periods_deg = dict(zip(landmarks.ids, landmarks.periods_deg().tolist(), strict=True))
+    passes = [
+        _placed(estimates, one, path, periods_deg[int(estimates.landmark[one[0]])], fan)
+        for one in np.split(order, np.flatnonzero(ends) + 1)
+        if len(one)
     ]
-    cut = np.ones(len(order), dtype=bool)
-    same = (np.diff(estimates.landmark[order]) == 0) & (np.diff(estimates.track[order]) == 0)
-    cut[1:] = ~same | (np.diff(number[order]) > PASS_GAP)
-    begin = np.flatnonzero(cut)
-    runs = _Runs(order, begin).by(estimates.row[order[begin]])
-    return _placed(estimates, path, landmarks, fan, runs)
+    return sorted(passes, key=lambda found: int(found.row[0]))
 
 
 def _placed(
-    estimates: DeclaredEstimates, path: SonarPath, landmarks: LandmarkSet, fan: Fan, runs: _Runs
-) -> Passes:
-    """The passes on the floor: weighted means of their estimates, with covariances."""
-    order, begin, length = runs.order, runs.begin, runs.length
-    row, slant = estimates.row[order], estimates.polar[order, 0]
+    estimates: DeclaredEstimates, chosen: IntArray, path: SonarPath, period_deg: float, fan: Fan
+) -> Pass:
+    """One pass on the floor: the weighted mean of its estimates (m,), with its covariance."""
+    row, polar, sigma = estimates.row[chosen], estimates.polar[chosen], estimates.sigma[chosen]
+    slant, bearing, orientation = polar.T
     ground = ground_range(fan, slant)
     yaw, x, y = path.pose[row].T
-    sight = np.radians(yaw + estimates.polar[order, 1])
+    sight = np.radians(yaw + bearing)
     along = np.column_stack([np.sin(sight), np.cos(sight)])
     across = np.column_stack([np.cos(sight), -np.sin(sight)])
-    place = np.column_stack([x, y]) + ground[:, None] * along
-    # Ground range grows with slant range by the inverse of the grazing angle's cosine.
+    # (m, 2, 2): columns are one standard error along and across the line of sight. Ground range
+    # grows with slant range by the inverse of the grazing angle's cosine.
     errors = np.stack(
         [
-            along * (estimates.sigma[order, 0] * slant / ground)[:, None],
-            across * (ground * np.radians(estimates.sigma[order, 1]))[:, None],
+            along * (sigma[:, 0] * slant / ground)[:, None],
+            across * (ground * np.radians(sigma[:, 1]))[:, None],
         ],
         axis=-1,
     )
     weight = 1 / (errors**2).sum(axis=(1, 2))
-    weight /= np.repeat(runs.sum(weight), length)
-    turn, turn_sigma = _turns(estimates, landmarks, runs, yaw)
-    return Passes(
-        landmark=estimates.landmark[order][begin],
-        track=estimates.track[order][begin],
-        estimates=length,
-        score=runs.sum(estimates.score[order]) / length,
-        first=row[begin],
-        last=row[begin + length - 1],
-        middle=row[begin + length // 2],
-        place=runs.sum(weight[:, None] * place),
-        covariance=_covariance(runs, weight, errors),
-        lean=runs.sum(weight[:, None] * along * (-floor_depth(fan) / ground)[:, None]),
-        turn_deg=turn,
-        turn_sigma_deg=turn_sigma,
-        near_m=runs.reduced(np.minimum, ground),
-        far_m=runs.reduced(np.maximum, ground),
-        order=order,
-        begin=begin,
+    weight /= weight.sum()
+    common = (weight[:, None, None] * errors).sum(axis=0)
+    own = (weight[:, None, None] ** 2 * (errors @ errors.transpose(0, 2, 1))).sum(axis=0)
+    covariance = COMMON_SHARE * common @ common.T
+    covariance += (1 - COMMON_SHARE) * min(SAME_FRAMES, len(row)) * own
+    covariance += LEAST_POSITION_M**2 * np.eye(2)
+    position = (weight[:, None] * (np.column_stack([x, y]) + ground[:, None] * along)).sum(axis=0)
+    direction, direction_sigma = _mean_orientation(orientation - yaw, sigma[:, 2], period_deg)
+    middle = row[[len(row) // 2]]
+    return Pass(
+        landmark=int(estimates.landmark[chosen[0]]),
+        track=int(estimates.track[chosen[0]]),
+        score=float(estimates.score[chosen].mean()),
+        row=row,
+        polar=polar,
+        sigma=sigma,
+        position=position,
+        covariance=covariance,
+        lean=(weight[:, None] * along * (-floor_depth(fan) / ground)[:, None]).sum(axis=0),
+        orientation_deg=direction,
+        orientation_sigma_deg=direction_sigma,
+        near_m=float(ground.min()),
+        far_m=float(ground.max()),
+        drift=path.position_covariance(middle, position[None])[0],
+        drift_yaw=float(path.yaw_variance(middle)[0]),
     )
 
 
-def _covariance(runs: _Runs, weight: FloatArray, errors: FloatArray) -> FloatArray:
-    """(n, 2, 2) covariance of the weighted mean place of each pass, m^2.
+def _mean_orientation(
+    orientation_deg: FloatArray, sigma_deg: FloatArray, period_deg: float
+) -> tuple[float, float]:
+    """The mean orientation on the floor, and its standard error, deg; NaN if not known.
 
-    weight: (m,). errors: (m, 2, 2) of each estimate; columns are one standard error along and
-    across the line of sight.
+    orientation_deg, sigma_deg: (m,). If a symbol looks the same after a rotation of less than 360
+    deg, the mean lies within that rotation; period_deg is NaN if it does after every one.
     """
-    common = runs.sum(weight[:, None, None] * errors)
-    own = runs.sum(weight[:, None, None] ** 2 * (errors @ errors.transpose(0, 2, 1)))
-    together = np.minimum(SAME_FRAMES, runs.length)[:, None, None]
-    return np.asarray(
-        COMMON_SHARE * common @ common.transpose(0, 2, 1)
-        + (1 - COMMON_SHARE) * together * own
-        + LEAST_PLACE_M**2 * np.eye(2)
-    )
-
-
-def _turns(
-    estimates: DeclaredEstimates, landmarks: LandmarkSet, runs: _Runs, yaw_deg: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(n,) mean orientation on the floor, and its standard error, deg; NaN if not known.
-
-    yaw_deg: (m,) of the sonar. If a symbol looks the same after a turn of less than 360 deg, the
-    mean lies within that turn.
-    """
-    fold = 360 / periods_of(landmarks, estimates.landmark[runs.order])
-    angle = np.exp(1j * np.radians((estimates.polar[runs.order, 2] - yaw_deg) * fold))
-    sigma = estimates.sigma[runs.order, 2]
+    angle = np.exp(1j * np.radians(orientation_deg * (360 / period_deg)))
     known = np.isfinite(angle)
-    weight = np.where(known, 1 / sigma**2, 0.0)
-    total = np.maximum(runs.sum(weight), 1e-12)
-    mean = runs.sum(weight * np.where(known, angle, 0))
-    together = np.minimum(SAME_FRAMES, runs.length)
+    weight = 1 / sigma_deg[known] ** 2
+    mean = (weight * angle[known]).sum()
+    if abs(mean) == 0:
+        return np.nan, np.nan
+    total = weight.sum()
     variance = (
-        COMMON_SHARE * (runs.sum(weight * sigma) / total) ** 2
-        + (1 - COMMON_SHARE) * together / total
-        + LEAST_TURN_DEG**2
+        COMMON_SHARE * ((weight * sigma_deg[known]).sum() / total) ** 2
+        + (1 - COMMON_SHARE) * min(SAME_FRAMES, len(orientation_deg)) / total
+        + LEAST_ORIENTATION_DEG**2
     )
-    is_known = np.abs(mean) > 0
-    turn = np.where(is_known, (np.degrees(np.angle(mean)) % 360) / fold[runs.begin], np.nan)
-    return turn, np.where(is_known, np.sqrt(variance), np.nan)
-
-
-def periods_of(landmarks: LandmarkSet, ids: IntArray) -> FloatArray:
-    """(n,) `LandmarkSet.periods_deg` of these IDs (n,)."""
-    return np.asarray(landmarks.periods_deg()[landmarks.indices(ids)])
+    direction = (np.degrees(np.angle(mean)) % 360) * period_deg / 360
+    return float(direction), float(np.sqrt(variance))

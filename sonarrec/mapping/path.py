@@ -1,35 +1,46 @@
 """The sonar's path over one log, and how its error grows along it.
 
-Every step has an error of its own: a shift, and a turn about the sonar's place at that time. The
-turn moves all places that are seen later, the far ones most. Measured motion also has an error that
-is common to all steps: each is too long or too short by the same share. Sums over the steps give
-the error of a place in any frame, or of one place relative to another, in closed form.
+Every step has an error of its own: a shift, and a rotation about the sonar's position at that time.
+The rotation moves all positions that are seen later, the far ones most. Measured motion also has an
+error that is common to all steps: each is too long or too short by the same share. Sums over the
+steps give the error of a position in any frame, or of one relative to another, in closed form.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.errors import Diagnostics, SonarrecError
+from sonarrec.files.outputs import write_csv, writing
+from sonarrec.files.tables import Kind, Table, read_table
 from sonarrec.poses import PoseTable
 
 # Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
-# depend on the stated height and on the floor being flat. The turn of a sonar that stands is
-# measured across the beams only, with a bias towards whole beams (up to 4 % on tuning seeds).
-COMMON_LENGTH, COMMON_TURN = 0.006, 0.03
+# depend on the stated height and on the floor being flat. The rotation of a sonar that stands
+# is measured across the beams only, with a bias towards whole beams (up to 4 % on tuning seeds).
+COMMON_LENGTH, COMMON_ROTATION = 0.006, 0.03
+
+FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
+MOVED = ("dyaw_deg", "dx_m", "dy_m")
+MOVED_SIGMA = ("dyaw_sigma_deg", "dx_sigma_m", "dy_sigma_m")
+"""Columns of frames.csv with the measured motion since the previous frame, and its standard errors:
+rotation to the right, shift to the right, shift ahead, in the axes of the previous frame."""
+PATH_COLUMNS = ("timestamp_ns", "yaw", "x", "y", "yaw_sigma_deg", "x_sigma_m", "y_sigma_m")
 
 
 @dataclass(frozen=True, slots=True)
 class Drift:
     """Standard error of given poses after one minute; it grows with the square root of the time.
 
-    place_m: of the place, along each axis. yaw_deg: of the heading.
+    position_m: of the position, along each axis. yaw_deg: of the heading.
     """
 
-    place_m: float = 0.0
+    position_m: float = 0.0
     yaw_deg: float = 0.0
 
 
@@ -41,9 +52,9 @@ class SonarPath:
     x and y (m; to the right and ahead of a sonar whose yaw is 0); NaN if not known. from_poses:
     whether the path comes from a table or topic of poses; else it was measured, from the first
     frame on. sums: (F, 9) over the steps up to each frame, see `_sums`. common: (F, 3) sums over
-    the turns of a measured path while the sonar stood: of the turn (rad), and of the turn times x
-    and times y. origin: (2,) the first known place. In the sums, x and y are relative to it, since
-    squares of large coordinates, such as UTM's, would leave few digits.
+    the rotations of a measured path while the sonar stood: of the rotation (rad), and of the
+    rotation times x and times y. origin: (2,) the first known position. In the sums, x and y are
+    relative to it, since squares of large coordinates, such as UTM's, would leave few digits.
     """
 
     frame: IntArray
@@ -54,16 +65,21 @@ class SonarPath:
     common: FloatArray
     origin: FloatArray
 
-    def place_covariance(
-        self, row: IntArray, place: FloatArray, since: IntArray | None = None
-    ) -> FloatArray:
-        """(n, 2, 2) covariance that the path's error adds to places seen in some frames, m^2.
+    @property
+    def known(self) -> IntArray:
+        """(n,) the frames, as indices, whose poses are known."""
+        return np.flatnonzero(np.isfinite(self.pose).all(axis=1))
 
-        row: (n,) indices of the frames. place: (n, 2) m. since: (n,) frames, earlier or later,
+    def position_covariance(
+        self, row: IntArray, position: FloatArray, since: IntArray | None = None
+    ) -> FloatArray:
+        """(n, 2, 2) covariance that the path's error adds to what is seen in some frames, m^2.
+
+        row: (n,) indices of the frames. position: (n, 2) m. since: (n,) frames, earlier or later,
         relative to which the error counts; None: the beginning of the path.
         """
         s = self._between(row, since)
-        x, y = (place - self.origin).T
+        x, y = (position - self.origin).T
         xx = s[:, 0] + s[:, 3] * y**2 - 2 * y * s[:, 5] + s[:, 8]
         xy = s[:, 1] - s[:, 3] * x * y + x * s[:, 5] + y * s[:, 4] - s[:, 7]
         yy = s[:, 2] + s[:, 3] * x**2 - 2 * x * s[:, 4] + s[:, 6]
@@ -72,22 +88,22 @@ class SonarPath:
             return own
         began = np.zeros_like(row) if since is None else since
         length = COMMON_LENGTH * (self.pose[row, 1:] - self.pose[began, 1:])
-        turned = self._turned(row, began, place)[:, :2]
-        return np.asarray(own + sum(e[:, :, None] * e[:, None] for e in (length, turned)))
+        rotated = self._rotated(row, began, position)[:, :2]
+        return np.asarray(own + sum(e[:, :, None] * e[:, None] for e in (length, rotated)))
 
-    def _turned(self, row: IntArray, since: IntArray, place: FloatArray) -> FloatArray:
-        """(n, 3) by how much COMMON_TURN moves a place (x, y in m) and turns the heading (rad).
+    def _rotated(self, row: IntArray, since: IntArray, position: FloatArray) -> FloatArray:
+        """(n, 3) by how much COMMON_ROTATION moves a position (x, y in m) and the heading (rad).
 
-        The arguments are as in `place_covariance`.
+        The arguments are as in `position_covariance`.
         """
-        turn, at_x, at_y = (COMMON_TURN * (self.common[row] - self.common[since])).T
-        x, y = (place - self.origin).T
-        return np.column_stack([turn * y - at_y, at_x - turn * x, turn])
+        angle, at_x, at_y = (COMMON_ROTATION * (self.common[row] - self.common[since])).T
+        x, y = (position - self.origin).T
+        return np.column_stack([angle * y - at_y, at_x - angle * x, angle])
 
     def yaw_variance(self, row: IntArray, since: IntArray | None = None) -> FloatArray:
-        """(n,) variance of the heading, deg^2. The arguments are as in `place_covariance`."""
+        """(n,) variance of the heading, deg^2. The arguments are as in `position_covariance`."""
         common = self.common[row, 0] - (0 if since is None else self.common[since, 0])
-        variance = self._between(row, since)[:, 3] + (COMMON_TURN * common) ** 2
+        variance = self._between(row, since)[:, 3] + (COMMON_ROTATION * common) ** 2
         return np.asarray(np.degrees(np.degrees(variance)))
 
     def _between(self, row: IntArray, since: IntArray | None) -> FloatArray:
@@ -101,16 +117,16 @@ class SonarPath:
 
         It is of x, y (m) and yaw (rad), in the path's axes.
         """
-        place = self.pose[[after], 1:]
+        position = self.pose[[after], 1:]
         s = self.sums[after] - self.sums[before]
-        x, y = place[0] - self.origin
+        x, y = position[0] - self.origin
         cross = np.array([s[3] * y - s[5], -(s[3] * x - s[4])])
         rows = np.array([after]), np.array([before])
-        turned = self._turned(*rows, place)[0]
+        rotated = self._rotated(*rows, position)[0]
         covariance = np.empty((3, 3))
-        covariance[:2, :2] = self.place_covariance(rows[0], place, rows[1])[0]
-        covariance[2, :2] = covariance[:2, 2] = cross + turned[:2] * turned[2]
-        covariance[2, 2] = s[3] + turned[2] ** 2
+        covariance[:2, :2] = self.position_covariance(rows[0], position, rows[1])[0]
+        covariance[2, :2] = covariance[:2, 2] = cross + rotated[:2] * rotated[2]
+        covariance[2, 2] = s[3] + rotated[2] ** 2
         return covariance
 
 
@@ -122,12 +138,12 @@ def path_from_poses(
     minutes = np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9
     first = int(np.isfinite(pose).all(axis=1).argmax())
     minutes[: first + 1] = 0
-    shift = np.maximum(minutes, 0) * drift.place_m**2
-    turn = np.maximum(minutes, 0) * math.radians(drift.yaw_deg) ** 2
+    shift = np.maximum(minutes, 0) * drift.position_m**2
+    rotation = np.maximum(minutes, 0) * math.radians(drift.yaw_deg) ** 2
     even = np.column_stack([shift, 0 * shift, shift])
     none = np.zeros((len(frame), 3))
     origin = np.nan_to_num(pose[first, 1:])
-    sums = _sums(pose[:, 1:] - origin, even, turn)
+    sums = _sums(pose[:, 1:] - origin, even, rotation)
     return SonarPath(frame, timestamp_ns, pose, True, sums, none, origin)
 
 
@@ -136,10 +152,10 @@ def measured_path(
 ) -> SonarPath:
     """The path of a sonar whose motion was measured. It starts at 0 and ends at unknown motion.
 
-    frame, timestamp_ns: (F,). moved: (F, 3) the motion to each frame from the one before: turn
-    (deg, positive to the right), and shift to the right and ahead (m), in the axes of the sonar
-    before; NaN if not known. sigma: (F, 3) their standard errors. Those of the first frame are not
-    used.
+    frame, timestamp_ns: (F,). moved: (F, 3) the motion to each frame from the one before:
+    rotation (deg, positive to the right), and shift to the right and ahead (m), in the axes of the
+    sonar before; NaN if not known. sigma: (F, 3) their standard errors. Those of the first frame
+    are not used.
     """
     moved, sigma = moved.copy(), sigma.copy()
     moved[:1] = sigma[:1] = 0
@@ -158,31 +174,98 @@ def measured_path(
         ]
     )
     stood = (moved[:, 1:] == 0).all(axis=1)
-    turns = np.where(stood, np.radians(moved[:, 0]), 0.0)
-    at = np.column_stack([np.ones(len(x)), x, y])
+    rotation = np.where(stood, np.radians(moved[:, 0]), 0.0)
+    moments = np.column_stack([np.ones(len(x)), x, y])
     return SonarPath(
         frame,
         timestamp_ns,
         pose,
         False,
         _sums(pose[:, 1:], shift, np.radians(sigma[:, 0]) ** 2),
-        np.cumsum(turns[:, None] * at, axis=0),
+        np.cumsum(rotation[:, None] * moments, axis=0),
         np.zeros(2),
     )
 
 
-def _sums(place: FloatArray, shift: FloatArray, turn: FloatArray) -> FloatArray:
+def _sums(position: FloatArray, shift: FloatArray, rotation: FloatArray) -> FloatArray:
     """(F, 9) running sums over the steps, for the closed forms of SonarPath.
 
-    They are: xx, xy, yy of the shifts' covariance; the turns' variance (rad^2); and that variance
-    times x, y, xx, xy, yy of the sonar's place. place: (F, 2) relative to the origin; if NaN, the
-    step turns about the last known place. shift: (F, 3) and turn: (F,) variances of the step to
-    each frame; 0 up to the first known place.
+    They are: xx, xy, yy of the shifts' covariance; the rotations' variance (rad^2); and that
+    variance times x, y, xx, xy, yy of the sonar's position. position: (F, 2) relative to the
+    origin; if NaN, the step rotates about the last known one. shift: (F, 3) and rotation: (F,)
+    variances of the step to each frame; 0 up to the first known position.
     """
-    known = np.isfinite(place).all(axis=1)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(place)), 0))
-    x, y = np.nan_to_num(place[last]).T
-    steps = np.column_stack(
-        [shift, turn, turn * x, turn * y, turn * x * x, turn * x * y, turn * y * y]
+    known = np.isfinite(position).all(axis=1)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(position)), 0))
+    x, y = np.nan_to_num(position[last]).T
+    moments = (rotation * m for m in (1, x, y, x * x, x * y, y * y))
+    return np.asarray(np.cumsum(np.column_stack([shift, *moments]), axis=0))
+
+
+def read_frames(folder: Path) -> Table:
+    """frames.csv of a log's results, one row for each frame number, rising.
+
+    Raises SonarrecError if it cannot be read or if no frame was processed.
+    """
+    kinds: dict[str, Kind] = {"frame": "whole", "timestamp_ns": "whole"}
+    kinds |= dict.fromkeys((*MOVED, *MOVED_SIGMA), "blank or number")
+    table = read_table(folder / "frames.csv", kinds, ("frame",), FRAMES)
+    if not len(table["frame"]):
+        raise SonarrecError(f"{folder}: no frame was processed")
+    _, first = np.unique(table["frame"], return_index=True)
+    return {name: column[first] for name, column in table.items()}
+
+
+def measured_motion_path(folder: Path, table: Table, diagnostics: Diagnostics) -> SonarPath:
+    """The path from the first frame on, by the measured motion. table: from `read_frames`.
+
+    Raises SonarrecError if no motion was measured.
+    """
+    missing = [name for name in ("dyaw_deg", "dyaw_sigma_deg") if name not in table]
+    if missing or not np.isfinite(table["dyaw_deg"]).any():
+        reason = ", ".join(missing) or "dyaw_deg is empty"
+        raise SonarrecError(
+            f"{folder}: neither poses nor measured motion ({reason} in frames.csv); "
+            "run the log with --odometry, or give it here"
+        )
+    if "dx_m" not in table or "dy_m" not in table:
+        diagnostics.note(f"{folder}: only the turn was measured; the sonar is taken to stand still")
+    frame = table["frame"]
+    still = np.zeros(len(frame))
+    moved, sigma = (
+        np.column_stack([table.get(name, still) for name in names])
+        for names in (MOVED, MOVED_SIGMA)
     )
-    return np.asarray(np.cumsum(steps, axis=0))
+    time = table.get("timestamp_ns", np.zeros(len(still), np.int64))
+    # Motion from poses has no standard errors.
+    sigma = np.where(np.isfinite(moved), np.nan_to_num(sigma), np.nan)
+    path = measured_path(frame, time, moved, sigma)
+    unknown = ~np.isfinite(path.pose).all(axis=1)
+    if unknown.any():
+        diagnostics.note(
+            f"{folder}: the motion to frame {frame[np.argmax(unknown)]} is not known; what was "
+            "seen from there on is not placed"
+        )
+    return path
+
+
+def write_path(folder: Path, out: Path) -> None:
+    """Write the path in a log's results as a table that `sonarrec run --odometry` reads.
+
+    Raises SonarrecError if no motion was measured, or if the table cannot be written.
+    """
+    table = read_frames(folder)
+    if "timestamp_ns" not in table:
+        raise SonarrecError(f"{folder}: frames.csv has no timestamp_ns, by which poses are told")
+    path = measured_motion_path(folder, table, Diagnostics())
+    row = path.known
+    pose = path.pose[row]
+    covariance = path.position_covariance(row, pose[:, 1:])
+    variance = [path.yaw_variance(row), covariance[:, 0, 0], covariance[:, 1, 1]]
+    sigma = np.sqrt(np.maximum(np.column_stack(variance), 0))
+    rows = (
+        [int(at), f"{yaw:.5f}", f"{x:.6f}", f"{y:.6f}", f"{a:.4f}", f"{b:.5f}", f"{c:.5f}"]
+        for at, (yaw, x, y), (a, b, c) in zip(path.timestamp_ns[row], pose, sigma, strict=True)
+    )
+    with writing(out):
+        write_csv(out, PATH_COLUMNS, rows)

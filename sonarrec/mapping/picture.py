@@ -15,9 +15,9 @@ from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of
 from sonarrec.files.outputs import plain, write_figure
 from sonarrec.geometry import floor_depth, ground_range
+from sonarrec.mapping.axes import Axes, ellipse
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.join import Landmark, MappedLog
-from sonarrec.mapping.tables import Axes, ellipse
 
 LINES = "#333333"
 """Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""
@@ -35,13 +35,13 @@ def draw_map(path: Path, site: SiteMap) -> None:
     figure = Figure(figsize=(8, 8), dpi=120, layout="constrained")
     axes = figure.add_subplot()
     for log in site.logs:
-        fans = [axes_of.place(fan) for fan in _floor_seen(log)]
+        fans = [axes_of.position(fan) for fan in _floor_seen(log)]
         axes.add_collection(PolyCollection(fans, facecolors="#e9eef2", edgecolors="none", zorder=0))
     for n, log in enumerate(site.logs):
-        places = axes_of.place(log.path.pose[:, 1:])
+        positions = axes_of.position(log.path.pose[:, 1:])
         label = "path of the sonar" if n == 0 else None
-        axes.plot(*places.T, color="#666666", linewidth=1, zorder=1, label=label)
-        start = places[np.isfinite(places).all(axis=1)][:1]
+        axes.plot(*positions.T, color="#666666", linewidth=1, zorder=1, label=label)
+        start = positions[log.path.known[:1]]
         label = "its first place" if n == 0 else None
         axes.plot(*start.T, "o", color="#666666", markersize=5, zorder=1, label=label)
     axes.set_aspect("equal")
@@ -71,18 +71,19 @@ def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int, la
     """
     axes_of, radius = Axes(site.ros_axes), site.landmark_set.radius_m
     colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[landmark.id]) / 255)
-    place = axes_of.place(landmark.place)
-    disc = place + radius * _circle()
+    position = axes_of.position(landmark.position)
+    angle = np.linspace(0, 2 * np.pi, 49)
+    disc = position + radius * np.column_stack([np.cos(angle), np.sin(angle)])
     axes.fill(*disc.T, facecolor=colour, alpha=0.7, edgecolor=LINES, zorder=2)
     covariance = axes_of.covariance(landmark.covariance) * larger**2
-    axes.plot(*ellipse(place, covariance).T, color=LINES, linewidth=1.2, zorder=3)
-    if not math.isnan(landmark.turn_deg):
-        turn = math.radians(axes_of.turn(landmark.turn_deg, 360))
-        tip = place + radius * np.array([math.cos(turn), math.sin(turn)])
-        axes.plot(*np.array([place, tip]).T, color=LINES, linewidth=2, zorder=3)
+    axes.plot(*ellipse(position, covariance).T, color=LINES, linewidth=1.2, zorder=3)
+    if not math.isnan(landmark.orientation_deg):
+        sector = math.radians(axes_of.orientation(landmark.orientation_deg, 360))
+        tip = position + radius * np.array([math.cos(sector), math.sin(sector)])
+        axes.plot(*np.array([position, tip]).T, color=LINES, linewidth=2, zorder=3)
     axes.annotate(
         f"ID.{landmark.id}  ({number})",
-        tuple((place + 0.75 * radius).tolist()),
+        tuple((position + 0.75 * radius).tolist()),
         xytext=(2, 2),
         textcoords="offset points",
         fontsize=9,
@@ -102,14 +103,9 @@ def _width(covariance: FloatArray) -> float:
     return float(np.ptp(ellipse(np.zeros(2), covariance), axis=0).max())
 
 
-def _circle() -> FloatArray:
-    angle = np.linspace(0, 2 * np.pi, 49)
-    return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
 def _floor_seen(log: MappedLog) -> FloatArray:
     """(n, points, 2) outlines of the floor in view, in at most MOST_FANS frames."""
-    known = np.flatnonzero(np.isfinite(log.path.pose).all(axis=1))
+    known = log.path.known
     chosen = known[np.linspace(0, len(known) - 1, min(len(known), MOST_FANS)).round().astype(int)]
     fan = log.fan
     nearest = max(fan.range_min_m, floor_depth(fan))
@@ -118,5 +114,5 @@ def _floor_seen(log: MappedLog) -> FloatArray:
     angle = np.concatenate([bearing, bearing[::-1]])
     reach = np.repeat([far, near], len(bearing))
     sight = np.radians(log.path.pose[chosen, :1]) + angle
-    away = reach[:, None] * np.stack([np.sin(sight), np.cos(sight)], axis=-1)
-    return np.asarray(away + log.path.pose[chosen, None, 1:])
+    offset = reach[:, None] * np.stack([np.sin(sight), np.cos(sight)], axis=-1)
+    return np.asarray(offset + log.path.pose[chosen, None, 1:])

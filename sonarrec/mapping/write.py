@@ -1,28 +1,53 @@
-"""The files of a map, all in one folder."""
+"""The files of a map, all in one folder, and the lines to print."""
 
 from __future__ import annotations
 
+import json
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from sonarrec.arrays import FloatArray
+from sonarrec.errors import number_of
 from sonarrec.files.outputs import (
     check_no_recording,
     check_output,
     check_tables,
     is_filled,
+    write_csv,
+    write_text,
     writing,
 )
+from sonarrec.mapping.axes import Axes, GeographicOrigin, cut_at_180, ellipse, rings_at_180
 from sonarrec.mapping.build import SiteMap
-from sonarrec.mapping.factors import FACTOR_COLUMNS, factors, graph_of, write_factors, write_g2o
-from sonarrec.mapping.picture import draw_map
-from sonarrec.mapping.tables import (
-    GEOJSON_BEGIN,
-    MAP_COLUMNS,
-    PASS_COLUMNS,
-    GeographicOrigin,
-    write_geojson,
-    write_map,
-    write_passes,
+from sonarrec.mapping.factors import (
+    FACTOR_COLUMNS,
+    factors,
+    pose_vertices,
+    write_factors,
+    write_g2o,
 )
+from sonarrec.mapping.join import Landmark, frames_of
+from sonarrec.mapping.passes import Pass
+from sonarrec.mapping.picture import draw_map
+
+_POSITION = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2")
+_ORIENTATION = ("orientation_deg", "orientation_sigma_deg")
+MAP_COLUMNS = (
+    *("number", "landmark", *_POSITION, *_ORIENTATION, "passes", "frames", "logs", "mean_score"),
+    *("near_m", "far_m", "first_ns", "last_ns", "other_frames"),
+)
+PASS_COLUMNS = (
+    *("number", "log", "landmark", "track", "first_frame", "last_frame", "frames", "mean_score"),
+    *(*_POSITION, *_ORIENTATION, "near_m", "far_m", "sonar_x_m", "sonar_y_m", "sonar_yaw_deg"),
+)
+GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
+"""How files of this program are recognised; readers of GeoJSON ignore unknown members."""
+MOST_POINTS = 2_000
+"""Points of a path in GeoJSON, at most."""
 
 
 def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = None) -> list[Path]:
@@ -32,7 +57,7 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
     anything is, where a file of another kind is there.
     """
     measurements = factors(site)
-    graph = graph_of(site, measurements)
+    vertices = pose_vertices(site, measurements)
     headers = {"map.csv": MAP_COLUMNS, "passes.csv": PASS_COLUMNS, "factors.csv": FACTOR_COLUMNS}
     tables = [folder / name for name in headers]
     g2o, picture, earth = (folder / name for name in ("graph.g2o", "map.png", "map.geojson"))
@@ -43,12 +68,151 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
     check_no_recording(folder, headers)
     with writing(folder):
-        write_map(tables[0], site)
-        write_passes(tables[1], site)
-        write_factors(tables[2], site, measurements, graph)
-        write_g2o(g2o, site, measurements, graph)
+        _write_map(tables[0], site)
+        _write_passes(tables[1], site)
+        write_factors(tables[2], site, measurements, vertices)
+        write_g2o(g2o, site, measurements, vertices)
         draw_map(picture, site)
         earth.unlink(missing_ok=True)  # of a map before, with an origin
         if origin is not None:
-            write_geojson(earth, site, origin)
+            _write_geojson(earth, site, origin)
     return [*tables, g2o, picture, *([earth] if origin else [])]
+
+
+def _pose_cells(site: SiteMap, one: Landmark | Pass, landmark: int) -> list[str]:
+    """The cells of _POSITION and _ORIENTATION, in the axes of the poses. landmark: its ID."""
+    axes = Axes(site.ros_axes)
+    (xx, xy), (_, yy) = axes.covariance(one.covariance)
+    cells = [f"{v:.4f}" for v in axes.position(one.position)]
+    cells += [f"{v:.3e}" for v in (xx, xy, yy)]
+    orientation = axes.orientation(one.orientation_deg, _periods_deg(site)[landmark])
+    if math.isnan(orientation):
+        return [*cells, "", ""]
+    return [*cells, f"{orientation:.2f}", f"{one.orientation_sigma_deg:.2f}"]
+
+
+def _write_map(path: Path, site: SiteMap) -> None:
+    """Write map.csv: a row per landmark."""
+    rows: list[list[object]] = []
+    for number, landmark in enumerate(site.landmarks, 1):
+        passes = [one for _, one in landmark.members]
+        times = [site.logs[g].path.timestamp_ns[one.row] for g, one in landmark.members]
+        score = np.average([one.score for one in passes], weights=[len(one.row) for one in passes])
+        rows.append(
+            [
+                *(number, landmark.id, *_pose_cells(site, landmark, landmark.id)),
+                *(len(passes), frames_of(landmark.members)),
+                *(len({g for g, _ in landmark.members}), f"{score:.4f}"),
+                f"{min(one.near_m for one in passes):.3f}",
+                f"{max(one.far_m for one in passes):.3f}",
+                *(min(int(ns[0]) for ns in times), max(int(ns[-1]) for ns in times)),
+                frames_of(landmark.others),
+            ]
+        )
+    write_csv(path, MAP_COLUMNS, rows)
+
+
+def _write_passes(path: Path, site: SiteMap) -> None:
+    """Write passes.csv: a row per pass, also for passes of landmarks that were left out."""
+    axes = Axes(site.ros_axes)
+    number = {
+        one: n
+        for n, landmark in enumerate(site.landmarks, 1)
+        for _, one in (*landmark.members, *landmark.others)
+    }
+    rows: list[list[object]] = []
+    for g, log in enumerate(site.logs):
+        for one in log.passes:
+            yaw, *position = log.path.pose[one.middle].tolist()
+            rows.append(
+                [
+                    *(number.get(one, ""), log.name, one.landmark, one.track),
+                    *log.path.frame[one.row[[0, -1]]],
+                    *(frames_of([(g, one)]), f"{one.score:.4f}"),
+                    *_pose_cells(site, one, one.landmark),
+                    *(f"{one.near_m:.3f}", f"{one.far_m:.3f}"),
+                    *(f"{v:.4f}" for v in axes.position(np.array(position))),
+                    f"{axes.yaw(yaw):.3f}",
+                ]
+            )
+    write_csv(path, PASS_COLUMNS, rows)
+
+
+def _periods_deg(site: SiteMap) -> dict[int, float]:
+    landmark_set = site.landmark_set
+    return dict(zip(landmark_set.ids, landmark_set.periods_deg().tolist(), strict=True))
+
+
+def _write_geojson(path: Path, site: SiteMap, origin: GeographicOrigin) -> None:
+    """The landmarks as points, their 95 % ellipses as polygons, the paths as lines (RFC 7946).
+
+    Ellipses and paths are cut in two at the 180th meridian; an ellipse round a pole is left out.
+    """
+    features = []
+    for number, landmark in enumerate(site.landmarks, 1):
+        name: dict[str, object] = {"number": number, "landmark": landmark.id}
+        point = _rounded(origin.on_earth(landmark.position[None]))
+        facts = _point_facts(landmark, origin)
+        features.append(_feature("Point", point, {"name": f"ID.{landmark.id}", **name, **facts}))
+        rings = rings_at_180(origin.on_earth(ellipse(landmark.position, landmark.covariance)))
+        if rings:
+            polygon = [[_rounded(ring)] for ring in rings]
+            features.append(_feature("Polygon", polygon, {**name, "within": 0.95}))
+    for log in site.logs:
+        known = log.path.known
+        if len(known) > 1:
+            chosen = np.linspace(0, len(known) - 1, min(len(known), MOST_POINTS)).round()
+            path_deg = origin.on_earth(log.path.pose[known[chosen.astype(int)], 1:])
+            parts = list(map(_rounded, cut_at_180(path_deg)))
+            features.append(_feature("LineString", parts, {"log": log.name}))
+    document = {"type": "FeatureCollection", "program": "sonarrec", "features": features}
+    write_text(path, json.dumps(document, allow_nan=False) + "\n")
+
+
+def _point_facts(landmark: Landmark, origin: GeographicOrigin) -> dict[str, object]:
+    """The properties of a landmark's point, apart from its names."""
+    # Where the first sector begins, as a compass shows it.
+    compass = (90 + origin.heading_deg - landmark.orientation_deg) % 360
+    heading = {} if math.isnan(compass) else {"heading_deg": round(compass, 2)}
+    return {
+        **heading,
+        "sigma_m": round(float(np.sqrt(np.linalg.eigvalsh(landmark.covariance)[-1])), 4),
+        "passes": len(landmark.members),
+        "frames": frames_of(landmark.members),
+    }
+
+
+def _feature(
+    kind: str, parts: Sequence[Any], properties: Mapping[str, object]
+) -> dict[str, object]:
+    """A feature of GeoJSON; of several parts it is, for example, a MultiPolygon."""
+    geometry = {"type": f"Multi{kind}", "coordinates": parts}
+    if len(parts) == 1:
+        geometry = {"type": kind, "coordinates": parts[0]}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _rounded(line: FloatArray) -> list[Any]:
+    coordinates: list[Any] = np.round(line, 9).tolist()
+    return coordinates
+
+
+def lines(site: SiteMap) -> list[str]:
+    """The map to print, a line per landmark."""
+    few = number_of(site.left_out, "landmark")
+    left_out = [f"{few} left out by --min-frames"] if site.left_out else []
+    if not site.landmarks:
+        return left_out or ["no landmark declared"]
+    axes, periods_deg = Axes(site.ros_axes), _periods_deg(site)
+    rows = ["number  landmark       x m       y m  sigma m  orientation  sigma  passes  frames"]
+    for number, landmark in enumerate(site.landmarks, 1):
+        x, y = axes.position(landmark.position)
+        sigma = math.sqrt(float(np.linalg.eigvalsh(landmark.covariance)[-1]))
+        orientation = axes.orientation(landmark.orientation_deg, periods_deg[landmark.id])
+        angles = (orientation, landmark.orientation_sigma_deg)
+        angle, angle_sigma = ("-" if math.isnan(deg) else f"{deg:.1f}" for deg in angles)
+        rows.append(
+            f"{number:>6}  {landmark.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {angle:>11}  "
+            f"{angle_sigma:>5}  {len(landmark.members):>6}  {frames_of(landmark.members):>6}"
+        )
+    return rows + left_out

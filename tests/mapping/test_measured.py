@@ -15,8 +15,8 @@ from click.testing import CliRunner, Result
 
 from sonarrec.arrays import FloatArray
 from sonarrec.cli import main
+from sonarrec.mapping.axes import CHI2_95
 from sonarrec.mapping.build import make_map
-from sonarrec.mapping.tables import CHI2_95
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
@@ -102,7 +102,7 @@ def test_a_map_without_poses_is_relative_to_the_first_frame(dive: Path) -> None:
     places = from_first(np.vstack([run.path[0], np.column_stack([0 * true[:, 0], true[:, 1:3]])]))
     squared = []
     for one in site.landmarks:
-        off = one.place - places[1:, 1:]
+        off = one.position - places[1:, 1:]
         nearest = int(np.hypot(*off.T).argmin())
         assert true[nearest, 0] == one.id
         assert np.hypot(*off[nearest]) < 0.12

@@ -23,13 +23,13 @@ from pathlib import Path
 import cv2
 import gtsam
 import numpy as np
+from sonarrec.mapping.tables import CHI2_95
 from tqdm import tqdm
 
 from sonarrec.arrays import FloatArray
 from sonarrec.mapping.build import MapOptions, SiteMap, make_map
 from sonarrec.mapping.factors import Graph, factors, graph_of
 from sonarrec.mapping.path import Drift
-from sonarrec.mapping.tables import CHI2_95
 from sonarrec.mapping.write import write_all
 from tests.studies.results.record import add_record_option, judge, save, show
 from tests.studies.scenes import seeds
@@ -96,7 +96,7 @@ def recognise_seed(folder: Path, seed: int) -> None:
     cv2.setNumThreads(1)
     run = vehicle_run(seed)
     rng = np.random.default_rng([seed, 9])
-    dead_reckoning = drifting(run.path, rng, DRIFT.place_m, DRIFT.yaw_deg)
+    dead_reckoning = drifting(run.path, rng, DRIFT.position_m, DRIFT.yaw_deg)
     told = {"exact": run.path, "drift": dead_reckoning, "none": None}
     recognise_run(run, {folder / f"{name}_{seed}": poses for name, poses in told.items()})
 
@@ -111,21 +111,20 @@ def placed(run: VehicleRun, site: SiteMap) -> Placed:
     truth = truth_of(run) if exact else from_first(run.path, truth_of(run))
     near = NEAR_M if exact else NEAR_DRIFTED_M
     periods = dict(zip(site.landmark_set.ids, site.landmark_set.periods_deg(), strict=True))
-    passes = site.logs[0].passes
     rows, of, joined, false = [], [], 0, 0
     for one in site.landmarks:
         # Where the path strays only those of its ID can be meant.
-        true = _nearest(truth, one.place, near, None if exact else one.id)
+        true = _nearest(truth, one.position, near, None if exact else one.id)
         if true is None or truth[true, 0] != one.id:
             false += 1
             continue
         if exact:
-            joined += any(_nearest(truth, passes.place[k], near) != true for _, k in one.members)
+            joined += any(_nearest(truth, p.position, near) != true for _, p in one.members)
         of.append(true)
-        off, period = one.place - truth[true, 1:3], periods[one.id]
-        turn = (one.turn_deg - truth[true, 3] + period / 2) % period - period / 2
+        off, period = one.position - truth[true, 1:3], periods[one.id]
+        turn = (one.orientation_deg - truth[true, 3] + period / 2) % period - period / 2
         squared = off @ np.linalg.inv(one.covariance) @ off
-        rows.append([np.hypot(*off), squared, abs(turn), one.turn_sigma_deg])
+        rows.append([np.hypot(*off), squared, abs(turn), one.orientation_sigma_deg])
     columns = np.array(rows).reshape(-1, 4).T
     found = len(set(of))
     return Placed(*columns, len(truth), len(truth) - found, len(of) - found, joined, false)
