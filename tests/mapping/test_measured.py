@@ -97,7 +97,7 @@ def test_the_path_read_back_tells_the_motion_that_was_measured(dive: Path) -> No
 def test_a_map_without_poses_is_relative_to_the_first_frame(dive: Path) -> None:
     run = truth(dive)
     site = make_map([dive / "out" / "dive"])
-    assert not site.notes
+    assert not site.diagnostics.notes
     true = truth_of(run)
     places = from_first(np.vstack([run.path[0], np.column_stack([0 * true[:, 0], true[:, 1:3]])]))
     squared = []
