@@ -308,7 +308,7 @@ def test_the_columns_listed_are_the_columns_written(
 
 def test_the_columns_of_a_map_are_those_listed() -> None:
     from sonarrec.mapping.factors import FACTOR_COLUMNS
-    from sonarrec.mapping.tables import MAP_COLUMNS, PASS_COLUMNS
+    from sonarrec.mapping.write import MAP_COLUMNS, PASS_COLUMNS
 
     assert listed_columns("map", "map.csv") == [*MAP_COLUMNS]
     assert listed_columns("map", "passes.csv") == [*PASS_COLUMNS]

@@ -20,8 +20,8 @@ from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import read_log
-from sonarrec.runs.cores import cores
 from sonarrec.results.same_log import Recording, TruthOf, recording
+from sonarrec.runs.cores import cores
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 

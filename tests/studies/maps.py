@@ -23,10 +23,10 @@ from pathlib import Path
 import cv2
 import gtsam
 import numpy as np
-from sonarrec.mapping.tables import CHI2_95
 from tqdm import tqdm
 
 from sonarrec.arrays import FloatArray
+from sonarrec.mapping.axes import CHI2_95
 from sonarrec.mapping.build import MapOptions, SiteMap, make_map
 from sonarrec.mapping.factors import Graph, factors, graph_of
 from sonarrec.mapping.path import Drift
