@@ -13,6 +13,7 @@ from learning.other_worlds import OTHER_WORLDS, in_world, vehicle_motion
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.simulation.motion import Pose, poses
+from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.scene import (
     KINDS,
     SYMBOLS,
@@ -26,11 +27,9 @@ from sonarrec.simulation.scene import (
     Scene,
     SonarSection,
     check_scene,
-    place_of,
-    vertical_beam_db,
+    position_of,
 )
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
-from sonarrec.simulation.things import object_radius
 
 KINDS_OF_SCENE = (
     "plain",
@@ -240,8 +239,10 @@ class _FreePlaces:
         for _ in range(200):
             ground = self._rng.uniform(near, far)
             azimuth = self._rng.uniform(-40, 40)
-            slant = np.array(math.hypot(ground, self._sonar.height_m))
-            if vertical_beam_db(self._sonar, self._sonar.height_m, slant) < LEAST_LIT_DB:
+            sonar = self._sonar
+            sine = min(sonar.height_m / math.hypot(ground, sonar.height_m), 1.0)
+            off_axis = (np.degrees(np.arcsin(sine)) - sonar.tilt_deg) / sonar.vertical_beam_deg
+            if -40 * math.log10(2) * off_axis**2 < LEAST_LIT_DB:
                 continue
             if self._path is not None:
                 moments = len(self._path) if len(self._taken) > 1 else FIRST_FRAMES
@@ -404,7 +405,7 @@ def _cover(landmark: PlacedLandmark, disc_m: float, rng: np.random.Generator) ->
     """Sediment that covers a tenth to a quarter of a disc, across its rim."""
     away = disc_m * rng.uniform(0.9, 1.15)
     angle = rng.uniform(0, 2 * math.pi)
-    x, y = place_of(landmark)
+    x, y = position_of(landmark)
     x, y = x + away * math.cos(angle), y + away * math.sin(angle)
     return PlacedObject(
         "cover",

@@ -17,7 +17,7 @@ class Fading:
     """How the echoes fade from frame to frame.
 
     time_s: (frames,). signal_db: (frames,) gain of the echoes. drift_db: (frames,) gain of echoes
-    and noise. object_db, afterglow_db: (frames, things), landmarks first. patches: (frames,
+    and noise. object_db, afterglow_db: (frames, objects), landmarks first. patches: (frames,
     World.PATCHES), standard normal.
     """
 
@@ -36,10 +36,10 @@ class Fading:
             [scene.seed, 5]
         ).spawn(6)
         fading, noise, frames = scene.fading, scene.noise, scene.frames
-        things, step_s = len(scene.landmarks) + len(scene.objects), 1 / scene.rate_hz
+        count, step_s = len(scene.landmarks) + len(scene.objects), 1 / scene.rate_hz
 
-        def changing(rng: np.random.Generator, count: int) -> FloatArray:
-            return ar1(rng, frames, count, step_s, fading.time_s)
+        def changing(rng: np.random.Generator, size: int) -> FloatArray:
+            return ar1(rng, frames, size, step_s, fading.time_s)
 
         time_s = np.arange(frames) * step_s
         swing = np.sin(2 * np.pi * (time_s / noise.gain_drift_s + drift.uniform()))
@@ -47,8 +47,8 @@ class Fading:
             time_s,
             _signal_gain_db(scene, signal),
             noise.gain_drift_db * swing,
-            fading.object_db * changing(objects, things),
-            glow.normal(0, 3, things) + 2 * changing(glow_changes, things),
+            fading.object_db * changing(objects, count),
+            glow.normal(0, 3, count) + 2 * changing(glow_changes, count),
             changing(patches, World.PATCHES),
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.plane import Plane, within_a_turn
+from sonarrec.simulation.plane import Plane, within_half_turn
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.world import View
 
@@ -99,7 +99,7 @@ class Shoal:
         for n in np.flatnonzero(seen):
             away = pose.height_m - now.up_m[n]
             ground = math.sqrt(max(slant[n] ** 2 - away**2, 1e-4))
-            across = within_a_turn(now.heading_deg[n] - azimuth[n])
+            across = within_half_turn(now.heading_deg[n] - azimuth[n])
             # The shadow lies where the line past the fish meets the floor, so it is larger than
             # the fish; the height of the fish stretches it along that line.
             larger = pose.height_m / away

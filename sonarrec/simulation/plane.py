@@ -15,7 +15,7 @@ from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import Scene
 
 
-def within_a_turn(bearing_deg: FloatArray | float) -> FloatArray:
+def within_half_turn(bearing_deg: FloatArray | float) -> FloatArray:
     """Bearings shifted by whole turns to -180 to 180 deg."""
     return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
 
@@ -73,7 +73,7 @@ class Plane:
             across = dx * math.cos(pan) - dy * math.sin(pan)
             across = across * math.cos(roll) - dz * math.sin(roll)
             bearing = np.degrees(np.arctan2(across, dx * math.sin(pan) + dy * math.cos(pan)))
-        return np.asarray(slant), within_a_turn(bearing)
+        return np.asarray(slant), within_half_turn(bearing)
 
     def look(self, pose: Pose, range_m: FloatArray, azimuth_deg: FloatArray) -> Look:
         """What the sonar sees.
@@ -88,10 +88,10 @@ class Plane:
         ahead = -math.sin(slope) * math.cos(towards - pan)
         up = across * math.sin(roll) + math.cos(slope) * math.cos(roll)
         across = across * math.cos(roll) - math.cos(slope) * math.sin(roll)
-        away = pose.height_m * math.cos(slope)
-        # A ray of depression d meets the floor where up sin(d) - facing cos(d) = away / range.
+        distance = pose.height_m * math.cos(slope)
+        # A ray of depression d meets the floor where up sin(d) - facing cos(d) = distance / range.
         facing = across * np.sin(bearing) + ahead * np.cos(bearing)
-        sine = (away / np.maximum(range_m, 1e-6))[:, None]
+        sine = (distance / np.maximum(range_m, 1e-6))[:, None]
         # Single precision from here on, which is enough for a grid of scatterers.
         steep = (sine / np.hypot(up, facing)).astype(np.float32)
         floor = steep < 1
@@ -106,10 +106,10 @@ class Plane:
             dx = dx * np.float32(math.cos(roll))
             dx += slant * np.sin(depression) * np.float32(math.sin(-roll))
         # From the sonar's heading to the floor's axes, and along the slope: one matrix.
-        turn = np.array([[math.cos(pan), math.sin(pan)], [-math.sin(pan), math.cos(pan)]])
+        rotation = np.array([[math.cos(pan), math.sin(pan)], [-math.sin(pan), math.cos(pan)]])
         uphill = np.array([math.sin(towards), math.cos(towards)])
         along = np.eye(2) + (1 / math.cos(slope) - 1) * np.outer(uphill, uphill)
-        matrix = (along @ turn).astype(np.float32)
+        matrix = (along @ rotation).astype(np.float32)
         first = (along @ np.array([pose.x_m, pose.y_m])).astype(np.float32)
         x = matrix[0, 0] * dx + matrix[0, 1] * dy + first[0]
         y = matrix[1, 0] * dx + matrix[1, 1] * dy + first[1]

@@ -262,8 +262,8 @@ class PlacedObject:
     silted: Share = 0.0
 
 
-def place_of(item: PlacedLandmark | PlacedObject) -> tuple[float, float]:
-    """(x, y) of a thing's centre: to the right and forward of the floor's origin, m."""
+def position_of(item: PlacedLandmark | PlacedObject) -> tuple[float, float]:
+    """(x, y) of an object's centre: to the right and forward of the floor's origin, m."""
     azimuth = math.radians(item.azimuth_deg)
     return item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
 
@@ -324,8 +324,8 @@ def _check_as_a_whole(scene: Scene, where: str) -> None:
             f"{where}: the sweep of {sweep:g} deg and the view of {view:g} deg go round and see "
             "the same floor twice; together they must be 360 deg or less"
         )
-    leaning = [t.lean_deg for t in scene.landmarks] + [t.lean_deg for t in scene.objects]
-    if travels(motion) and any(leaning):
+    items: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *scene.objects]
+    if travels(motion) and any(item.lean_deg for item in items):
         raise SonarrecError(f"{where}: discs lean before a standing sonar only, not a vehicle's")
     for landmark in scene.landmarks:
         if landmark.id not in scene.landmark_set.ids:
@@ -333,10 +333,10 @@ def _check_as_a_whole(scene: Scene, where: str) -> None:
                 f"{where}: landmark id {landmark.id} is not in the set "
                 f"{scene.landmark_set.name!r} ({', '.join(map(str, scene.landmark_set.ids))})"
             )
-    for thing in scene.objects:
-        if thing.kind not in KINDS:
+    for item in scene.objects:
+        if item.kind not in KINDS:
             raise SonarrecError(
-                f"{where}: unknown kind of object {brief(thing.kind)}; known: {', '.join(KINDS)}"
+                f"{where}: unknown kind of object {brief(item.kind)}; known: {', '.join(KINDS)}"
             )
 
 
@@ -380,16 +380,6 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         return {name: v for name, v in asdict(value).items() if v is not None}
     return value
-
-
-def vertical_beam_db(sonar: SonarSection, height_m: float, range_m: FloatArray) -> FloatArray:
-    """Power of a two-way Gaussian beam where it meets the floor, relative to its axis, dB.
-
-    range_m: slant ranges. The axis is at the true tilt.
-    """
-    sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)
-    off_axis = (np.degrees(np.arcsin(sine)) - sonar.tilt_deg) / sonar.vertical_beam_deg
-    return np.asarray(-40 * math.log10(2) * off_axis**2)
 
 
 def scene_bearings(scene: Scene) -> FloatArray:

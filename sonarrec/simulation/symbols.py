@@ -15,9 +15,9 @@ LEARNED_SYMBOLS = ("wedges", "blobs")
 OTHER_SYMBOLS = ("eighths", "foreign", "bar", "cross", "letter")
 """Kinds that the built-in model never learns from: wedges of 45 degrees; three, five or six
 sectors; a bar; a cross; capital letters."""
-LEAST_UNLIKE = 0.12
+LEAST_DIFFERENCE = 0.12
 """Share of the circle in which sectors must differ from every ID, however they are turned."""
-LEAST_UNLIKE_BLOBS = 0.18
+LEAST_DIFFERENCE_BLOBS = 0.18
 """The same for patches, as a share of the area; more, because patches have edges all over."""
 DIRECTIONS = 360  # into which the circle is divided
 LETTERS = "AEFHKLNTVXYZ"
@@ -40,18 +40,19 @@ def symbol(
         half = rng.uniform(0.15, 0.3)
         return np.asarray(within & (np.minimum(np.abs(x), np.abs(y)) < half))
     if kind == "letter":
-        return np.asarray(within & _at(_letter(rng), x, y))
+        return np.asarray(within & _values(_letter(rng), x, y))
     if kind == "blobs":
-        return np.asarray(within & _at(_blobs(landmarks, rng), x, y))
+        return np.asarray(within & _values(_blobs(landmarks, rng), x, y))
     lit = _sectors(kind, landmarks, rng)
     way = np.mod(np.arctan2(y, x), 2 * math.pi) / (2 * math.pi) * DIRECTIONS
     return np.asarray(within & lit[np.minimum(way.astype(int), DIRECTIONS - 1)])
 
 
-def _at(picture: BoolArray, x: FloatArray, y: FloatArray) -> BoolArray:
+def _values(picture: BoolArray, x: FloatArray, y: FloatArray) -> BoolArray:
     """Values of a square picture, which the symbol's circle fills, at x and y (in radii)."""
-    place = [np.clip((v + 1) / 2 * len(picture), 0, len(picture) - 1).astype(int) for v in (-y, x)]
-    return np.asarray(picture[place[0], place[1]])
+    size = len(picture)
+    row, column = (np.clip((v + 1) / 2 * size, 0, size - 1).astype(int) for v in (-y, x))
+    return np.asarray(picture[row, column])
 
 
 def _letter(rng: np.random.Generator) -> BoolArray:
@@ -67,33 +68,33 @@ def _blobs(landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
     y, x = 1 - 2 * (np.mgrid[:_GLYPH, :_GLYPH] + 0.5) / _GLYPH
     within = np.hypot(x, y) <= 1
     way = np.mod(np.arctan2(y, -x), 2 * math.pi)[within] / (2 * math.pi) * DIRECTIONS
-    turned = _turned(landmarks)[:, np.minimum(way.astype(int), DIRECTIONS - 1)]
+    rotations = _rotations(landmarks)[:, np.minimum(way.astype(int), DIRECTIONS - 1)]
     while True:
         noise = rng.standard_normal((_GLYPH, _GLYPH))
         smooth = cv2.GaussianBlur(noise, (0, 0), rng.uniform(0.08, 0.2) * _GLYPH)
         lit = smooth > np.quantile(smooth, rng.uniform(0.3, 0.7))
-        if np.mean(turned != lit[within], axis=1).min() >= LEAST_UNLIKE_BLOBS:
+        if np.mean(rotations != lit[within], axis=1).min() >= LEAST_DIFFERENCE_BLOBS:
             return np.asarray(lit)
 
 
 def _sectors(kind: str, landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
     """(DIRECTIONS,) sectors round the circle that differ from every ID, however it is turned."""
-    turned = _turned(landmarks)
+    rotations = _rotations(landmarks)
     while True:
         if kind == "wedges":
             lit = _wedges(rng)
         else:
             parts = 8 if kind == "eighths" else int(rng.choice([3, 5, 6]))
             lit = (rng.random(parts) < 0.5)[np.arange(DIRECTIONS) * parts // DIRECTIONS]
-        if 0 < lit.mean() < 1 and np.mean(turned != lit, axis=1).min() >= LEAST_UNLIKE:
+        if 0 < lit.mean() < 1 and np.mean(rotations != lit, axis=1).min() >= LEAST_DIFFERENCE:
             return np.asarray(lit)
 
 
-def _turned(landmarks: LandmarkSet) -> BoolArray:
-    """(turns x K, DIRECTIONS) the sectors of every ID, turned in steps of 5 degrees."""
+def _rotations(landmarks: LandmarkSet) -> BoolArray:
+    """(rotations x K, DIRECTIONS) the sectors of every ID, rotated in steps of 5 degrees."""
     direction = (np.arange(DIRECTIONS) + 0.5) * 2 * math.pi / DIRECTIONS
     codes = landmarks.codes(direction) > 0.5
-    return np.concatenate([np.roll(codes, turn, axis=1) for turn in range(0, DIRECTIONS, 5)])
+    return np.concatenate([np.roll(codes, step, axis=1) for step in range(0, DIRECTIONS, 5)])
 
 
 def _wedges(rng: np.random.Generator) -> BoolArray:

@@ -13,11 +13,11 @@ from sonarrec.arrays import FloatArray
 from sonarrec.geometry import in_image, pixel_from_polar, points_on_disc
 from sonarrec.nouns import Fan
 from sonarrec.simulation.fish import Fishes
-from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.plane import FLAT, Plane
-from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
-from sonarrec.simulation.things import object_radius
+from sonarrec.simulation.resting import raised_m
+from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, position_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def truth_in_view(
     items += [(item, object_radius(scene, item)) for item in scene.objects]
     landmarks, distractors = [], []
     for item, size in items:
-        x, y = place_of(item)
+        x, y = position_of(item)
         lean = (item.lean_deg, item.lean_towards_deg)
         share = round(visible_share(fan, pose, x, y, size, plane, lean), 4)
         if share == 0:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.simulation.grid import Cells, PolarGrid, SquareGrid, smooth_noise
-from sonarrec.simulation.laid import RaisedDisc, ripples, silt_over
 from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.objects import Canvas, Surface, draw_object, object_radius, size_of
 from sonarrec.simulation.plane import Plane
-from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
-from sonarrec.simulation.things import Canvas, Place, draw_thing, object_radius, size_of
+from sonarrec.simulation.resting import RaisedDisc, ripples, silt_over
+from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, position_of
 
 TWIG = 0.12  # half the thickness of debris, in units of the noise that shapes it
 
@@ -37,11 +38,10 @@ class View:
     sine: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class _Layers:
+class _Layers(NamedTuple):
     """What the cells of the grid show, each (rows, columns).
 
-    level: brightness, dB. owner: number of the thing there, -1 for the floor. height, relief: m.
+    level: brightness, dB. owner: number of the object there, -1 for the floor. height, relief: m.
     """
 
     level: np.ndarray
@@ -74,21 +74,30 @@ class World:
             height=np.zeros(shape, dtype=np.float32),
             relief=np.full(shape, floor.relief_m, dtype=np.float32),
         )
-        things: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *scene.objects]
+        items: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *scene.objects]
         self._silt = self._lifted = None
-        if any(item.silted for item in things):
+        if any(item.silted for item in items):
             silt_rng = np.random.default_rng([scene.seed, 13])
             self._silt = smooth_noise(silt_rng, shape, grid.cells(floor.silt_m))
-        if any(item.lean_deg for item in things):
+        if any(item.lean_deg for item in items):
             self._lifted = np.zeros(shape, dtype=np.float32)
-        for number, item in enumerate(things):
+        for number, item in enumerate(items):
             self._draw(item, number, layers)
         self._rise: tuple[np.ndarray, np.ndarray] | None = None  # where squares rise, x and y
         self._relieve(layers)
         height = layers.height
-        self._height = height.ravel() if isinstance(grid, SquareGrid) and height.any() else None
-        shadow = self._shadow(height if self._lifted is None else height + self._lifted)
-        self._amplitude = self._amplitudes(layers.level, shadow).ravel()
+        if isinstance(grid, SquareGrid):  # there `view` finds the shadows
+            self._height = height.ravel() if height.any() else None
+            shadow, kernel = np.zeros(shape, bool), (3, 3)
+        else:  # what is hidden behind something taller, from the floor's origin
+            self._height, kernel = None, (3, 1)
+            lifted = height if self._lifted is None else height + self._lifted
+            shadow = _hidden(scene.sonar.height_m - lifted, grid.ground_m)
+        amplitude = np.power(np.float32(10), layers.level / 20)
+        amplitude[shadow] *= 10 ** (scene.noise.shadow_db / 20)
+        amplitude[grid.floorless] = 0
+        # Blurred, so that edges are no sharper than the grid of scatterers.
+        self._amplitude = np.asarray(cv2.blur(amplitude, kernel)).ravel()
 
         self._cells = np.flatnonzero((layers.owner >= 0) & ~shadow)
         self._owner = layers.owner.ravel()[self._cells]
@@ -105,21 +114,12 @@ class World:
         self._scatter = rng.standard_normal((size, 2), dtype=np.float32)
         self._scatter *= np.float32(math.sqrt(0.5))
         # The four of a cell taken for one value, so that all are fetched at once.
-        self._turn = _phase_rates(size, rng).view(np.complex128)[:, 0]
-
-    def _amplitudes(self, level: np.ndarray, shadow: np.ndarray) -> np.ndarray:
-        """The amplitude of every cell. level: dB. shadow: the cells in shadow."""
-        amplitude = np.power(np.float32(10), level / 20)
-        amplitude[shadow] *= 10 ** (self._scene.noise.shadow_db / 20)
-        amplitude[self._grid.floorless] = 0
-        # Blurred, so that edges are no sharper than the grid of scatterers.
-        kernel = (3, 1) if isinstance(self._grid, PolarGrid) else (3, 3)
-        return np.asarray(cv2.blur(amplitude, kernel))
+        self._phase_rates = _phase_rates(size, rng).view(np.complex128)[:, 0]
 
     def _draw(self, item: PlacedLandmark | PlacedObject, number: int, layers: _Layers) -> None:
-        """Draw one thing into the layers."""
+        """Draw one object into the layers."""
         scene, grid = self._scene, self._grid
-        x0, y0 = place_of(item)
+        x0, y0 = position_of(item)
         if isinstance(item, PlacedLandmark):
             radius = reach = scene.landmark_set.radius_m
         else:
@@ -131,22 +131,14 @@ class World:
         if item.lean_deg:
             raised = RaisedDisc(item, radius, scene.sonar.height_m, grid.x_m[box], grid.y_m[box])
             dx, dy = raised.dx_m, raised.dy_m
-        turn = math.radians(item.orientation_deg)
-        u = (dx * math.cos(turn) + dy * math.sin(turn)) / radius
-        v = (-dx * math.sin(turn) + dy * math.cos(turn)) / radius
+        cos, sin = (of(math.radians(item.orientation_deg)) for of in (math.cos, math.sin))
+        u, v = (dx * cos + dy * sin) / radius, (-dx * sin + dy * cos) / radius
         # Edges that face the sonar, on the near and the far side, reflect more.
         line = (dx * x0 + dy * y0) / (np.maximum(np.hypot(dx, dy), 1e-6) * item.ground_m)
         facing = scene.fading.specular_db * (np.abs(line) - 0.5)
-        place = Place(u, v, np.hypot(u, v), line, facing, radius)
-        canvas = Canvas(
-            place,
-            number,
-            layers.level[box],
-            layers.owner[box],
-            layers.height[box],
-            layers.relief[box],
-        )
-        draw_thing(item, scene, canvas)
+        surface = Surface(u, v, np.hypot(u, v), line, facing, radius)
+        canvas = Canvas(surface, number, *(layer[box] for layer in layers))
+        draw_object(item, scene, canvas)
         mine = canvas.owner == number
         if raised is not None and self._lifted is not None:
             canvas.level[mine] += raised.lit_db(scene.fading.specular_db)[mine]
@@ -192,19 +184,10 @@ class World:
             patches = smooth_noise(rng, relief.shape, cells(floor.light_m))
             level -= np.float32(floor.light_db) / (1 + np.exp(-patches / 0.06))
 
-    def _shadow(self, height: np.ndarray) -> np.ndarray:
-        """The cells hidden behind something taller, from the floor's origin.
-
-        None on a grid of squares: there `view` finds the shadows.
-        """
-        if isinstance(self._grid, SquareGrid):
-            return np.zeros(self._shape, bool)
-        return _hidden(self._scene.sonar.height_m - height, self._grid.ground_m)
-
     def fade(self, object_db: FloatArray, patches: FloatArray, afterglow_db: FloatArray) -> None:
         """Set the brightness of all objects for the next frame.
 
-        object_db, afterglow_db: (things,), landmarks first. patches: (PATCHES,) standard normal,
+        object_db, afterglow_db: (objects,), landmarks first. patches: (PATCHES,) standard normal,
         from which the fading of patches is mixed.
         """
         if not len(self._cells):
@@ -219,20 +202,20 @@ class World:
         glow = 10 ** ((fading.ghost_db + afterglow_db) / 10)
         self._glow[self._cells] = amplitude**2 * glow.astype(np.float32)[self._owner]
 
-    def view(self, range_m: FloatArray, pose: Pose, turned: Sequence[float]) -> View:
+    def view(self, range_m: FloatArray, pose: Pose, drift: Sequence[float]) -> View:
         """The part of the world in front of the sonar.
 
-        range_m: (bins,) slant ranges. turned: (4,) time, sway right, sway forward and heave so far,
-        in the units of self._turn.
+        range_m: (bins,) slant ranges. drift: (4,) time, sway right, sway forward and heave so far,
+        in the units of self._phase_rates.
         """
         grid = self._grid
         azimuth = grid.azimuths(pose.pan_deg)
         cell: Cells
         if pose.roll_deg or self._plane.slope_deg:
-            look = self._plane.look(pose, range_m, azimuth)
-            depression, sine = look.depression_deg, look.sine
+            seen = self._plane.look(pose, range_m, azimuth)
+            depression, sine = seen.depression_deg, seen.sine
             ground = range_m[:, None] * np.cos(np.radians(depression))
-            cell = grid.index(look.x_m, look.y_m)
+            cell = grid.index(seen.x_m, seen.y_m)
         else:
             height_m = pose.height_m
             sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)[:, None]
@@ -246,27 +229,27 @@ class World:
                 y = ground * np.cos(np.radians(azimuth)) + pose.y_m
                 cell = grid.index(x, y)
 
-        scatter = self._held(self._scatter.view(np.complex64)[:, 0], cell)
-        rates = self._held(self._turn, cell).view(np.float32).reshape(*scatter.shape, len(turned))
-        phase = rates @ np.asarray(turned, np.float32)
+        scatter = self._values(self._scatter.view(np.complex64)[:, 0], cell)
+        rates = self._values(self._phase_rates, cell).view(np.float32)
+        phase = rates.reshape(*scatter.shape, len(drift)) @ np.asarray(drift, np.float32)
         spin = np.empty(phase.shape, dtype=np.complex64)
         spin.real, spin.imag = np.cos(phase), np.sin(phase)
-        amplitude = self._held(self._amplitude, cell)
-        glow = self._held(self._glow, cell)
+        amplitude = self._values(self._amplitude, cell)
+        glow = self._values(self._glow, cell)
         if isinstance(grid, SquareGrid):
-            amplitude = amplitude * self._seen_now(cell, pose, azimuth, ground)
+            amplitude = amplitude * self._shade(cell, pose, azimuth, ground)
         echoes = scatter * spin * amplitude
         if isinstance(grid, SquareGrid):
             echoes *= grid.evened(ground.mean(axis=1, keepdims=True)).astype(np.float32)
         return View(azimuth, echoes, glow, amplitude**2, depression, sine)
 
-    def _held(self, values: np.ndarray, cell: Cells) -> np.ndarray:
+    def _values(self, values: np.ndarray, cell: Cells) -> np.ndarray:
         """(bins, n) what the cells hold. values: one for each cell of the grid."""
         if isinstance(cell, tuple):
             return np.asarray(values.reshape(self._shape)[cell])
         return np.asarray(values.take(cell))  # four times as fast as values[cell]
 
-    def _seen_now(
+    def _shade(
         self, cell: Cells, pose: Pose, azimuth_deg: FloatArray, ground: FloatArray
     ) -> np.ndarray | float:
         """Factor on the amplitude of each cell by slopes and shadows; for grids of squares."""
@@ -274,15 +257,15 @@ class World:
             return 1.0
         near = np.maximum(ground, 1e-3).astype(np.float32)
         shaded = np.where(
-            _hidden(np.float32(pose.height_m) - self._held(self._height, cell), near),
+            _hidden(np.float32(pose.height_m) - self._values(self._height, cell), near),
             np.float32(10 ** (self._scene.noise.shadow_db / 20)),
             np.float32(1),
         )
         if self._rise is None:
             return shaded
         azimuth = np.radians(azimuth_deg).astype(np.float32)
-        slope = self._held(self._rise[0], cell) * np.sin(azimuth)
-        slope += self._held(self._rise[1], cell) * np.cos(azimuth)
+        slope = self._values(self._rise[0], cell) * np.sin(azimuth)
+        slope += self._values(self._rise[1], cell) * np.cos(azimuth)
         return np.asarray(shaded * _lit(np.arctan(np.float32(pose.height_m) / near), slope))
 
 

@@ -22,6 +22,7 @@ from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.motion import sweep_deg
+from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     BUILT_IN,
@@ -37,7 +38,6 @@ from sonarrec.simulation.scene import (
     scene_table,
 )
 from sonarrec.simulation.simulate import write_recording
-from sonarrec.simulation.things import object_radius
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.in_view import share_in_image
 from tests.support.bare import BARE, POLAR, mean_power, power

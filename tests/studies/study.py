@@ -23,8 +23,8 @@ from sonarrec.evaluation.counting.curves import PUBLISHED
 from sonarrec.evaluation.counting.uncertainty import LEVEL
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.evaluation.write import write_evaluation
+from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
-from sonarrec.simulation.things import object_radius
 from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scenes import seeds, told
 from tests.support.simulated import (

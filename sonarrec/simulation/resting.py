@@ -1,4 +1,4 @@
-"""How things lie on the simulated floor: leaning, under silt, and on rippled sand."""
+"""How objects rest on the simulated floor: leaning, under silt, and on rippled sand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, smooth_noise
-from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
+from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, position_of
 
 SILT_EDGE = 0.15  # width of the edge between bare and covered, in units of the smooth noise
 
@@ -24,8 +24,8 @@ class RaisedDisc:
 
     A raised point has the same slant range as a nearer point of the floor, so it shows there.
     dx_m, dy_m: for each cell of a box, the point of the disc that shows there, from the disc's
-    middle and along the disc. lifted_m: how tall a thing standing in the cell would have to be, for
-    the sonar to see its top at the same depression as the disc.
+    middle and along the disc. lifted_m: how tall an object standing in the cell would have to be,
+    for the sonar to see its top at the same depression as the disc.
     """
 
     def __init__(
@@ -36,9 +36,9 @@ class RaisedDisc:
         x_m: np.ndarray,
         y_m: np.ndarray,
     ) -> None:
-        """sonar_m: the sonar's height. x_m, y_m: the cells' places on the floor."""
+        """sonar_m: the sonar's height. x_m, y_m: the cells' positions on the floor."""
         lean, towards = math.radians(item.lean_deg), math.radians(item.lean_towards_deg)
-        x0, y0 = place_of(item)
+        x0, y0 = position_of(item)
         right, ahead = math.sin(towards), math.cos(towards)
         floor = np.hypot(x_m, y_m)
         range_ = np.hypot(floor, sonar_m)
@@ -56,7 +56,7 @@ class RaisedDisc:
         self.dx_m, self.dy_m = dx + along * right, dy + along * ahead
         self.lifted_m = sonar_m - floor * (sonar_m - self._height) / ground
         self._sine = math.sin(lean) * facing * ground + math.cos(lean) * (sonar_m - self._height)
-        self._floor_sine = sonar_m
+        self._sonar_m = sonar_m
         rim = np.hypot(self.dx_m, self.dy_m) / radius_m
         # The raised edge faces the sonar or faces away from it.
         near = -(self.dx_m * x0 + self.dy_m * y0) / (radius_m * item.ground_m)
@@ -68,7 +68,7 @@ class RaisedDisc:
 
         Lambert's law, for the way there and back; the edge that faces the sonar is brighter.
         """
-        lit = np.maximum(self._sine / self._floor_sine, 0.02)
+        lit = np.maximum(self._sine / self._sonar_m, 0.02)
         return np.asarray(20 * np.log10(lit) + specular_db * self._edge)
 
 
@@ -86,7 +86,7 @@ def silt_over(noise: np.ndarray, disc: BoolArray, share: float) -> np.ndarray:
 def ripples(scene: Scene, grid: PolarGrid | SquareGrid, bare: BoolArray) -> np.ndarray:
     """Height (m) of sand ripples in each cell of the grid.
 
-    bare: the cells where no thing lies. Things lie level, and the ripples fade out at their edges.
+    bare: the cells without an object. Objects lie level, and the ripples fade out at their edges.
     Crests bend, and are sharper than troughs.
     """
     floor = scene.floor
