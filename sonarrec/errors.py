@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable
 
 
-def printable(text: str) -> str:
-    """The text with control characters, and others that a terminal cannot show, as escapes."""
-    escaped = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return text if text.isprintable() else "".join(escaped)
+def printable(text: object) -> str:
+    """The text as every terminal and UTF-8 file can hold it, where text leaves the program.
+
+    Control characters, and bytes of names that are no UTF-8, become escapes such as \\xe9.
+    """
+    plain = name_as_text(text)
+    if plain.isprintable():
+        return plain
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in plain)
 
 
 class SonarrecError(Exception):
@@ -39,7 +45,7 @@ def number_of(count: int, noun: str, ending: str = "s") -> str:
 
 
 def name_as_text(name: object) -> str:
-    """A file's name as valid Unicode, for messages and tables.
+    """A file's name as valid Unicode, as tables hold it; messages need no call, see `printable`.
 
     Bytes that are no UTF-8 become escapes such as \\xe9.
     """
@@ -52,25 +58,67 @@ def name_from_text(text: str) -> str:
     return name.decode(sys.getfilesystemencoding(), errors="surrogateescape")
 
 
+MAX_PROBLEM_LINES = 20
+"""So many frames that could not be used are told, a line each; then a count."""
+
+
 class Diagnostics:
     """What is to be told about one log. Every part tells it; the commands print it.
 
-    notes: what was guessed, assumed or contradicts, a line each. problems: what could not be used
-    of the input, a line each (exit code 3). A line that was told before is not told again.
+    notes: a line on each thing that was guessed, assumed or contradicts. faults: a line on each
+    thing that is wrong with the log as a whole. unusable: how many frames of this pass could not be
+    used. No line is told twice, so a further pass over the log gives the same.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, log: object = None) -> None:
+        """log: its path, with which notes begin; None: they name by themselves what they are on."""
         self.notes: list[str] = []
-        self.problems: list[str] = []
+        self.faults: list[str] = []
+        self.unusable = 0
+        self._log = log
+        self._skipped: list[str] = []  # of this pass
+        self._is_whole = False  # whether this pass reached the end, so that faults are complete
+        self._others: list[str] = []
 
-    def note(self, *lines: str) -> None:
-        """Tell what the user should know though everything was used."""
-        _tell(self.notes, lines)
+    def note(self, *lines: str, about: object = None) -> None:
+        """Tell what the user should know though everything was used. about: if not the log."""
+        about = self._log if about is None else about
+        _tell(self.notes, [line if about is None else f"{about}: {line}" for line in lines])
+
+    def fault(self, text: str, file: object) -> None:
+        """Tell what is wrong with a file of the log as a whole. file: its name."""
+        _tell(self.faults, [f"{file}: {text}"])
 
     def problem(self, *lines: str) -> None:
-        """Tell what could not be used."""
-        _tell(self.problems, lines)
+        """Tell what else could not be used."""
+        _tell(self._others, lines)
+
+    def skip(self, frame: str, why: object) -> None:
+        """Tell that a frame could not be used."""
+        self.unusable += 1
+        if self.unusable <= MAX_PROBLEM_LINES:
+            self._skipped.append(printable(f"{frame}: {why}, skipped"))
+
+    def begin_pass(self) -> None:
+        """Forget the frames of an earlier pass."""
+        self.unusable, self._is_whole = 0, False
+        self._skipped.clear()
+
+    def end_pass(self) -> None:
+        """All frames were read, to the end of the log."""
+        self._is_whole = True
+
+    @property
+    def skipped(self) -> list[str]:
+        """A line for each frame that could not be used, at most MAX_PROBLEM_LINES, then a count."""
+        more = self.unusable - MAX_PROBLEM_LINES
+        return [*self._skipped, *([f"{number_of(more, 'more frame')} skipped"] if more > 0 else [])]
+
+    @property
+    def problems(self) -> list[str]:
+        """All that could not be used (exit code 3); complete after a pass over the log."""
+        return [*self.skipped, *(self.faults if self._is_whole else []), *self._others]
 
 
-def _tell(told: list[str], lines: tuple[str, ...]) -> None:
-    told.extend(line for line in dict.fromkeys(lines) if line not in told)
+def _tell(told: list[str], lines: Iterable[str]) -> None:
+    told += [line for line in dict.fromkeys(map(printable, lines)) if line not in told]

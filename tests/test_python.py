@@ -164,10 +164,10 @@ def test_a_second_pass_tells_what_could_not_be_used_once(tmp_path: Path) -> None
     for name in ("pan.mcap", "pings"):
         with sonarrec.open_log(tmp_path / name, sonar_file=SAMPLE / "sonar.toml") as log:
             list(log)
-            told = [*log.problems]
+            told = [*log.diagnostics.problems]
             list(log)
             assert told
-            assert log.problems == told
+            assert log.diagnostics.problems == told
 
 
 def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:

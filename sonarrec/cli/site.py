@@ -123,7 +123,7 @@ def _completed(given: LogOptions, earlier: RunFile, source: Source) -> LogOption
     """
     from sonarrec.runs.prepare import digest_asked, is_same_log
 
-    same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
+    same_log = is_same_log(earlier, source, digest_asked(earlier, source))
     log_options = replace(earlier.complete(given, same_log=same_log), frames=given.frames)
     if same_log:
         earlier.check_poses(log_options)

@@ -212,7 +212,7 @@ def _lesson(
     samples = _labelled(tracks, truth)
     unlike = misfit(table, tracks, truth) or _no_track_on_a_row(table, tracks, truth, samples)
     told.note(*(f"{name}: {line}" for line in beams))
-    told.problem(*log.problems)
+    told.problem(*log.diagnostics.problems)
     if unlike is not None:
         told.problem(f"{unlike}; nothing is learned from {name}")
     else:

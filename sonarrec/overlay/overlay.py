@@ -121,7 +121,7 @@ def write_overlay(
                     outputs = _open_outputs(targets, stack, log, first, landmark_set, folder)
                 outputs.write(frame, history, truth.get(frame.index, []), grid=grid)
                 written += 1
-        problems += log.problems
+        problems += log.diagnostics.problems
     if outputs is None:
         raise UsageError(
             f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}{log.why_none()}"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import Clock
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
@@ -39,13 +39,10 @@ def open_log(
         source = find_log(path, up_to)
     source.check_topic(topic, path)
     if time not in get_args(Clock):
-        raise UsageError(
-            f"{name_as_text(path)}: time is {time!r}, not one of {', '.join(get_args(Clock))}"
-        )
+        raise UsageError(f"{path}: time is {time!r}, not one of {', '.join(get_args(Clock))}")
     if time != "log" and not source.reader.has_topics:
         raise UsageError(
-            f"{name_as_text(path)}: --time chooses a clock of an MCAP or a ROS bag; this log is "
-            "neither"
+            f"{path}: --time chooses a clock of an MCAP or a ROS bag; this log is neither"
         )
     file = None if sonar_file is None else Path(sonar_file)
     resolved, where = source.stated_sonar(sonar_from(sonar), file)

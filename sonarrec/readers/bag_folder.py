@@ -18,7 +18,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
 from sonarrec.files.order import natural_order
 from sonarrec.readers.packed import PACKINGS
 from sonarrec.readers.recording import Channel, Message, Recording
@@ -27,7 +27,7 @@ METADATA = "metadata.yaml"
 _ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
 _MAX_METADATA_BYTES = 2**24
 _MAX_LOST = 10**6  # messages of one part; larger numbers in metadata.yaml are ignored
-Open = Callable[[Path], Recording]
+Open = Callable[[Path, Diagnostics], Recording]
 
 
 def is_bag_folder(folder: Path) -> bool:
@@ -54,7 +54,7 @@ def are_parts(names: Iterable[str], folder: str) -> bool:
 def bag_files(folder: Path) -> list[Path]:
     """The files of a bag, in order: metadata.yaml, and the parts that exist."""
     head = folder / METADATA
-    parts, _, _ = _listed(folder)
+    parts, _ = _listed(folder, Diagnostics(folder))
     return [*([head] if head.is_file() else []), *(p for p in parts if p.is_file())]
 
 
@@ -78,8 +78,8 @@ def _numbers(part: str) -> re.Match[str] | None:
     return re.match(r"(.*)_([0-9]{1,9})\.[^_]*$", part)
 
 
-def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
-    """(parts in order, the table of metadata.yaml, a line for each thing that is wrong)."""
+def _listed(folder: Path, diagnostics: Diagnostics) -> tuple[list[Path], dict[str, Any]]:
+    """(parts in order, the table of metadata.yaml)."""
     metadata, problem = _metadata(folder / METADATA)
     names = metadata.get("relative_file_paths")
     if isinstance(names, list) and names:
@@ -88,24 +88,25 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
             _as_stored(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names
         )
         parts = list(listed)
-        more = [p for p in _stored_parts(folder) if p not in parts and _follows(p, parts)]
-        lines = [
-            f"{name_as_text(p.name)}: {METADATA} does not list it, so it is not read" for p in more
-        ]
-        lines += [
-            f"{name_as_text(p.name)}: {METADATA} lists it {times} times; it is read once"
-            for p, times in listed.items()
-            if times > 1
-        ]
-        return parts, metadata, lines
+        for part in _stored_parts(folder):
+            if part not in listed and _follows(part, parts):
+                diagnostics.fault(f"{METADATA} does not list it, so it is not read", part.name)
+        for part, times in listed.items():
+            if times > 1:
+                diagnostics.fault(f"{METADATA} lists it {times} times; it is read once", part.name)
+        return parts, metadata
     parts = _parts_by_name(folder) or _stored_parts(folder)
-    lines = [] if problem is None else [f"{METADATA}: {problem}; the parts are read by their names"]
+    if problem is not None:
+        diagnostics.fault(f"{problem}; the parts are read by their names", METADATA)
     numbers = [int(match[2]) for p in parts if (match := _numbers(p.name))]
     for before, after in pairwise([-1, *numbers] if len(numbers) == len(parts) else []):
         if after > before + 1:
             which = f"{before + 1}" + f" to {after - 1}" * (after > before + 2)
-            lines.append(f"part {which} is missing; the numbers of the frames after it are too low")
-    return parts, {}, lines
+            diagnostics.fault(
+                f"part {which} is missing; the numbers of the frames after it are too low",
+                folder.name,
+            )
+    return parts, {}
 
 
 def _as_stored(part: Path) -> Path:
@@ -155,15 +156,14 @@ class _Part:
     """One file of a bag.
 
     numbers: from the file's channel numbers to those of the bag. found: messages by the bag's
-    channels. faults: what was wrong when it was opened first. start, end: first and last log time,
-    ns. sound: whole and without faults. lost: number of lost messages by the bag's channels. read:
-    first and last log time of what a pass has read, ns; None if nothing.
+    channels. start, end: first and last log time, ns. sound: whole and without faults. lost: number
+    of lost messages by the bag's channels. read: first and last log time of what a pass has read,
+    ns; None if nothing.
     """
 
     path: Path
     numbers: dict[int, int] = field(default_factory=dict)
     found: Counter[int] = field(default_factory=Counter)
-    faults: list[str] = field(default_factory=list)
     start: int = 0
     end: int = 0
     sound: bool = False
@@ -178,36 +178,37 @@ class BagFolder(Recording):
     missing, only its own messages are lost.
     """
 
-    def __init__(self, path: Path, open_part: Open) -> None:
+    def __init__(self, path: Path, open_part: Open, diagnostics: Diagnostics | None = None) -> None:
         """open_part: opens one file. Raises SonarrecError if no part can be read."""
-        super().__init__(path)
+        super().__init__(path, diagnostics)
         self._open = open_part
         self.channels: dict[int, Channel] = {}
         self.counts: Counter[int] = Counter()
         self.chunks: Counter[str] = Counter()
         self.profile, self.library = "ros2", ""
         self.span: tuple[int, int] | None = None
-        files, self._metadata, self.faults = _listed(path)
+        files, self._metadata = _listed(path, self.diagnostics)
         self._parts = [_Part(file) for file in files]
         for part in self._parts:
             self._look_into(part)
         if not any(part.numbers for part in self._parts):
-            reason = f" ({self.faults[0]})" if self.faults else ""
-            raise SonarrecError(f"{name_as_text(path)}: no part of this bag can be read{reason}")
+            faults = self.diagnostics.faults
+            reason = f" ({faults[0]})" if faults else ""
+            raise SonarrecError(f"{path}: no part of this bag can be read{reason}")
         self.whole = all(part.sound for part in self._parts)
         self._count()
 
     def _look_into(self, part: _Part) -> None:
         """Open a part and register its channels, counts, times and faults."""
+        known = len(self.diagnostics.faults)
         try:
             if not part.path.is_file():
                 raise SonarrecError("this part of the bag is missing")
-            log = self._open(part.path)
+            log = self._open(part.path, self.diagnostics)
         except (SonarrecError, OSError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
-            text = str(reason).removeprefix(f"{name_as_text(part.path)}: ").partition("\n")[0]
-            part.faults = [f"{name_as_text(part.path.name)}: {text}"]
-            self.faults += part.faults
+            text = str(reason).removeprefix(f"{printable(part.path)}: ").partition("\n")[0]
+            self.diagnostics.fault(text, part.path.name)
             return
         log.close()
         for number, channel in log.channels.items():
@@ -215,8 +216,7 @@ class BagFolder(Recording):
             part.found[part.numbers[number]] += log.counts.get(number, 0)
         self.chunks.update(log.chunks)
         self.library = self.library or log.library
-        part.faults, part.sound = [*log.faults], log.whole and not log.faults
-        self.faults += part.faults
+        part.sound = log.whole and len(self.diagnostics.faults) == known
         if log.span is not None:
             part.start, part.end = log.span
             first, last = self.span or log.span
@@ -326,9 +326,10 @@ class BagFolder(Recording):
         for number in channels:
             gone = part.found[number] + part.lost[number] - passed[number]
             if part.lost[number]:
-                self.faults.append(
-                    f"{name_as_text(part.path.name)}: {number_of(gone, 'message')} of "
-                    f"{self.channels[number].topic} lost, by the counts in {METADATA}"
+                self.diagnostics.fault(
+                    f"{number_of(gone, 'message')} of {self.channels[number].topic} lost, by the "
+                    f"counts in {METADATA}",
+                    part.path.name,
                 )
             for _ in range(gone if gone <= _MAX_LOST else 0):
                 yield Message(number, last, None, None)
@@ -336,18 +337,16 @@ class BagFolder(Recording):
     def _read(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels of a part, by the part's own numbers."""
         try:
-            log = self._open(part.path)
+            log = self._open(part.path, self.diagnostics)
         except (SonarrecError, OSError):  # it was there before
-            self.faults.append(f"{name_as_text(part.path.name)}: cannot be read any more")
+            self.diagnostics.fault("cannot be read any more", part.path.name)
             return
         try:
             yield from log.messages(channels)
         except SonarrecError as error:
-            self.faults.append(str(error))
+            self.diagnostics.fault(str(error).removeprefix(f"{printable(part.path)}: "), part.path)
         finally:
             log.close()
-            self.faults += [fault for fault in log.faults if fault not in part.faults]
-            self.notes += [f"{name_as_text(part.path.name)}: {note}" for note in log.notes]
 
     def close(self) -> None:
         """Does nothing, because parts are closed when they have been read."""

@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import Diagnostics, SonarrecError, name_as_text
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Channel, Message, Recording
 
@@ -21,12 +21,14 @@ from sonarrec.readers.recording import Channel, Message, Recording
 class Db3Recording(Recording):
     """A `Recording` of one database. If it is cut, only the messages before the cut are read."""
 
-    def __init__(self, path: Path, at: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, at: Path | None = None, diagnostics: Diagnostics | None = None
+    ) -> None:
         """path: the file's name in messages. at: the file to read, if it is another one.
 
         Raises SonarrecError if it is no such database, or nothing in it can be read.
         """
-        super().__init__(path)
+        super().__init__(path, diagnostics)
         self.profile, self.library = "ros2", "SQLite"
         self.chunks: dict[str, int] = {}
         # Quoted, because the name becomes part of a URI, in which ? and # have a meaning.
@@ -39,17 +41,16 @@ class Db3Recording(Recording):
             try:
                 self._database = _CutDatabase(name)
             except (sqlite3.Error, TypeError, ValueError, OverflowError):
-                raise SonarrecError(
-                    f"{name_as_text(path)}: not a database of a ROS 2 bag ({whole})"
-                ) from None
+                raise SonarrecError(f"{path}: not a database of a ROS 2 bag ({whole})") from None
+            self.whole = False
             self.fault(f"cut short or damaged ({whole}); what is whole before that is read")
         self.channels, self.counts = self._database.channels, self._database.counts
-        self.span, self.whole = self._database.span, not self.faults
+        self.span = self._database.span
         log = path.with_name(f"{path.name}-wal")
         if log.exists() and log.stat().st_size:
             self.fault(
-                f"what its recorder left in {name_as_text(log.name)} is not read; "
-                f"`sqlite3 {name_as_text(path.name)} .tables` merges it"
+                f"what its recorder left in {log.name} is not read; "
+                f"`sqlite3 {path.name} .tables` merges it"
             )
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sonarrec.errors import (
+    Diagnostics,
     MissingError,
     SonarrecError,
     UsageError,
@@ -38,26 +39,26 @@ _UNPACK = {".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz", ".zst": "zstd -d",
 """The command that unpacks a compressed file, by its suffix, for error messages."""
 
 
-def _mcap(path: Path, at: Path) -> Recording:
+def _mcap(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
     from sonarrec.readers.mcap.container import McapRecording  # with its decompressors, if needed
 
-    return McapRecording(path, at)
+    return McapRecording(path, at, diagnostics)
 
 
-def _db3(path: Path, at: Path) -> Recording:
+def _db3(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
     from sonarrec.readers.db3 import Db3Recording  # with rosbags, where needed
 
-    return Db3Recording(path, at)
+    return Db3Recording(path, at, diagnostics)
 
 
-def _ros_bag(path: Path, at: Path) -> Recording:
+def _ros_bag(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
     from sonarrec.readers.ros_bag import RosBag  # with rosbags, where needed
 
-    return RosBag(path, at)
+    return RosBag(path, at, diagnostics)
 
 
-def _bag_folder(path: Path, _: Path) -> Recording:
-    return BagFolder(path, open_recording)
+def _bag_folder(path: Path, _: Path, diagnostics: Diagnostics) -> Recording:
+    return BagFolder(path, open_recording, diagnostics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +67,13 @@ class Reader:
 
     Either open or recording is given. open: takes the list of files. recording: for messages on
     channels, in files that may be compressed as a whole; takes the log's path and the file to read,
-    which is another one if the log was compressed.
+    which is another one if the log was compressed. Both take what is told of what is wrong.
     """
 
     kind: str
     suffixes: frozenset[str]
-    open: Callable[[Sequence[Path]], RawLog] | None = None
-    recording: Callable[[Path, Path], Recording] | None = None
+    open: Callable[[Sequence[Path], Diagnostics], RawLog] | None = None
+    recording: Callable[[Path, Path, Diagnostics], Recording] | None = None
 
     @property
     def has_topics(self) -> bool:
@@ -94,15 +95,17 @@ _IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
 _BAG_FOLDER = Reader("ROS 2 bag", frozenset(), recording=_bag_folder)
 READERS = (
     _IMAGES,
-    Reader("video", VIDEO_SUFFIXES, lambda files: VideoFrames(files[0])),
+    Reader("video", VIDEO_SUFFIXES, lambda files, told: VideoFrames(files[0], told)),
     Reader("MCAP", frozenset({".mcap"}), recording=_mcap),
     Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_db3),
     Reader("ROS 1 bag", frozenset({".bag"}), recording=_ros_bag),
     _BAG_FOLDER,
-    Reader("ARIS", frozenset({".aris"}), lambda files: DdfFrames(files[0])),
-    Reader("DIDSON", frozenset({".ddf"}), lambda files: DdfFrames(files[0])),
-    Reader("Oculus", frozenset({".oculus", ".raw"}), lambda files: OculusPings(files[0])),
-    Reader("Gemini", frozenset({".glf"}), lambda files: GeminiPings(files[0])),
+    Reader("ARIS", frozenset({".aris"}), lambda files, told: DdfFrames(files[0], told)),
+    Reader("DIDSON", frozenset({".ddf"}), lambda files, told: DdfFrames(files[0], told)),
+    Reader(
+        "Oculus", frozenset({".oculus", ".raw"}), lambda files, told: OculusPings(files[0], told)
+    ),
+    Reader("Gemini", frozenset({".glf"}), lambda files, told: GeminiPings(files[0], told)),
 )
 _LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.endings)
 
@@ -111,14 +114,16 @@ _LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.endings)
 class Source:
     """A log that was found but not opened yet.
 
-    name: of its results folder. files: all its files, in order. up_to: the highest folder searched
-    for files that belong to the log; None: only beside it.
+    name: of its results folder. files: all its files, in order. diagnostics: what is to be told
+    about the log. up_to: the highest folder searched for files that belong to the log; None: only
+    beside it.
     """
 
     path: Path
     name: str
     files: Sequence[Path]
     reader: Reader
+    diagnostics: Diagnostics
     up_to: Path | None = None
 
     @property
@@ -134,8 +139,7 @@ class Source:
         """Raise UsageError if a topic is given but the log has none. where: the log as given."""
         if topic is not None and not self.reader.has_topics:
             raise UsageError(
-                f"{name_as_text(where)}: --topic chooses a channel of an MCAP or a ROS bag; this "
-                "log is neither"
+                f"{where}: --topic chooses a channel of an MCAP or a ROS bag; this log is neither"
             )
 
     def open(self, topic: str | None = None) -> RawLog:
@@ -145,17 +149,15 @@ class Source:
 
             return ChannelImages(self.recording(), topic)
         try:
-            return self.reader.open(self.files)
+            return self.reader.open(self.files, self.diagnostics)
         except OSError as error:
-            raise SonarrecError(
-                f"{name_as_text(self.path)}: cannot be read ({error.strerror})"
-            ) from None
+            raise SonarrecError(f"{self.path}: cannot be read ({error.strerror})") from None
 
     def recording(self) -> Recording:
         """Open the log as messages on channels. Raises SonarrecError if it cannot be read."""
         # If a glob matches one file, that file is the log; a bag is its folder.
         file = self.path if self.reader is _BAG_FOLDER else self.files[0]
-        return _recording(self.reader, file)
+        return _recording(self.reader, file, self.diagnostics)
 
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """(the geometry that file and flags state, its name in error messages).
@@ -175,23 +177,23 @@ class Source:
         return stated, name_as_text(file or self.path)
 
 
-def open_recording(path: Path) -> Recording:
+def open_recording(path: Path, diagnostics: Diagnostics) -> Recording:
     """Open one file of messages. Raises SonarrecError if it is another kind or cannot be read."""
     reader = _reader_of(path)
     if reader.recording is None:
-        raise SonarrecError(f"{name_as_text(path)}: not a file of messages")
-    return _recording(reader, path)
+        raise SonarrecError(f"{path}: not a file of messages")
+    return _recording(reader, path, diagnostics)
 
 
-def _recording(reader: Reader, path: Path) -> Recording:
+def _recording(reader: Reader, path: Path, diagnostics: Diagnostics) -> Recording:
     assert reader.recording is not None
     try:
         if path.is_dir():
-            return reader.recording(path, path)
+            return reader.recording(path, path, diagnostics)
         with unpacked(path) as (at, problem):
-            recording = reader.recording(path, at)
+            recording = reader.recording(path, at, diagnostics)
     except OSError as error:
-        raise SonarrecError(f"{name_as_text(path)}: cannot be read ({error.strerror})") from None
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
     if problem is not None:
         recording.fault(problem)
     return recording
@@ -206,9 +208,7 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
     try:
         return _find(path, up_to)
     except OSError as error:  # a name beyond every limit, a folder without permission
-        raise SonarrecError(
-            f"{name_as_text(path)[:200]}: cannot be read ({error.strerror})"
-        ) from None
+        raise SonarrecError(f"{str(path)[:200]}: cannot be read ({error.strerror})") from None
 
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
@@ -291,15 +291,15 @@ def _find(path: Path, up_to: Path | None) -> Source:
         files = [path]
         name = log_name(path)
     elif path.exists():  # a device, a pipe
-        raise UsageError(f"{name_as_text(path)}: neither a file nor a folder")
+        raise UsageError(f"{path}: neither a file nor a folder")
     elif path.is_symlink():
-        raise SonarrecError(f"{name_as_text(path)}: a link to a file that is not there")
+        raise SonarrecError(f"{path}: a link to a file that is not there")
     else:
         server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
         only = "; from servers only run, info, evaluate and report read" if server else ""
-        raise MissingError(f"{name_as_text(path)}: no such file or folder{only}")
+        raise MissingError(f"{path}: no such file or folder{only}")
     reader = reader or _reader_of(path)
-    return Source(path, results_name(name), files, reader, up_to)
+    return Source(path, results_name(name), files, reader, Diagnostics(path), up_to)
 
 
 def results_name(name: str) -> str:
@@ -317,16 +317,15 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
     """The one log that matches, or else the images."""
     paths = matches(pattern)
     if not paths:
-        raise MissingError(f"{name_as_text(pattern)}: no file matches this pattern")
+        raise MissingError(f"{pattern}: no file matches this pattern")
     logs = sorted(filter(is_log_file, paths), key=natural_order)
     files = logs or ImagePaths(filter(is_image, paths))
     if len(logs) > 1:
         raise SonarrecError(
-            f"{name_as_text(pattern)}: matches {len(logs)} logs, {name_as_text(logs[0].name)} the "
-            "first; open each by itself"
+            f"{pattern}: matches {len(logs)} logs, {logs[0].name} the first; open each by itself"
         )
     if not files:
-        raise SonarrecError(f"{name_as_text(pattern)}: matches no image, video, MCAP or ROS bag")
+        raise SonarrecError(f"{pattern}: matches no image, video, MCAP or ROS bag")
     return files
 
 
@@ -335,16 +334,15 @@ def _folder_images(folder: Path) -> ImagePaths:
         return files
     entries = list(folder.iterdir())
     if not entries:
-        raise SonarrecError(f"{name_as_text(folder)}: the folder is empty")
+        raise SonarrecError(f"{folder}: the folder is empty")
     logs = sorted(filter(is_log_file, entries), key=natural_order)
     if logs:
         raise SonarrecError(
-            f"{name_as_text(folder)}: a folder of {len(logs)} logs, {name_as_text(logs[0].name)} "
-            "the first; open each by itself"
+            f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
         )
     hint = next((h for e in sorted(entries) if (h := _hint(e))), None)
     raise SonarrecError(
-        f"{name_as_text(folder)}: no log and no image in this folder "
+        f"{folder}: no log and no image in this folder "
         f"({', '.join(sorted(IMAGE_SUFFIXES))}); "
         + (hint or "--recursive looks into the folders below")
     )
@@ -355,19 +353,19 @@ def _hint(path: Path) -> str | None:
     tool = _UNPACK.get(path.suffix.lower())
     if tool is None:
         return None
-    return f"this compressed file is not read; unpack it first: {tool} {name_as_text(path.name)}"
+    return f"this compressed file is not read; unpack it first: {tool} {path.name}"
 
 
 def _reader_of(path: Path) -> Reader:
     for reader in READERS:
         if reader.ending(path.name) is not None:
             if reader is not _IMAGES and not path.stat().st_size:
-                raise SonarrecError(f"{name_as_text(path)}: the file is empty (zero bytes)")
+                raise SonarrecError(f"{path}: the file is empty (zero bytes)")
             return reader
     if (hint := _hint(path)) is not None:
-        raise SonarrecError(f"{name_as_text(path)}: {hint}")
+        raise SonarrecError(f"{path}: {hint}")
     known = ", ".join(s for reader in READERS for s in sorted(reader.suffixes))
     raise SonarrecError(
-        f"{name_as_text(path)}: not a kind of log this program reads "
+        f"{path}: not a kind of log this program reads "
         f"(a folder of images or a ROS 2 bag, or a file: {known})"
     )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.arrays import ByteImage
-from sonarrec.errors import SonarrecError
+from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.nouns import Fan
 from sonarrec.readers.beam_order import looks_beam_major
@@ -41,19 +41,21 @@ class FrameMaker:
     state.
 
     sonar: the geometry; for polar pings that of the first one, once it was read. fan: None before
-    the first frame. notes: lines on what contradicts the pings or was found out. order_from:
-    "found" or "assumed" for a beam order that nobody stated; else None.
+    the first frame. order_from: "found" or "assumed" for a beam order nobody stated; else None.
     """
 
-    def __init__(self, stated: Sonar, where: str, origin: str = "messages") -> None:
+    def __init__(
+        self, stated: Sonar, where: str, diagnostics: Diagnostics, origin: str = "messages"
+    ) -> None:
         """stated: the geometry that the user states; complete if frames do not state theirs.
 
-        where: its name in messages. origin: what states the rest, "messages" or "headers".
+        where: its name in messages. diagnostics: is told what contradicts the pings or was found
+        out. origin: what states the rest, "messages" or "headers".
         """
         self.sonar = stated
         self._stated = stated
         self.fan: Fan | None = None
-        self.notes: list[str] = []
+        self._note = diagnostics.note
         self.order_from: str | None = None
         self._where = where
         self._origin = origin
@@ -133,7 +135,7 @@ class FrameMaker:
             how = f"read as levels of the colour map {colour_map}"
         else:
             how = "of no known colour map, and read by their luminance"
-        self.notes.append(f"{self._where}: colours {how}; --colour-map states another")
+        self._note(f"colours {how}; --colour-map states another")
 
     def _find_amplitudes(self, first: Sequence[RawFrame]) -> None:
         """Find the integer types that hold amplitudes; notes name them, and images that are dim."""
@@ -146,8 +148,8 @@ class FrameMaker:
             bits = 8 * dtype.itemsize
             if holds_amplitudes(alike):
                 self._amplitudes.add(dtype)
-                self.notes.append(
-                    f"{self._where}: {bits}-bit pixels read as amplitudes, by their level and its "
+                self._note(
+                    f"{bits}-bit pixels read as amplitudes, by their level and its "
                     "spread; --pixel-scale linear if they are logarithms"
                 )
             elif (
@@ -155,8 +157,8 @@ class FrameMaker:
                 and self._stated.full_scale is None
                 and (dim := dim_level(alike[0], white))
             ):
-                self.notes.append(
-                    f"{self._where}: {bits}-bit pixels read as grey levels, though dim ({dim}); "
+                self._note(
+                    f"{bits}-bit pixels read as grey levels, though dim ({dim}); "
                     "--pixel-scale log if they are amplitudes, --full-scale if white is lower"
                 )
 
@@ -199,8 +201,8 @@ class FrameMaker:
         theirs = geometry.bearing_max_deg - geometry.bearing_min_deg
         # Some count from the middle of the first beam to that of the last, which is a beam less.
         if abs(view - theirs) > 1.01 * theirs / len(bearings):
-            self.notes.append(
-                f"{self._where}: field_of_view_deg = {view:g} is not used: bearings_deg go before "
+            self._note(
+                f"field_of_view_deg = {view:g} is not used: bearings_deg go before "
                 f"it, and cover {theirs:.4g} deg"
             )
 
@@ -234,16 +236,14 @@ class FrameMaker:
         """
         if shape[0] == shape[1]:
             self.order_from = "assumed"
-            self.notes.append(
-                f"{self._where}: assumed to be {order}, which cannot be found of as many range "
+            self._note(
+                f"assumed to be {order}, which cannot be found of as many range "
                 f"bins as beams ({shape[0]}); --beam-order states it"
             )
             return
         self.order_from = "found"
         if order == "beam-major":
-            self.notes.append(
-                f"{self._where}: read as beam-major, found from its first ping with echoes"
-            )
+            self._note("read as beam-major, found from its first ping with echoes")
 
     def _ping_resampler(
         self, ping: PingGeometry, shape: tuple[int, int]
@@ -278,14 +278,13 @@ class FrameMaker:
             )
         if not self._noted_cut and not (shows(fan, window) and as_wide(fan, window)):
             self._noted_cut = True
-            self.notes.append(
-                f"{self._where}: a ping shows {extent(window)}; of that only what is in the fan "
+            self._note(
+                f"a ping shows {extent(window)}; of that only what is in the fan "
                 f"of the first pings, {extent(fan)}, is used"
             )
         if against and not self._noted_against:
             self._noted_against = True
-            line = f"{self._where}: stated against the {self._origin}: {', '.join(against)}"
-            self.notes.append(line)
+            self._note(f"stated against the {self._origin}: {', '.join(against)}")
         return sonar, to_fan
 
     def _note_skipped(self, window: Fan) -> None:
@@ -293,8 +292,8 @@ class FrameMaker:
         flags = f"--range-min-m {window.range_min_m:.5g} --range-max-m {window.range_max_m:.5g}"
         if self._stated.height_m is None:  # else that of the first pings would be estimated
             flags += " --height-m H"
-        self.notes.append(
-            f"{self._where}: the sonar's range was changed, and pings that show too little of that "
+        self._note(
+            f"the sonar's range was changed, and pings that show too little of that "
             f"of the first ones are skipped; to read those, run them by themselves, with --frames "
             f"A:B {flags} and an --out of their own"
         )

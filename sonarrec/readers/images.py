@@ -10,12 +10,12 @@ from typing import overload
 
 import numpy as np
 
-from sonarrec.errors import name_as_text
+from sonarrec.errors import Diagnostics
 from sonarrec.files.order import natural_order
 from sonarrec.nouns import IMAGE_SUFFIXES
 from sonarrec.readers.name_times import name_without_time, times_in_names
 from sonarrec.readers.pixels import decode_image, pgm_maxval
-from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
+from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.times import date_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -99,15 +99,15 @@ class ImageFiles(RawLog):
     Times in the names, as `times_in_names` finds them, are the frames' times.
     """
 
-    def __init__(self, files: Sequence[Path]) -> None:
-        super().__init__()
+    def __init__(self, files: Sequence[Path], diagnostics: Diagnostics) -> None:
+        super().__init__(diagnostics)
         self.files = files if isinstance(files, ImagePaths) else ImagePaths(files)
         self.frame_count = len(self.files)
         stems = [file.stem for file in self.files]
         self._times = times_in_names(stems)
         note = self._about_times(stems)
         if note is not None:
-            self.header_info = HeaderInfo(notes=(note,))
+            diagnostics.note(note)
 
     def _about_times(self, stems: Sequence[str]) -> str | None:
         """What a user should know of the frames' times and numbers. stems: names without suffix."""
@@ -124,14 +124,14 @@ class ImageFiles(RawLog):
             return f"frames have the times in the names of its images, the first {first} UTC{rate}"
         if (stray := name_without_time(stems)) is not None:
             return (
-                f"{name_as_text(self.files[stray].name)} has no time in its name, so those in the "
+                f"{self.files[stray].name} has no time in its name, so those in the "
                 "names of the other images are not used; if it is no frame, move it elsewhere"
             )
         if (uncounted := _not_as_numbered(self.files)) is not None:
             index, name = uncounted
             return (
                 "the names of its images leave out or repeat numbers, but frames are counted: "
-                f"{name_as_text(name)} is frame {index}"
+                f"{name} is frame {index}"
             )
         return None
 
@@ -143,7 +143,7 @@ class ImageFiles(RawLog):
 
     def __iter__(self) -> Iterator[RawFrame]:
         for number, file in enumerate(self.files):
-            name = name_as_text(file.name)
+            name = file.name
             timestamp_ns = None if self._times is None else int(self._times[number])
             if number in self.passed_over:
                 yield RawFrame(name, timestamp_ns, None)

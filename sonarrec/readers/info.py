@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
 from sonarrec.nouns import Fan, Origin
 from sonarrec.readers.fan_outline import FanOutline
@@ -151,12 +151,12 @@ class _CountingLog(RawLog):
     """A RawLog that counts the frames that pass through it, by size, type and time."""
 
     def __init__(self, raw: RawLog, observe: Observe | None) -> None:
-        super().__init__()
+        super().__init__(raw.diagnostics)
         self._raw = raw
         self._observe = observe
         self.frame_count, self.topic = raw.frame_count, raw.topic
-        self.polar, self.faults, self.header_info = raw.polar, raw.faults, raw.header_info
-        self.notes, self.playback_hz = raw.notes, raw.playback_hz
+        self.polar, self.header_info = raw.polar, raw.header_info
+        self.playback_hz = raw.playback_hz
         self.frames = self.timed = 0
         self.sizes: Counter[tuple[int, int]] = Counter()
         self.pixels: Counter[str] = Counter()
@@ -222,18 +222,17 @@ def describe(
     stated = _Stated(*source.stated_sonar(flags, sonar_file), flags)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
-    faults: list[str] = []
     if source.reader.has_topics:
-        container, faults = _container(source)
+        container = _container(source)
         topics = sorted({c.topic for c in container.channels if c.images})
         if topic is not None and topic not in topics:
             there = ", ".join(map(str, topics)) or "none"
-            raise UsageError(f"{name_as_text(path)}: no image channel {topic!r}; there is {there}")
-    images = []
+            raise UsageError(f"{path}: no image channel {topic!r}; there is {there}")
+    images, faults = [], source.diagnostics.faults
     for name in [topic] if topic is not None else topics:
-        of_topic, more = _images(source, stated, name, quick, observe)
-        images.append(of_topic)
-        faults += [fault for fault in more if fault not in faults]
+        of_topic = replace(source, diagnostics=Diagnostics(source.path))
+        images.append(_images(of_topic, stated, name, quick, observe))
+        faults += [f for f in of_topic.diagnostics.faults if f not in faults]
     return LogInfo(
         path=name_as_text(source.path),
         kind="images" if source.reader.kind == "image" else source.reader.kind,
@@ -254,8 +253,8 @@ def _size(file: Path) -> int:
         return 0
 
 
-def _container(source: Source) -> tuple[Container, list[str]]:
-    """(what a recording says about itself, faults that show without reading its messages)."""
+def _container(source: Source) -> Container:
+    """What a recording says about itself, without reading its messages."""
     from sonarrec.readers.mcap.images import image_decoders
 
     log = source.recording()
@@ -274,7 +273,7 @@ def _container(source: Source) -> tuple[Container, list[str]]:
     ]
     start, end = log.span or (None, None)
     chunks = dict(sorted(log.chunks.items()))
-    return Container(log.profile, log.library, log.whole, chunks, start, end, channels), log.faults
+    return Container(log.profile, log.library, log.whole, chunks, start, end, channels)
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,17 +302,14 @@ def _images(
     topic: str | None,
     quick: bool,
     observe: Observe | None,
-) -> tuple[Images, list[str]]:
-    """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
-
-    Returns (the images, faults of the file that reading revealed).
-    """
+) -> Images:
+    """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry."""
     raw = _CountingLog(source.open(topic), observe)
     sonar = raw.geometry(stated.sonar)
     lacks = [key for key in sonar.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(sonar, lacks)
     with Log(source, complete, raw, "log") as log:
-        usable, problems, plausibility = _read_frames(
+        usable, why, plausibility = _read_frames(
             log, None if raw.polar else (complete, stated.where), quick
         )
     rows, columns = raw.commonest_size()
@@ -325,7 +321,7 @@ def _images(
     polar = raw.polar or layout == "polar"
     height_stated = log.sonar.height_m is not None
     doubts = [] if lacks else plausibility.contradictions(height_stated=height_stated)
-    images = Images(
+    return Images(
         topic=topic,
         frames=raw.frame_count if quick else raw.frames,
         usable=None if quick else usable,
@@ -344,16 +340,15 @@ def _images(
         assumed={} if lacks or log.fan is None else _assumed(log.sonar, log.fan, polar, raw.timed),
         lacks=lacks,
         outline=plausibility.outline,
-        notes=[*log.notes, *doubts],
-        problems=[p for p in problems if p not in raw.faults],
+        notes=[*log.diagnostics.notes, *doubts],
+        problems=log.diagnostics.skipped or why,
     )
-    return images, raw.faults
 
 
 def _read_frames(
     log: Log, geometry: tuple[Sonar, str] | None, quick: bool
 ) -> tuple[int, list[str], Plausibility]:
-    """(number of usable frames, a line for each that is not usable, what the frames show).
+    """(number of usable frames, a line if none is for a reason not told, what the frames show).
 
     quick: read only the first frame. geometry: (the stated geometry, its name), which must be
     complete; None if the log states it.
@@ -366,8 +361,8 @@ def _read_frames(
             usable += 1
             plausibility.look(frame)
     except SonarrecError as error:
-        return usable, log.problems or [error.line], plausibility
-    return usable, log.problems, plausibility
+        return usable, [] if log.diagnostics.problems else [error.line], plausibility
+    return usable, [], plausibility
 
 
 def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:

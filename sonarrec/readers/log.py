@@ -10,7 +10,7 @@ from dataclasses import replace
 from itertools import chain, islice
 from typing import Any
 
-from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Clock, Fan, Frame
 from sonarrec.readers.colour_maps import LUMINANCE
 from sonarrec.readers.find import Source
@@ -19,7 +19,6 @@ from sonarrec.readers.images import MAX_FILE_BYTES, names_an_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, showing
 from sonarrec.sonar import Sonar
 
-MAX_PROBLEM_LINES = 20
 YEAR_NS = 31_556_952 * 10**9
 SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
 # The three are looked for among so many frames and bytes: the frames of a whole chunk may be lost,
@@ -31,10 +30,9 @@ class Log:
     """A recorded log, whose Frames are streamed; each pass gives the same. A context manager.
 
     name: of its results folder. frame_count: None if unknown. stated: the geometry that file and
-    flags state. unusable: number of frames so far that could not be used. problems: one line for
-    each thing that could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the
-    pass. beam_width_deg: as the first frame's message or header states it; None if it does not.
-    untimed: whether 1 Hz was assumed so far, because neither frames nor geometry state times.
+    flags state. diagnostics: what is to be told about it, complete after the pass. beam_width_deg:
+    as the first frame's message or header states it; None if it does not. untimed: whether 1 Hz was
+    assumed so far, because neither frames nor geometry state times.
     """
 
     def __init__(self, source: Source, stated: Sonar, raw: RawLog, time: Clock) -> None:
@@ -43,18 +41,24 @@ class Log:
         self.name = source.name
         self.stated = stated
         self.frame_count = raw.frame_count
-        self.unusable = 0
-        self.problems: list[str] = []
+        self.diagnostics = raw.diagnostics
         self._source = source
         self._raw = raw
         self._time = time
         origin = "headers" if raw.header_info.values else "messages"
-        self._make = FrameMaker(stated, name_as_text(source.path), origin)
+        self._make = FrameMaker(stated, str(source.path), raw.diagnostics, origin)
         self.beam_width_deg: float | None = None
         self.untimed = False
         self._timed = 0, 0  # number and time of the last frame that carried one
         self._unset = False  # whether header times were asked for and nobody set them
-        self._jump: str | None = None  # a note on times that jump ahead
+        self._jumped = False  # whether it was told that times jump ahead
+        hz, playback_hz = stated.frame_rate_hz, raw.playback_hz
+        if hz and playback_hz and abs(hz / playback_hz - 1) > 0.05:
+            self.diagnostics.note(
+                f"frame_rate_hz = {hz:g} is not used, since the video has times, of "
+                f"{playback_hz:g} frames per second; if it was not recorded at that rate, export "
+                "it again, or as images"
+            )
 
     @property
     def sonar(self) -> Sonar:
@@ -101,26 +105,6 @@ class Log:
             stated = step * reading["full_scale"]
         return stated
 
-    @property
-    def notes(self) -> list[str]:
-        """Lines on contradictions of the stated geometry, and on what was assumed or is uncertain.
-
-        Complete after the pass.
-        """
-        notes = [*self._raw.header_info.notes, *dict.fromkeys(self._raw.notes)]
-        if self._unset:
-            notes.append("the header stamps of its first frames are 0; --time log is used instead")
-        if self._jump is not None:
-            notes.append(self._jump)
-        stated_hz, playback_hz = self.stated.frame_rate_hz, self._raw.playback_hz
-        if stated_hz and playback_hz and abs(stated_hz / playback_hz - 1) > 0.05:
-            notes.append(
-                f"frame_rate_hz = {stated_hz:g} is not used, since the video has times, of "
-                f"{playback_hz:g} frames per second; if it was not recorded at that rate, export "
-                "it again, or as images"
-            )
-        return [f"{name_as_text(self.path)}: {note}" for note in notes] + self._make.notes
-
     def __enter__(self) -> Log:
         return self
 
@@ -141,10 +125,10 @@ class Log:
         Raises SonarrecError if no frame can be used, or if the bearings in the sonar geometry do
         not match the images.
         """
-        used = self.unusable = 0
+        used = 0
         self._timed = 0, 0
-        self.problems.clear()  # of an earlier pass
-        self._raw.passed_over = range(0)  # likewise
+        self.diagnostics.begin_pass()
+        self._raw.passed_over = range(0)  # an earlier pass may have set it
         for index, raw in enumerate(self._settled()):
             if span[1] is not None and index >= span[1]:
                 return
@@ -154,9 +138,7 @@ class Log:
                 pixels, fan, polar = self._make(raw)
                 stamp = self._time_of(index, raw)
             except UnusableError as error:
-                self.unusable += 1
-                if self.unusable <= MAX_PROBLEM_LINES:
-                    self.problems.append(f"{raw.name}: {error}, skipped")
+                self.diagnostics.skip(raw.name, error)
                 continue
             if not used and raw.sonar is not None:
                 self.beam_width_deg = raw.sonar.beam_width_deg
@@ -165,16 +147,16 @@ class Log:
                 self._raw.passed_over = range(span[0])
             else:
                 yield Frame(index, stamp, pixels, fan, raw.stamps, polar)
-        if (more := self.unusable - MAX_PROBLEM_LINES) > 0:
-            self.problems.append(f"{number_of(more, 'more frame')} skipped")
-        self.problems.extend(dict.fromkeys(self._raw.faults))  # some are repeated in each pass
+        self.diagnostics.end_pass()
         if not used:
-            reason = f" ({self.problems[0]})" if self.problems else ""
-            raise SonarrecError(f"{name_as_text(self.path)}: not one frame could be used{reason}")
+            problems = self.diagnostics.problems
+            reason = f" ({problems[0]})" if problems else ""
+            raise SonarrecError(f"{self.path}: not one frame could be used{reason}")
 
     def why_none(self) -> str:
         """The end of a message that no frame lies in a span: why, if frames could not be used."""
-        return f", or none that can be used ({self.problems[0]})" if self.problems else ""
+        problems = self.diagnostics.problems
+        return f", or none that can be used ({problems[0]})" if problems else ""
 
     def _settled(self) -> Iterator[RawFrame]:
         """The raw frames, after the first few have decided how all are read."""
@@ -184,6 +166,10 @@ class Log:
             self._make.settle(first)
         stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
         self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
+        if self._unset:
+            self.diagnostics.note(
+                "the header stamps of its first frames are 0; --time log is used instead"
+            )
         return chain(first, frames)
 
     def _time_of(self, index: int, raw: RawFrame) -> int:
@@ -199,8 +185,9 @@ class Log:
         if stamp is not None and not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
         if stamp is not None:
-            if 0 < self._timed[1] < stamp - YEAR_NS and self._jump is None:
-                self._jump = (
+            if 0 < self._timed[1] < stamp - YEAR_NS and not self._jumped:
+                self._jumped = True
+                self.diagnostics.note(
                     f"times jump ahead by {(stamp - self._timed[1]) / YEAR_NS:.1f} years at frame "
                     f"{index} (was the clock set?); truth and poses by time fit one side of that"
                 )
@@ -239,9 +226,7 @@ def digest_of(log: Source) -> tuple[int, str]:
         except OSError as error:
             if several:  # reported when the frame was read
                 continue
-            raise SonarrecError(
-                f"{name_as_text(path)}: cannot be read ({error.strerror})"
-            ) from None
+            raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
     return size, digest.hexdigest()
 
 

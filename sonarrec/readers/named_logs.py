@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.errors import UsageError, name_as_text
+from sonarrec.errors import UsageError
 from sonarrec.files.order import natural_order
 from sonarrec.readers.bag_folder import is_bag_folder
 from sonarrec.readers.find import is_log_file, matches
@@ -154,10 +154,10 @@ def _in_folder(folder: Path) -> list[Path]:
     logs.sort(key=natural_order)
     if image is not None and logs:
         raise UsageError(
-            f"{name_as_text(folder)}: holds images and other logs ({len(logs)}, "
-            f"{name_as_text(logs[0].name)} the first); choose with a quoted glob, as "
-            f"'{name_as_text(folder)}/*{image.suffix}' or "
-            f"'{name_as_text(folder)}/*{logs[0].suffix}'"
+            f"{folder}: holds images and other logs ({len(logs)}, "
+            f"{logs[0].name} the first); choose with a quoted glob, as "
+            f"'{folder}/*{image.suffix}' or "
+            f"'{folder}/*{logs[0].suffix}'"
         )
     return [folder] if image is not None else [*logs, *bags]
 

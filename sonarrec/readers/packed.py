@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import SonarrecError
 
 MOST_BYTES = 2**31  # unpacked, or as many times the file's own size, whichever is more
 MOST_TIMES = 100
@@ -78,19 +78,19 @@ def _unpack_to(
                 written += len(piece)
                 if written > most:
                     raise SonarrecError(
-                        f"{name_as_text(path)}: {size} bytes unpack to more than {most}, which is "
+                        f"{path}: {size} bytes unpack to more than {most}, which is "
                         "not read; unpack it by hand if this is right"
                     )
                 out.write(piece)
         except (zstandard.ZstdError, DamagedError, RuntimeError, EOFError, MemoryError) as error:
             if not written:
-                raise SonarrecError(f"{name_as_text(path)}: cannot be unpacked ({error})") from None
+                raise SonarrecError(f"{path}: cannot be unpacked ({error})") from None
             return f"damaged after {written} unpacked bytes ({error}); what came before is read"
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise
             raise SonarrecError(
-                f"{tempfile.gettempdir()}: no room to unpack {name_as_text(path.name)}; make room, "
+                f"{tempfile.gettempdir()}: no room to unpack {path.name}; make room, "
                 "or set TMPDIR to a folder that has some"
             ) from None
     return None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sonarrec.arrays import FloatArray
+from sonarrec.errors import Diagnostics
 from sonarrec.nouns import NO_STAMPS, Stamps
 from sonarrec.sonar import MIN_WINDOW_M, PingGeometry, Sonar
 
@@ -39,7 +40,7 @@ class RawFrame:
 
     name: for messages. timestamp_ns: None if the log keeps no time. pixels, sonar: as in Ping.
     pixels is None if the frame could not be read; `problem` says why. If `problem` is None too, the
-    frame was skipped, or it was lost together with others, which the log's `faults` report.
+    frame was skipped, or it was lost together with others, which the log's faults report.
     stamps: every time that the log keeps of it. white: the pixel value that its file calls white;
     None for the largest value of the type.
     """
@@ -68,13 +69,12 @@ class HeaderInfo:
     """What the headers of a sonar's own file say about the log as a whole.
 
     sonar: the part of the geometry that pings do not state (tilt, frame rate). values: other values
-    worth knowing, by name and unit; None if the sonar did not measure it. notes: what is uncertain.
-    sample_db: decibels from one sample value to the next, if samples are decibels.
+    worth knowing, by name and unit; None if the sonar did not measure it. sample_db: decibels from
+    one sample value to the next, if samples are decibels.
     """
 
     sonar: Sonar = field(default_factory=Sonar)
     values: Mapping[str, str | float | None] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
     sample_db: float | None = None
 
 
@@ -85,18 +85,17 @@ class RawLog(ABC):
 
     frame_count: number of frames; None if unknown before the end. topic: the channel read; None if
     the log has no channels. polar: whether frames state their own geometry. header_info: for a
-    sonar's own file. playback_hz: of a video, the rate that its times follow. faults: lines about
-    what is wrong with the log as a whole, complete after the pass. notes: lines on what is
-    uncertain, likewise. passed_over: numbers of frames that are not needed; they are yielded
-    without pixels and without a problem. It may be set during the pass.
+    sonar's own file. playback_hz: of a video, the rate that its times follow. diagnostics: is told
+    what is wrong or uncertain, all of it by the end of the pass. passed_over: numbers of frames
+    that are not needed; they are yielded without pixels and without a problem. It may be set during
+    the pass.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, diagnostics: Diagnostics) -> None:
+        self.diagnostics = diagnostics
         self.frame_count: int | None = None
         self.topic: str | None = None
         self.polar = False
-        self.faults: list[str] = []
-        self.notes: list[str] = []
         self.header_info = HeaderInfo()
         self.playback_hz: float | None = None
         self.passed_over = range(0)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.errors import name_as_text
+from sonarrec.errors import Diagnostics
 
 CLEARLY_BACK_NS = 10**9
 """Threads of a recorder may swap messages, but not those so far apart."""
@@ -18,7 +18,7 @@ class Message:
     """One message. Times in ns; publish_time is None if the container does not store it.
 
     data is None if it cannot be read; then `problem` says why. If `problem` is None too, it was
-    lost together with others, which the recording's `faults` report in one line.
+    lost together with others, which the recording's faults report in one line.
     """
 
     channel: int
@@ -49,8 +49,7 @@ class Recording(ABC):
     channels: by the container's own numbers. counts: number of messages of each. profile, library:
     what wrote it; empty if not stated. span: first and last log time in ns; None without messages.
     chunks: number of chunks by compression. whole: whether its writer closed it and it is not cut.
-    faults: a line for each thing that is wrong, complete after a pass over its messages. notes:
-    lines on what is uncertain, likewise.
+    diagnostics: is told what is wrong or uncertain, all of it by the end of a pass.
     """
 
     channels: Mapping[int, Channel]
@@ -60,10 +59,9 @@ class Recording(ABC):
     span: tuple[int, int] | None
     chunks: Mapping[str, int]
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
         self.path = path
-        self.faults: list[str] = []
-        self.notes: list[str] = []
+        self.diagnostics = diagnostics or Diagnostics(path)
         self.whole = True
 
     @abstractmethod
@@ -78,11 +76,11 @@ class Recording(ABC):
         """Close the files that are open."""
 
     def fault(self, text: str) -> None:
-        """Add a line about what is wrong."""
-        self.faults.append(f"{name_as_text(self.path.name)}: {text}")
+        """Tell what is wrong."""
+        self.diagnostics.fault(text, self.path.name)
 
     def note_set_back(self, spans: Iterable[tuple[int, int]], within_ns: int = 0) -> None:
-        """Add a note if the clock was clearly set back during the recording.
+        """Tell if the clock was clearly set back during the recording.
 
         spans: first and last log time, ns, of its parts, in the order of recording. within_ns: by
         how much times go back within a part.
@@ -92,9 +90,10 @@ class Recording(ABC):
             back_ns = max(back_ns, latest - first)
             latest = max(latest, last)
         if back_ns > CLEARLY_BACK_NS:
-            self.notes.append(
+            self.diagnostics.note(
                 f"log times go back by {back_ns / 1e9:.1f} s (was the clock set?); frames come in "
-                "the order of log time, so those recorded before and after that may be mixed"
+                "the order of log time, so those recorded before and after that may be mixed",
+                about=self.path,
             )
 
     def up_to_damage(

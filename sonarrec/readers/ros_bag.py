@@ -12,7 +12,7 @@ from typing import Any
 
 import lz4.frame
 
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import Diagnostics, SonarrecError, name_as_text
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Channel, Message, Recording
 
@@ -22,14 +22,16 @@ MAX_CHUNK_BYTES = 2**27  # inflated, in memory; recorders write chunks of less t
 class RosBag(Recording):
     """A `Recording` of one bag of ROS 1."""
 
-    def __init__(self, path: Path, at: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, at: Path | None = None, diagnostics: Diagnostics | None = None
+    ) -> None:
         """path: the file's name in messages. at: the file to read, if it is another one.
 
         Raises SonarrecError if it is no bag or is damaged, OSError if it cannot be read.
         """
         from rosbags.rosbag1 import Reader
 
-        super().__init__(path)
+        super().__init__(path, diagnostics)
         reader: Any = Reader(at or path)
         self._reader = reader
         try:
@@ -48,7 +50,7 @@ class RosBag(Recording):
         except Exception as error:  # rosbags does not list what it raises for damaged bags
             hint = "; `rosbag reindex` repairs it" if "not indexed" in str(error) else ""
             raise SonarrecError(
-                f"{name_as_text(path)}: not a whole bag of ROS 1 ({_line(error)}){hint}"
+                f"{path}: not a whole bag of ROS 1 ({_line(error)}){hint}"
             ) from None
         self.profile, self.library = "ros1", ""
 

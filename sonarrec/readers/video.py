@@ -8,7 +8,7 @@ from pathlib import Path
 
 import cv2
 
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.readers.raw import RawFrame, RawLog
 
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
@@ -23,7 +23,7 @@ def opencv_name(path: Path) -> str:
         str(path).encode()
     except UnicodeEncodeError:
         raise SonarrecError(
-            f"{name_as_text(path)}: the name of a video must be UTF-8; choose another one"
+            f"{path}: the name of a video must be UTF-8; choose another one"
         ) from None
     return str(path) if path.is_absolute() else f".{os.sep}{path}"
 
@@ -31,17 +31,15 @@ def opencv_name(path: Path) -> str:
 class VideoFrames(RawLog):
     """The frames of a video, timed by its container."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
         """Raises SonarrecError if OpenCV cannot open the file as a video."""
-        super().__init__()
+        super().__init__(diagnostics or Diagnostics(path))
         name = opencv_name(path)
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: we report faults ourselves
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self._video = cv2.VideoCapture(name)
         if not self._video.isOpened():
-            raise SonarrecError(
-                f"{name_as_text(path)}: does not open as a video (damaged, or an unknown codec)"
-            )
+            raise SonarrecError(f"{path}: does not open as a video (damaged, or an unknown codec)")
         count = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
         self.frame_count = round(count) if 0 < count < 1e9 else None
         rate = self._video.get(cv2.CAP_PROP_FPS)
@@ -71,9 +69,10 @@ class VideoFrames(RawLog):
             index += 1
         count = max(self.frame_count or 0, self._packets())
         if index < count:
-            self.faults.append(
-                f"{name_as_text(self._path.name)}: {index} of {count} frames could be read; "
-                "cut short or damaged, so the numbers of later frames may be wrong"
+            self.diagnostics.fault(
+                f"{index} of {count} frames could be read; cut short or damaged, so the numbers of "
+                "later frames may be wrong",
+                self._path.name,
             )
 
     def _packets(self) -> int:

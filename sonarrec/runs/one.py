@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.drawing.geometry import disc_width_px
-from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.nouns import (
     Clock,
     Frame,
@@ -150,12 +150,13 @@ def process(
     Raises SonarrecError for input or settings that cannot be used.
     """
     with prepare(Path(path), Path(out), log_options, run_options, name) as job:
+        told = job.log.diagnostics
         if not overwrite:
             existing = existing_results(job.folder, job.table)
             if existing.up_to_date:
                 return _summary_of_existing(job, existing)
             if existing.reason:
-                job.notes.append(f"{job.folder}: earlier results are replaced ({existing.reason})")
+                told.note(f"earlier results are replaced ({existing.reason})", about=job.folder)
         renamed = log_options.origin.with_server_names if log_options.origin else str
         plausibility = Plausibility()
         sightings = Sightings(job.landmarks, job.fan, job.poses)
@@ -163,16 +164,17 @@ def process(
             job.folder, job.landmarks, job.table, sightings, parquet=run_options.parquet
         ) as writer:
             _recognise(job, writer, plausibility, observe, ahead=ahead)
-            problems = [renamed(line) for line in (*job.log.problems, *job.recogniser.problems())]
-            job.notes.extend(writer.finish(problems, job.log.unusable))
-        job.notes.extend(_notes(job, writer, plausibility))
+            job.recogniser.tell(told)
+            problems = [renamed(line) for line in told.problems]
+            replaced = writer.finish(problems, told.unusable)
+        _tell_notes(job, writer, plausibility)
         return Summary(
             job.folder,
             writer.frames,
-            job.log.unusable,
+            told.unusable,
             writer.candidates,
             problems,
-            [renamed(line) for line in job.notes],
+            [renamed(line) for line in (*told.notes, *replaced)],
             *_longest(job.folder, job.recogniser.tracking),
         )
 
@@ -213,7 +215,7 @@ def _recognise(
                 writer.write(result, stamps.popleft())
         if isinstance(error, ChildProcessError):
             raise SonarrecError(
-                f"{name_as_text(job.log.path)}: the process that follows its objects was killed, "
+                f"{job.log.path}: the process that follows its objects was killed, "
                 "perhaps for lack of memory; run it again where more is free"
             ) from None
         raise
@@ -229,18 +231,16 @@ def _noted(
         yield frame
 
 
-def _notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> Iterator[str]:
-    """Notes for the user at the end of a run, a line each."""
-    yield from job.log.notes
-    yield from job.recogniser.notes()
-    path = name_as_text(job.log.path)
+def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
+    """Tell the user what showed at the end of the run."""
+    note = job.log.diagnostics.note
     doubts = _doubts(job, writer, plausibility)
     if doubts:
-        look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
-        yield f"{path}: {'; '.join(doubts)}; look at {look}"
-    yield from (f"{path}: {line}" for line in job.recogniser.about_pictures(job.log.found_white))
+        look = f"`sonarrec info {job.log.path} --preview FILE.png`, with the same geometry"
+        note(f"{'; '.join(doubts)}; look at {look}")
+    note(*job.recogniser.about_pictures(job.log.found_white))
     if job.log.untimed:
-        yield f"{path}: frames carry no time, so 1 Hz is assumed; give frame_rate_hz"
+        note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
 
 
 def _doubts(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:

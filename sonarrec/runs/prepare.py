@@ -58,7 +58,6 @@ class PreparedRun:
     recogniser: SideBySide
     table: dict[str, Any]  # the run.toml to write
     folder: Path  # of the results
-    notes: list[str]
 
 
 @contextmanager
@@ -72,24 +71,23 @@ def prepare(
     earlier = read_run(run_options.earlier_run)
     source = find_log(path, log_options.up_to)
     digest = digest_asked(earlier, source)
-    same_log, notes = is_same_log(earlier, source, digest)
+    same_log = is_same_log(earlier, source, digest)
     log_options = earlier.complete(log_options, same_log=same_log)
-    log_options, about_companions = _with_companions(source, log_options, again=same_log)
+    log_options = _with_companions(source, log_options, again=same_log)
     landmarks = earlier.landmark_set(run_options.landmarks)
     learned = _model(run_options, earlier)
-    poses, about_poses = _poses(path, log_options, earlier if same_log else read_run(None))
+    poses = _poses(source, log_options, earlier if same_log else read_run(None))
     with open_log(source, **log_options.arguments()) as log:
         span = log_options.frames or (0, None)
         frames = log.within(span)
         begin = [*islice(frames, FRAMES_FOR_BEAMS)]  # raises if there is no usable frame at all
         if not begin:
-            raise UsageError(
-                f"{name_as_text(path)}: no frame lies in --frames {span_text(span)}{log.why_none()}"
-            )
+            raise UsageError(f"{path}: no frame lies in --frames {span_text(span)}{log.why_none()}")
         fan = begin[0].fan
         configs, about_beams = with_beams(run_options.configs, log.beam_width_deg, begin)
         recogniser = SideBySide(configs, fan, landmarks, learned.model if learned else None, poses)
-        folder, about_folder = _results_of(path, out, name or log.name)
+        log.diagnostics.note(*about_beams)
+        folder = _results_of(source, out, name or log.name)
         identity = (name_as_text(log.name), *(digest or log.digest_source()))
         table = run_table(
             configs, recogniser.methods, log.stated, fan, landmarks, identity, log.reading()
@@ -111,13 +109,6 @@ def prepare(
             recogniser=recogniser,
             table=table,
             folder=folder,
-            notes=[
-                *notes,
-                *about_companions,
-                *about_folder,
-                *about_poses,
-                *(f"{name_as_text(log.path)}: {line}" for line in about_beams),
-            ],
         )
 
 
@@ -126,21 +117,22 @@ def digest_asked(earlier: RunFile, source: Source) -> tuple[int, str] | None:
     return digest_of(source) if earlier.input.sha256 else None
 
 
-def is_same_log(
-    earlier: RunFile, source: Source, digest: tuple[int, str] | None
-) -> tuple[bool, list[str]]:
-    """Whether the earlier run was of this log, and a note if it was of another of the same name.
+def is_same_log(earlier: RunFile, source: Source, digest: tuple[int, str] | None) -> bool:
+    """Whether the earlier run was of this log; a note is told if of another of the same name.
 
     digest: from `digest_asked`; if None, names are compared.
     """
     name = name_as_text(source.name)
     alike = earlier.input.name == name
     if digest is None:
-        return alike, []
-    if digest[1] == earlier.input.sha256:
-        return True, []
-    note = f"{earlier.path}: made from another {name}; only its settings and its geometry are used"
-    return False, [note] if alike else []
+        return alike
+    is_same = digest[1] == earlier.input.sha256
+    if alike and not is_same:
+        source.diagnostics.note(
+            f"made from another {name}; only its settings and its geometry are used",
+            about=earlier.path,
+        )
+    return is_same
 
 
 def _where(path: Path, folder: Path, log_options: LogOptions) -> dict[str, str]:
@@ -152,33 +144,31 @@ def _where(path: Path, folder: Path, log_options: LogOptions) -> dict[str, str]:
     return {"path": name_as_text(path), "place": name_as_text(place), **frames}
 
 
-def _results_of(log: Path, out: Path, name: str) -> tuple[Path, list[str]]:
-    """The folder of a log's results in `out`, and a note if another command writes into it, too.
+def _results_of(log: Source, out: Path, name: str) -> Path:
+    """The folder of a log's results in `out`; a note is told if another command writes there, too.
 
     Raises UsageError if it would replace the log, SonarrecError if it cannot be made there.
     """
     folder = out / name
     try:
-        itself = folder.resolve() == log.resolve()
+        itself = folder.resolve() == log.path.resolve()
     except OSError as error:  # the current folder is gone
-        raise SonarrecError(
-            f"{name_as_text(folder)}: cannot be written ({error.strerror})"
-        ) from None
+        raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     if itself:
-        raise UsageError(f"{name_as_text(folder)}: this is the log itself; choose another --out")
+        raise UsageError(f"{folder}: this is the log itself; choose another --out")
     check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise SonarrecError(
-            f"{name_as_text(folder)}: a file is where the folder of the results would be; move it "
+            f"{folder}: a file is where the folder of the results would be; move it "
             "away, or choose another --out"
         )
-    if folder.name not in MADE:
-        return folder, []
-    command = f"sonarrec {MADE_BY[folder.name]} {name_as_text(out)}"
-    return folder, [
-        f"{name_as_text(folder)}: `{command}` writes into this folder, too; give it an --out, or "
-        "rename the log"
-    ]
+    if folder.name in MADE:
+        log.diagnostics.note(
+            f"`sonarrec {MADE_BY[folder.name]} {out}` writes into this folder, too; give it an "
+            "--out, or rename the log",
+            about=folder,
+        )
+    return folder
 
 
 def _each_once(frames: list[Frame]) -> Iterator[Frame]:
@@ -195,25 +185,23 @@ def _count(log: Log, span: tuple[int, int | None]) -> int | None:
     return max(end - span[0], 0)
 
 
-def _with_companions(
-    source: Source, log_options: LogOptions, again: bool
-) -> tuple[LogOptions, list[str]]:
-    """The options with the poses that belong to the log, and notes on the files that were found.
+def _with_companions(source: Source, log_options: LogOptions, again: bool) -> LogOptions:
+    """The options with the poses that belong to the log.
 
     There is a note on a geometry from a folder above the log, and on poses, since nobody named
     them. again: the run of a run.toml is repeated, so only its own poses may be used.
     """
-    path, notes = source.path, []
     geometry = source.beside(SONAR_FILE)
     has_own = log_options.sonar_file is not None or log_options.up_to is None
     if not has_own and geometry != replace(source, up_to=None).beside(SONAR_FILE):
-        notes.append(f"{path}: its geometry is that of {geometry}")
+        source.diagnostics.note(f"its geometry is that of {geometry}")
     if again or log_options.odometry is not None or log_options.odometry_topic is not None:
-        return log_options, notes
+        return log_options
     poses = source.beside(POSES_FILE)
     if poses is None:
-        return log_options, notes
-    return replace(log_options, odometry=poses), [*notes, f"{path}: its poses are those of {poses}"]
+        return log_options
+    source.diagnostics.note(f"its poses are those of {poses}")
+    return replace(log_options, odometry=poses)
 
 
 def _model(run_options: RunOptions, earlier: RunFile) -> ModelFile | None:
@@ -229,10 +217,8 @@ def _model(run_options: RunOptions, earlier: RunFile) -> ModelFile | None:
     return learned
 
 
-def _poses(
-    path: Path, log_options: LogOptions, earlier: RunFile
-) -> tuple[PoseTable | None, list[str]]:
-    """The poses from a topic of the log, else from a table, if either is asked for; notes on them.
+def _poses(source: Source, log_options: LogOptions, earlier: RunFile) -> PoseTable | None:
+    """The poses from a topic of the log, else from a table, if either is asked for.
 
     earlier: the run of this log that is repeated. Raises UsageError if it had a table of poses that
     is not given again.
@@ -242,11 +228,11 @@ def _poses(
     if topic is not None:
         from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
 
-        poses = read_topic(path, topic, log_options.time or "log")
+        poses = read_topic(source.path, topic, log_options.time or "log")
     elif log_options.odometry is not None:
         poses = read_poses(log_options.odometry)
     else:
-        return None, []
+        return None
     if earlier.odometry and earlier.odometry != poses.source:
-        return poses, [f"{earlier.path}: that run used other poses than {poses.name}"]
-    return poses, []
+        source.diagnostics.note(f"that run used other poses than {poses.name}", about=earlier.path)
+    return poses

@@ -116,17 +116,17 @@ def survey(
                 step(log.frame_count)
         stated_db, stated_hz = log.dynamic_range_db, log.sonar.frame_rate_hz
         (own,), beams = with_beams([config], log.beam_width_deg, begin)
-        told = Diagnostics()
-        told.note(*log.notes, *odometry.notes(), *(f"{where}: {line}" for line in beams))
-        told.problem(*log.problems, *odometry.problems())
+        told = log.diagnostics
+        odometry.tell(told)
+        told.note(*beams)
     if stated_db is None:
         told.note(
-            f"{where}: grey is taken as {DYNAMIC_RANGE_DB:g} dB from black to white; state "
+            f"grey is taken as {DYNAMIC_RANGE_DB:g} dB from black to white; state "
             "dynamic_range_db where the sonar's is another, for contrasts go by it"
         )
     if unknown:
         told.note(
-            f"{where}: the motion into {unknown} of {len(path)} frames could not be measured; "
+            f"the motion into {unknown} of {len(path)} frames could not be measured; "
             "discs stay where they were in the picture there, so give --odometry if it moved"
         )
     period_ns = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0

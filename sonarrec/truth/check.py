@@ -125,7 +125,7 @@ def check_truth(
         faults=sorted(faults, key=lambda fault: fault.line),
         others=len(table.at) - len(row),
         notes=columns_not_read(table),
-        problems=list(log.problems),
+        problems=log.diagnostics.problems,
     )
 
 

@@ -42,7 +42,7 @@ def parts_of(timed: list[tuple[int, bytes]], sizes: list[int]) -> list[list[tupl
 
 def read(path: Path) -> tuple[list[Frame], list[str]]:
     with open_log(path) as log:
-        return list(log), log.problems
+        return list(log), log.diagnostics.problems
 
 
 def cut(path: Path, share: float) -> None:
@@ -121,7 +121,7 @@ def test_a_missing_part(storage: str, tmp_path: Path) -> None:
     (tmp_path / "dive" / "metadata.yaml").unlink()
     found, problems = read(tmp_path / "dive")
     assert [f.index for f in found] == list(range(5))
-    assert problems == ["part 2 is missing; the numbers of the frames after it are too low"]
+    assert problems == ["dive: part 2 is missing; the numbers of the frames after it are too low"]
     for file in files:
         file.unlink(missing_ok=True)
     with pytest.raises(SonarrecError, match="no log and no image in this folder"):
@@ -200,8 +200,8 @@ def test_a_clock_that_was_set(container: str, tmp_path: Path) -> None:
         with open_log(as_recorded(tmp_path / name, seconds, container)) as log:
             for _ in range(2):  # a further pass tells nothing anew
                 assert [f.timestamp_ns / 1e9 for f in log] == sorted(seconds)
-                assert not log.problems
-                notes = [note for note in log.notes if "(was the clock set?)" in note]
+                assert not log.diagnostics.problems
+                notes = [note for note in log.diagnostics.notes if "(was the clock set?)" in note]
                 assert len(notes) == (fall > 1 or name == "forward"), notes
         told = f"log times go back by {fall:.1f} s"
         if name == "forward":
@@ -216,8 +216,8 @@ def test_another_topic_with_old_times_is_no_clock_that_was_set_back(tmp_path: Pa
     mcap_file(files[1], [("/once", 0, b""), *(("/sonar", *message) for message in timed[5:])])
     with open_log(tmp_path / "dive", topic="/sonar") as log:
         assert len(list(log)) == 10
-        assert not log.problems
-        assert not any("clock" in note for note in log.notes)
+        assert not log.diagnostics.problems
+        assert not any("clock" in note for note in log.diagnostics.notes)
 
 
 def test_info_and_digest_of_a_bag(tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def test_a_log_in_jet_is_recognised_as_its_grey_one(tmp_path: Path) -> None:
     with open_log(log) as drawn, open_log(SAMPLE) as grey:
         for one, other in zip(drawn, grey, strict=False):
             assert np.abs(one.image.astype(int) - other.image)[other.image >= 24].max() <= 4
-        (note,) = drawn.notes
+        (note,) = drawn.diagnostics.notes
     assert note == (
         f"{log}: colours read as levels of the colour map jet; --colour-map states another"
     )
@@ -129,5 +129,5 @@ def test_an_unknown_map_is_told(tmp_path: Path) -> None:
     palette = np.random.default_rng(1).integers(0, 256, (256, 1, 3), dtype=np.uint8)
     with open_log(in_colour(tmp_path, palette)) as log:
         next(iter(log))
-        (note,) = log.notes
+        (note,) = log.diagnostics.notes
     assert "colours of no known colour map, and read by their luminance" in note

@@ -28,7 +28,7 @@ COMPRESSIONS = ("none", "lz4", "zstd")
 
 def read(path: Path) -> tuple[list[Frame], list[str]]:
     with open_log(path) as log:
-        return list(log), log.problems
+        return list(log), log.diagnostics.problems
 
 
 # A block of LZ4 that is cut

@@ -27,7 +27,7 @@ HEAD = 9 + 22  # of a record, of a message
 
 def read(path: Path) -> tuple[list[Frame], list[str]]:
     with open_log(path) as log:
-        return list(log), log.problems
+        return list(log), log.diagnostics.problems
 
 
 def numbers(found: list[Frame]) -> list[int]:
@@ -174,7 +174,7 @@ def test_what_only_a_chunk_defines(
     with open_log(path) as log:
         assert log.frame_count == 12
         assert numbers(list(log)) == list(range(12))
-    assert not log.problems
+    assert not log.diagnostics.problems
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
@@ -200,7 +200,7 @@ def test_a_recording_that_changes_while_it_is_read(
     finally:
         reader.close()
     assert len([f for f in rest if f.pixels is not None]) < 11
-    assert reader.faults
+    assert reader.diagnostics.faults
 
 
 @pytest.mark.slow

@@ -56,7 +56,7 @@ def info(path: Path, *arguments: str, code: int = 0) -> dict[str, Any]:
 def read(path: Path, **options: Any) -> tuple[list[Frame], list[str], list[str]]:
     with open_log(path, **options) as log:
         found = list(log)
-        return found, log.problems, log.notes
+        return found, log.diagnostics.problems, log.diagnostics.notes
 
 
 def described() -> dict[str, tuple[int, str]]:

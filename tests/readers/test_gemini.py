@@ -37,12 +37,12 @@ START_NS = round((GEMINI_START_S + 315_532_800) * 1e9)
 
 def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:
     with open_log(path, sonar=TILT | sonar) as log:
-        return list(log), log.problems
+        return list(log), log.diagnostics.problems
 
 
 def raw(path: Path) -> tuple[list[RawFrame], list[str]]:
     log = GeminiPings(path)
-    return list(log), log.faults
+    return list(log), log.diagnostics.faults
 
 
 @pytest.fixture(scope="module")

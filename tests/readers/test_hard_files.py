@@ -46,7 +46,7 @@ def test_links_to_files_that_are_not_there_keep_their_number(pattern: str, tmp_p
         np.testing.assert_array_equal(frame.image, IMAGES[frame.index])
         assert frame.timestamp_ns == frame.index * PERIOD_NS
     says = "a link to a file that is not there, skipped"
-    assert opened.problems == [f"frame0.png: {says}", f"frame3.png: {says}"]
+    assert opened.diagnostics.problems == [f"frame0.png: {says}", f"frame3.png: {says}"]
     told = CliRunner().invoke(main, ["info", str(log / pattern)])
     assert told.exit_code == 3
     assert "4 of 6" in told.stdout
@@ -63,7 +63,7 @@ def test_a_file_too_large_to_be_an_image(tmp_path: Path) -> None:
         assert [f.index for f in opened] == [0, 1, 3, 4, 5]
         opened.digest_source()
     assert time.process_time() - start < 2
-    assert opened.problems == [
+    assert opened.diagnostics.problems == [
         f"frame2.png: a file of {3 * 2**30} bytes, more than is read, skipped"
     ]
 
@@ -74,7 +74,7 @@ def test_a_name_that_is_no_utf8(tmp_path: Path) -> None:
     Path(odd).write_bytes(b"broken")
     with open_log(log) as opened:
         assert len(list(opened)) == 6
-    assert opened.problems == [r"frame5\xe9.png: unreadable image, skipped"]
+    assert opened.diagnostics.problems == [r"frame5\xe9.png: unreadable image, skipped"]
     moved = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
     shutil.copytree(log, moved)
     with open_log(moved) as opened:
@@ -85,7 +85,7 @@ def test_a_name_that_is_no_utf8(tmp_path: Path) -> None:
     video.write_bytes((tmp_path / "m.mcap").read_bytes()[:-40])
     with open_log(video) as opened:
         list(opened)
-    assert opened.problems[0].startswith(r"dive\xe9.mcap: cut short")
+    assert opened.diagnostics.problems[0].startswith(r"dive\xe9.mcap: cut short")
     Path(str(video).replace(".mcap", ".avi")).write_bytes(b"junk" * 100)
     for name in (odd + "x.png", str(video).replace(".mcap", ".avi"), str(video) + ".xyz"):
         with pytest.raises(SonarrecError) as caught:
@@ -99,7 +99,7 @@ def test_a_name_beyond_ascii_without_utf8_mode(tmp_path: Path) -> None:
     script = f"""
 from sonarrec.readers import open_log
 with open_log({str(log)!r}) as log:
-    print(len(list(log)), log.problems[0].encode())
+    print(len(list(log)), log.diagnostics.problems[0].encode())
 """
     told = subprocess.run(
         [sys.executable, "-c", script],
@@ -133,7 +133,7 @@ def test_times_beyond_every_clock(tmp_path: Path) -> None:
     messages = [("/a", t, cdr_image(i)) for t, i in zip((0, 1, 2**63), IMAGES, strict=False)]
     with open_log(mcap_file(tmp_path / "log.mcap", messages)) as opened:
         assert [f.index for f in opened] == [0, 1]
-    assert "beyond every clock" in opened.problems[0]
+    assert "beyond every clock" in opened.diagnostics.problems[0]
 
 
 def test_a_quoted_glob_of_logs(tmp_path: Path) -> None:
@@ -223,7 +223,7 @@ def test_a_jpeg_that_is_damaged_inside(tmp_path: Path) -> None:
         (log / f"{number}.jpg").write_bytes(data)
     with open_log(log) as opened:
         assert [f.index for f in opened] == [0, 1, 3, 5]
-    assert opened.problems == [
+    assert opened.diagnostics.problems == [
         f"{n}.jpg: a JPEG that is damaged inside, skipped" for n in (2, 4)
     ]  # fmt: skip
 
@@ -261,7 +261,7 @@ def test_frames_that_a_video_loses_are_told(suffix: str, tmp_path: Path) -> None
     (tmp_path / "sonar.toml").write_text(SONAR_TOML)
     with open_log(path) as opened:
         assert len(list(opened)) == 12
-    assert not opened.problems
+    assert not opened.diagnostics.problems
     whole = path.read_bytes()
     lost = 0
     for start in range(len(whole) // 20, len(whole), len(whole) // 20):
@@ -272,7 +272,7 @@ def test_frames_that_a_video_loses_are_told(suffix: str, tmp_path: Path) -> None
         except SonarrecError:
             continue
         lost += count < 12
-        assert count == 12 or opened.problems, start
+        assert count == 12 or opened.diagnostics.problems, start
     for cut in range(1, 2000, 100):
         path.write_bytes(whole[:-cut])
         try:
@@ -281,7 +281,7 @@ def test_frames_that_a_video_loses_are_told(suffix: str, tmp_path: Path) -> None
         except SonarrecError:
             continue
         lost += count < 12
-        assert count == 12 or opened.problems, cut
+        assert count == 12 or opened.diagnostics.problems, cut
     assert lost or suffix == ".mp4"
 
 
@@ -344,6 +344,6 @@ def test_a_stack_among_images(tmp_path: Path) -> None:
     (log / "frame1.tif").write_bytes(tiff(images[:2], [0, 0], "<", False))
     with open_log(log) as opened:
         assert [frame.index for frame in opened] == [0, 2]
-        assert opened.problems == [
+        assert opened.diagnostics.problems == [
             "frame1.tif: a TIFF of several images; one image a file is read, skipped"
         ]

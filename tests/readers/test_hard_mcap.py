@@ -36,7 +36,7 @@ TIMED = [(k * PERIOD_NS, cdr_image(image)) for k, image in enumerate(IMAGES)]
 
 def read(path: Path) -> tuple[list[Frame], list[str]]:
     with open_log(path) as log:
-        return list(log), log.problems
+        return list(log), log.diagnostics.problems
 
 
 def assert_frames(found: list[Frame], numbers: list[int]) -> None:
@@ -359,7 +359,7 @@ def test_counts_that_lie_are_only_counts(tmp_path: Path) -> None:
     with open_log(path) as opened:
         assert opened.frame_count == 40
         assert_frames(list(opened), list(range(12)))
-    assert opened.problems == ["log.mcap: in all, 28 of 40 frames are lost"]
+    assert opened.diagnostics.problems == ["log.mcap: in all, 28 of 40 frames are lost"]
 
 
 # Overlap, order, memory

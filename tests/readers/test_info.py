@@ -126,8 +126,8 @@ def test_what_info_counts_is_what_run_uses(tmp_path: Path) -> None:
     found = table(path, code=3)
     assert found["images"][0]["usable"] == used
     assert found["faults"] + found["images"][0]["problems"] == [
-        *[p for p in log.problems if p.startswith("log.mcap")],
-        *[p for p in log.problems if p.startswith("message")],
+        *[p for p in log.diagnostics.problems if p.startswith("log.mcap")],
+        *[p for p in log.diagnostics.problems if p.startswith("message")],
     ]
     assert not found["container"]["footer"]
     assert "no: cut short or damaged" in info(path).output

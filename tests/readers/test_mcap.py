@@ -48,7 +48,7 @@ IMAGE = frames(1)[0]
 
 def read(path: Path, topic: str | None = None) -> tuple[list[Frame], list[str]]:
     with open_log(path, topic=topic) as log:
-        return list(log), log.problems
+        return list(log), log.diagnostics.problems
 
 
 def one(tmp_path: Path, message: bytes, **options: str) -> np.ndarray:

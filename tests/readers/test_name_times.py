@@ -142,7 +142,7 @@ def test_frames_have_these_times(tmp_path: Path) -> None:
         (log / f"frame{k}.png").rename(log / f"ping_20261120_10000{k}.25.png")
     with open_log(log) as opened:
         times = [frame.timestamp_ns for frame in opened]
-        (note,) = opened.notes
+        (note,) = opened.diagnostics.notes
     assert [time - MOMENT_NS for time in times] == [0, 10**9, 2 * 10**9]
     assert "the times in the names of its images, the first 2026-11-20 10:00:00.250 UTC" in note
     assert note.endswith(", and 1 a second")
@@ -156,6 +156,6 @@ def test_an_image_without_a_time_among_others_is_told(tmp_path: Path) -> None:
         (log / f"frame{k}.png").rename(log / f"ping_20261120_10000{k}.25.png")
     with open_log(log) as opened:
         times = [frame.timestamp_ns for frame in opened]
-        (note,) = opened.notes
+        (note,) = opened.diagnostics.notes
     assert times == [k * 10**9 // 4 for k in range(4)]  # by frame_rate_hz
     assert "frame3.png has no time in its name" in note

@@ -36,7 +36,7 @@ def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
 
 def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:
     with open_log(path, sonar=TILT | sonar) as log:
-        return list(log), log.problems
+        return list(log), log.diagnostics.problems
 
 
 def written(path: Path, data: bytes) -> Path:

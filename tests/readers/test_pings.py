@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec import config
 from sonarrec.cli import main
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError
 from sonarrec.geometry import PolarToFan, polar_from_pixel
 from sonarrec.readers import open_log
 from sonarrec.readers.beam_order import looks_beam_major
@@ -218,7 +218,7 @@ def test_a_topic_of_pings_and_images() -> None:
     """An image that tells nothing has no place in the fan that pings made."""
     image = polar_frames(1)[0]
     told = ping_of(PROJECTED, messages.projected_fields(0, image)).sonar
-    make = FrameMaker(Sonar(layout="polar", tilt_deg=20.0), "log")
+    make = FrameMaker(Sonar(layout="polar", tilt_deg=20.0), "log", Diagnostics("log"))
     for _ in range(2):
         with pytest.raises(UnusableError, match="does not tell its geometry"):
             make(RawFrame("image", 0, image))
@@ -235,7 +235,7 @@ def test_a_topic_of_pings_and_images_whose_geometry_is_stated(layout: Any) -> No
         Sonar(layout=layout, range_min_m=1.0, range_max_m=4.0, field_of_view_deg=30.0)
     )
     for first, other, why in ((ping, picture, "does not tell"), (picture, ping, "it tells its")):
-        make = FrameMaker(stated, "log")
+        make = FrameMaker(stated, "log", Diagnostics("log"))
         made = make(first)
         with pytest.raises(UnusableError, match=why):
             make(other)
@@ -361,7 +361,8 @@ def test_beam_order(tmp_path: Path) -> None:
     with open_log(other, sonar=TILT) as log:
         found = list(log)
         assert log.reading()["beam_order"] == "beam-major"
-        assert log.notes == [f"{other}: read as beam-major, found from its first ping with echoes"]
+        (note,) = log.diagnostics.notes
+        assert note == f"{other}: read as beam-major, found from its first ping with echoes"
     for frame, same, also, odd in zip(expected, found, stated, wrong, strict=True):
         np.testing.assert_array_equal(frame.image, same.image)
         np.testing.assert_array_equal(frame.image, also.image)
@@ -389,7 +390,8 @@ def test_blank_pings_do_not_settle_the_beam_order(
             else:
                 np.testing.assert_array_equal(frame.image, same.image)
         assert log.reading()["beam_order"] == "beam-major"
-        assert log.notes == [f"{other}: read as beam-major, found from its first ping with echoes"]
+        (note,) = log.diagnostics.notes
+        assert note == f"{other}: read as beam-major, found from its first ping with echoes"
 
 
 def test_blank_pings_settle_nothing(tmp_path: Path) -> None:
@@ -452,7 +454,7 @@ def test_beam_order_of_as_many_bins_as_beams_is_assumed(tmp_path: Path, stated: 
             f"{path}: assumed to be range-major, which cannot be found of as many range bins as "
             f"beams ({BEAMS}); --beam-order states it"
         ]
-        assert log.notes == ([] if stated else told)
+        assert log.diagnostics.notes == ([] if stated else told)
     (images,) = describe(path, sonar=sonar).images
     assert images.origins["beam_order"] == ("flag" if stated else "assumed")
 

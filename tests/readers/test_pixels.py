@@ -54,7 +54,7 @@ AMPLITUDES = [
 def greys(path: Path, **keys: Any) -> list[np.ndarray]:
     with open_log(path, sonar=Sonar(tilt_deg=20.0, **keys)) as log:
         found = [frame.image for frame in log]
-        assert log.problems == []
+        assert log.diagnostics.problems == []
     return found
 
 
@@ -219,7 +219,7 @@ def read(folder: Path, images: list[np.ndarray], **keys: Any) -> tuple[Any, list
     )
     with open_log(folder, sonar=sonar) as log:
         next(iter(log))
-        return log.reading()["pixel_scale"], log.notes
+        return log.reading()["pixel_scale"], log.diagnostics.notes
 
 
 def simulated() -> np.ndarray:

@@ -19,14 +19,14 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import MAX_PROBLEM_LINES, SonarrecError, UsageError
 from sonarrec.files.order import natural_order
 from sonarrec.geometry import PolarToFan
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.images import ImagePaths
 from sonarrec.readers.info import describe
-from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size, _to_settle
+from sonarrec.readers.log import _of_one_size, _to_settle
 from sonarrec.readers.named_logs import NamedLog, logs_named
 from sonarrec.readers.raw import RawFrame
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
@@ -41,7 +41,7 @@ Maker = Callable[[Path, list[np.ndarray]], Path]
 
 def read(path: str | Path, **options: object) -> tuple[list[Frame], list[str]]:
     with open_log(path, **options) as log:  # type: ignore[arg-type]
-        return list(log), log.problems
+        return list(log), log.diagnostics.problems
 
 
 def folder(suffix: str, change: Callable[[np.ndarray], np.ndarray] = lambda image: image) -> Maker:
@@ -195,7 +195,7 @@ def test_same_frames_from_every_reader(make: Maker, tmp_path: Path) -> None:
         assert log.name == "log"
         assert log.fan is None
         found = list(log)
-        assert log.problems == []
+        assert log.diagnostics.problems == []
         assert log.fan == found[0].fan
     assert [f.index for f in found] == list(range(len(images)))
     assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(len(images))]
@@ -245,7 +245,7 @@ def test_of_frames_before_a_span_only_the_first_are_decoded(
     monkeypatch.setattr("sonarrec.readers.log._of_one_size", noted)
     with open_log(path, sonar=sonar) as opened:
         some = list(opened.within((5, 7)))
-    assert opened.problems == []
+    assert opened.diagnostics.problems == []
     assert decoded[:7] == [True, True, True, False, False, True, True]
     assert [f.index for f in some] == [5, 6]
     for frame, same in zip(some, whole[5:7], strict=True):
@@ -273,7 +273,7 @@ def test_every_pass_gives_the_same(make: Maker, tmp_path: Path) -> None:
         assert seen() == whole
         assert log.fan is not None
         assert log.fan.height_m is not None
-        assert log.problems == []
+        assert log.diagnostics.problems == []
 
 
 def test_what_was_found_out_is_noted_once(tmp_path: Path) -> None:
@@ -281,7 +281,7 @@ def test_what_was_found_out_is_noted_once(tmp_path: Path) -> None:
     with open_log(image_folder(tmp_path / "log", images)) as log:
         for _ in range(2):
             assert len(list(log)) == 3
-            (note,) = log.notes
+            (note,) = log.diagnostics.notes
             assert "levels of the colour map jet" in note
 
 
@@ -292,7 +292,7 @@ def test_a_log_that_begins_with_faults_is_settled_before_a_span(tmp_path: Path) 
         (log / f"frame{k}.png").write_bytes(b"broken")
     with open_log(log) as opened:
         assert [f.index for f in opened.within((6, None))] == [6, 8]
-        told = [line.partition(":")[0] for line in opened.problems]
+        told = [line.partition(":")[0] for line in opened.diagnostics.problems]
     assert told == ["frame0.png", "frame1.png", "frame2.png", "frame7.png"]
 
 
@@ -332,7 +332,7 @@ def test_a_stated_rate_that_a_video_overrides_is_noted(
     path = lossless_video(".avi")(tmp_path, frames(3))
     with open_log(path, sonar=Sonar(frame_rate_hz=stated_hz)) as log:
         assert [frame.timestamp_ns for frame in log] == [0, 250_000_000, 500_000_000]
-        notes = log.notes
+        notes = log.diagnostics.notes
     (images,) = describe(path, sonar=Sonar(frame_rate_hz=stated_hz)).images
     for told in (notes, images.notes):
         assert any("frame_rate_hz = 25 is not used" in note for note in told) == noted
@@ -446,7 +446,7 @@ def test_numbers_left_out_in_names_are_told(tmp_path: Path, names: str, told: st
     for k, name in enumerate(names.split()):
         (log / f"frame{k}.png").rename(log / name)
     with open_log(log) as opened:
-        notes = opened.notes
+        notes = opened.diagnostics.notes
     assert [note.rpartition("counted: ")[2] for note in notes] == [told] * (told is not None)
 
 
@@ -456,15 +456,15 @@ def test_images_of_two_kinds_with_the_same_names_are_told(tmp_path: Path) -> Non
         cv2.imwrite(str(path.with_suffix(".jpg")), cv2.imread(str(path)))
     with open_log(log) as opened:
         assert opened.frame_count == 6
-        (note,) = opened.notes
+        (note,) = opened.diagnostics.notes
     assert "images of two kinds with the same names" in note
     assert note.endswith("such as '*.jpg'")
     for glob in ("*.jpg", "*.png"):
         with open_log(f"{log}/{glob}") as opened:
-            assert (opened.frame_count, opened.notes) == (3, [])
+            assert (opened.frame_count, opened.diagnostics.notes) == (3, [])
     folders = [image_folder(tmp_path / "logs" / name, frames(3, 20, 20)) for name in "ab"]
     with open_log(f"{folders[0].parent}/*/*.png") as opened:
-        assert not any("two kinds" in note for note in opened.notes)
+        assert not any("two kinds" in note for note in opened.diagnostics.notes)
 
 
 def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
@@ -546,7 +546,7 @@ def test_what_a_flag_tells_of_a_fan_s_view_wins(tmp_path: Path) -> None:
     for stated in ({"bearings_deg": (-10.0, 0.0)}, {"field_of_view_deg": 28.8}):
         with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
             fan = next(iter(opened)).fan
-            assert opened.notes == []
+            assert opened.diagnostics.notes == []
         edges.append((fan.bearing_min_deg, fan.bearing_max_deg))
         (log / "sonar.toml").write_text(
             SONAR_TOML.replace("field_of_view_deg = 28.8", "bearings_deg = [-10, 0]")
@@ -561,7 +561,7 @@ def test_a_field_of_view_beside_bearings_of_another_is_told(tmp_path: Path) -> N
     def notes(view_deg: float | None = None) -> list[str]:
         with open_log(log, sonar=Sonar(layout="polar", field_of_view_deg=view_deg)) as opened:
             list(opened)
-            return opened.notes
+            return opened.diagnostics.notes
 
     text = SONAR_TOML.replace("field_of_view_deg = 28.8", f"bearings_deg = {list(beams)}")
     (log / "sonar.toml").write_text(text)
@@ -632,7 +632,7 @@ from sonarrec.errors import SonarrecError, UsageError
 for name in ("png", "tiff", "bmp", "log.avi", "junk.avi"):
     try:
         with open_log({str(tmp_path)!r} + "/" + name) as log:
-            print(name, len(list(log)), len(log.problems))
+            print(name, len(list(log)), len(log.diagnostics.problems))
     except SonarrecError as error:
         print(name, "error")
 """
@@ -704,4 +704,4 @@ def test_shared_recordings(name: str) -> None:
     with open_log(DATA / name) as log:
         first = next(iter(log))
         assert first.image.shape == (first.fan.rows, first.fan.columns)
-        assert log.problems == []
+        assert log.diagnostics.problems == []

@@ -422,7 +422,7 @@ def polar_frames(count: int = 3) -> list[np.ndarray]:
 
 def read(path: Path, **options: Any) -> tuple[list[Frame], list[str], list[str]]:
     with open_log(path, **options) as log:
-        return list(log), log.problems, log.notes
+        return list(log), log.diagnostics.problems, log.diagnostics.notes
 
 
 def ping_of(name: str, fields: dict[str, Any], **options: Any) -> Ping:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sonarrec.errors import Diagnostics
 from sonarrec.readers.ddf.aris_beams import BEARINGS_DEG
 from sonarrec.readers.ddf.headers import COMPASS, attitude_of, compass, header_dtype, measured
 from sonarrec.readers.raw import HeaderInfo, UnusableError
@@ -108,12 +109,14 @@ class Aris:
         """(the computer's time, the sonar's time)."""
         return _nanoseconds(frame["FrameTime"]), _nanoseconds(frame["sonarTimeStamp"])
 
-    def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
+    def header_info(
+        self, file: np.void, frames: list[np.void], diagnostics: Diagnostics
+    ) -> HeaderInfo:
         """Tilt and frame rate; everything else for `info`."""
         frame = frames[0]
-        tilt, notes = attitude_of(frames, "SonarTilt")
+        tilt = attitude_of(frames, "SonarTilt", diagnostics)
         if file["Reverse"]:
-            notes.append(
+            diagnostics.note(
                 "its header says that the sonar lay upside down (lens up); if left and right are "
                 "exchanged, use --flip"
             )
@@ -142,7 +145,7 @@ class Aris:
         }
         rate = rate if rate is not None and 0 < rate < 1000 else None
         sonar = Sonar(tilt_deg=tilt, frame_rate_hz=rate)
-        return HeaderInfo(sonar, values, tuple(notes), sample_db=FULL_SCALE_DB / 255)
+        return HeaderInfo(sonar, values, sample_db=FULL_SCALE_DB / 255)
 
 
 def in_beam_order(samples: np.ndarray, pings: int) -> np.ndarray:

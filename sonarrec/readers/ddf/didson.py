@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from sonarrec.errors import Diagnostics
 from sonarrec.readers.ddf.headers import COMPASS, attitude_of, compass, header_dtype, measured
 from sonarrec.readers.raw import HeaderInfo, UnusableError
 from sonarrec.sonar import PingGeometry, Sonar
@@ -115,17 +116,21 @@ class Didson:
         # A clock that was never set, or counts years from 2000, is not used.
         return (stamp if 0 <= stamp < 2**63 else None), None
 
-    def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
+    def header_info(
+        self, file: np.void, frames: list[np.void], diagnostics: Diagnostics
+    ) -> HeaderInfo:
         """Tilt and frame rate; everything else for `info`."""
         frame = frames[0]
-        tilt, notes = attitude_of(frames, None)
+        tilt = attitude_of(frames, None, diagnostics)
         flags, rate = _configuration(file, frame), int(file["FrameRate"])
-        notes.append(
+        diagnostics.note(
             "no description of DIDSON files is public: window, bearings and times are read as "
             "other free programs read them (sonarrec help formats)"
         )
         if flags & _LONG_RANGE:
-            notes.append("readers disagree on the windows of a long-range DIDSON: check the ranges")
+            diagnostics.note(
+                "readers disagree on the windows of a long-range DIDSON: check the ranges"
+            )
         kind = "DIDSON-LR" if flags & _LONG_RANGE else "DIDSON-S"
         windows = "classic" if flags & _CLASSIC else "extended"
         values = {
@@ -138,7 +143,7 @@ class Didson:
             **compass(frame),
         }
         known_rate = float(rate) if 0 < rate < 1000 else None
-        return HeaderInfo(Sonar(tilt_deg=tilt, frame_rate_hz=known_rate), values, tuple(notes))
+        return HeaderInfo(Sonar(tilt_deg=tilt, frame_rate_hz=known_rate), values)
 
 
 def _configuration(file: np.void, frame: np.void) -> int:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.nouns import Stamps
 from sonarrec.readers.ddf.aris import Aris
 from sonarrec.readers.ddf.didson import Didson
@@ -53,7 +52,9 @@ class Layout(Protocol):
         """(when the frame was recorded, the sonar's own time), ns since 1970; None if unknown."""
         ...
 
-    def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
+    def header_info(
+        self, file: np.void, frames: list[np.void], diagnostics: Diagnostics
+    ) -> HeaderInfo:
         """What the headers say about the log. frames: some from all over it, with the first."""
         ...
 
@@ -65,14 +66,14 @@ LAYOUTS: dict[int, Layout] = {3: Didson(3), 4: Didson(4), 5: Aris()}
 class DdfFrames(RawLog):
     """The frames of one DDF file, in the order of the file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
         """Raises SonarrecError if the file is not a DDF file or has no whole frame."""
-        super().__init__()
+        super().__init__(diagnostics or Diagnostics(path))
         self.polar = True
-        self._name = name_as_text(path.name)
+        self._name = path.name
         self._file = FileBytes(path)
         with self._file.closed_on_error():
-            self._open(name_as_text(path))
+            self._open(str(path))
 
     def _open(self, where: str) -> None:
         self._mark = self._file.at(0, 4)
@@ -101,12 +102,13 @@ class DdfFrames(RawLog):
             )
         self.frame_count = room // self._length
         headers = self._headers_all_over()
-        info = layout.header_info(self._header, headers) if headers else HeaderInfo()
+        if headers:
+            self.header_info = layout.header_info(self._header, headers, self.diagnostics)
         count = int(self._header["FrameCount"])
         if count > self.frame_count:  # a note: its maker advises against believing it
-            missing = f"its header counts {number_of(count, 'frame')}, {self.frame_count} are there"
-            info = replace(info, notes=(*info.notes, missing))
-        self.header_info = info
+            self.diagnostics.note(
+                f"its header counts {number_of(count, 'frame')}, {self.frame_count} are there"
+            )
 
     def _frame_shape(self) -> tuple[tuple[int, int], int]:
         """(samples, beams) of every frame, and its length in bytes.
@@ -150,9 +152,9 @@ class DdfFrames(RawLog):
         while at < self._file.size:
             bytes_left = self._file.size - at
             if bytes_left < self._length:
-                self.faults.append(
-                    f"{self._name}: cut short: the last frame has only {bytes_left} of its "
-                    f"{self._length} bytes"
+                self.diagnostics.fault(
+                    f"cut short: the last frame has only {bytes_left} of its {self._length} bytes",
+                    self._name,
                 )
                 return
             header, end = self._frame_header(at), at + self._length
@@ -164,7 +166,9 @@ class DdfFrames(RawLog):
                 at, number = end, number + 1
                 continue
             if next_at is None:
-                self.faults.append(f"{self._name}: no frame begins in the last {bytes_left} bytes")
+                self.diagnostics.fault(
+                    f"no frame begins in the last {bytes_left} bytes", self._name
+                )
                 return
             few = f"only {next_at - at} of its {self._length} bytes are there"
             many = f"{next_at - at} bytes up to the next frame, in place of {self._length}"
@@ -174,9 +178,10 @@ class DdfFrames(RawLog):
             for _ in range(lost - 1):
                 yield RawFrame(name, None, None)
             if lost > 1:
-                self.faults.append(
-                    f"{self._name}: about {lost} frames are lost from {name} on; the numbers of "
-                    "later ones may be wrong"
+                self.diagnostics.fault(
+                    f"about {lost} frames are lost from {name} on; the numbers of later ones may "
+                    "be wrong",
+                    self._name,
                 )
             at, number = next_at, number + lost
 

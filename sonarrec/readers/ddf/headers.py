@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.errors import Diagnostics
+
 MAX_TILT_CHANGE_DEG = 5.0
 COMPASS = {
     "CompassHeading": (160, "<f4"),
@@ -44,8 +46,10 @@ def compass(frame: np.void) -> dict[str, float | None]:
     }
 
 
-def attitude_of(frames: Sequence[np.void], rotator: str | None) -> tuple[float | None, list[str]]:
-    """(tilt by a file's headers in deg, downward, None if not stated; notes on it).
+def attitude_of(
+    frames: Sequence[np.void], rotator: str | None, diagnostics: Diagnostics
+) -> float | None:
+    """The tilt by a file's headers in deg, downward; None if not stated.
 
     frames: headers of frames from all over the file. rotator: name of the field with the rotator's
     tilt. It is the median of the compass's pitch or, without a compass, of the rotator's tilt; both
@@ -60,9 +64,12 @@ def attitude_of(frames: Sequence[np.void], rotator: str | None) -> tuple[float |
             continue
         tilt = float(f"{np.median(tilts):.4g}") + 0.0  # no negative zero
         if tilt < 0:
-            return None, [f"its headers say that the sonar looks {-tilt:g} deg upward ({name})"]
+            diagnostics.note(f"its headers say that the sonar looks {-tilt:g} deg upward ({name})")
+            return None
         if max(tilts) - min(tilts) > MAX_TILT_CHANGE_DEG:
-            text = f"its tilt is between {min(tilts):.3g} and {max(tilts):.3g} deg ({name})"
-            return tilt, [f"{text}; the median, {tilt:g} deg, is used for all frames"]
-        return tilt, []
-    return None, []
+            diagnostics.note(
+                f"its tilt is between {min(tilts):.3g} and {max(tilts):.3g} deg ({name}); the "
+                f"median, {tilt:g} deg, is used for all frames"
+            )
+        return tilt
+    return None

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import SonarrecError
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.gemini.pings import (
     HEAD_3,
@@ -40,7 +40,7 @@ def pieces(path: Path) -> Iterator[bytes]:
     """
     file = FileBytes(path)
     try:
-        method, at = _find_dat(file, name_as_text(path))
+        method, at = _find_dat(file, str(path))
         inflater = zlib.decompressobj(-zlib.MAX_WBITS)
         while piece := file.at(at, _PIECE):
             at += len(piece)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.nouns import Stamps
 from sonarrec.readers.gemini.archive import pieces, records
 from sonarrec.readers.gemini.pings import Header, decoded, device_of, time_ns
@@ -21,13 +21,14 @@ _NOTES = (
 class GeminiPings(RawLog):
     """The images of one sonar, the first in the file, in the order of the file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
         """Raises SonarrecError if the file holds no image that can be read."""
-        super().__init__()
+        super().__init__(diagnostics or Diagnostics(path))
         self.polar = True
-        self._path, self._name = path, name_as_text(path.name)
+        self._path = path
         self._device, header = self._first()
-        self.header_info = HeaderInfo(values=header, notes=_NOTES)
+        self.header_info = HeaderInfo(values=header)
+        self.diagnostics.note(*_NOTES)
 
     def _first(self) -> tuple[int, Header]:
         """The number of the first sonar, and the header of its first image that can be read."""
@@ -42,9 +43,7 @@ class GeminiPings(RawLog):
                 problem = problem or f" ({reason})"
         except UnusableError as error:
             problem = problem or f" ({error})"
-        raise SonarrecError(
-            f"{name_as_text(self._path)}: no image of a Gemini can be read in it{problem}"
-        )
+        raise SonarrecError(f"{self._path}: no image of a Gemini can be read in it{problem}")
 
     def __iter__(self) -> Iterator[RawFrame]:
         number, others = 0, 0
@@ -56,11 +55,12 @@ class GeminiPings(RawLog):
                 yield self._frame(number, place, record, problem)
                 number += 1
         except UnusableError as error:
-            self.faults.append(f"{self._name}: {error}; what comes before is read")
+            self.diagnostics.fault(f"{error}; what comes before is read", self._path.name)
         if others:
-            self.faults.append(
-                f"{self._name}: {number_of(others, 'image')} of other sonars than device "
-                f"{self._device} are not read; record one sonar to a file"
+            self.diagnostics.fault(
+                f"{number_of(others, 'image')} of other sonars than device {self._device} are not "
+                "read; record one sonar to a file",
+                self._path.name,
             )
 
     def _frame(self, number: int, place: int, record: bytes | None, problem: str) -> RawFrame:

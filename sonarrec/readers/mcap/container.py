@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mcap.records import Schema
 
+from sonarrec.errors import Diagnostics
 from sonarrec.readers.mcap.in_order import MessageReader
 from sonarrec.readers.mcap.salvage import McapFile
 from sonarrec.readers.recording import Channel, Message, Recording
@@ -17,13 +18,15 @@ _NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 class McapRecording(Recording):
     """A `Recording` of an MCAP file. A damaged or cut file is read as far as possible."""
 
-    def __init__(self, path: Path, at: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, at: Path | None = None, diagnostics: Diagnostics | None = None
+    ) -> None:
         """path: the file's name in messages. at: the file to read, if it is another one.
 
         Raises SonarrecError if it is no MCAP file, OSError if it cannot be read.
         """
-        log = self._log = McapFile(path, at)
-        super().__init__(path)
+        super().__init__(path, diagnostics)
+        log = self._log = McapFile(path, at or path, self.fault)
         self.channels: dict[int, Channel] = {}
         for channel in log.channels.values():
             schema = log.schemas.get(channel.schema_id, _NO_SCHEMA)
@@ -35,7 +38,6 @@ class McapRecording(Recording):
             (log.header.profile, log.header.library) if log.header is not None else ("", "")
         )
         self.span, self.chunks, self.whole = log.span, log.chunks, log.whole
-        self.faults = log.faults
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order; those of equal time as in the file."""

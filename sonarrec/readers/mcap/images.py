@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import Stamps
 from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
@@ -42,7 +42,7 @@ class ChannelImages(RawLog):
         Raises SonarrecError if there is no image channel, UsageError if there are several image
         topics and none is chosen, or if `topic` is none of them.
         """
-        super().__init__()
+        super().__init__(log.diagnostics)
         self._log = log
         try:
             self._decoders = _choose(log, topic)
@@ -51,7 +51,6 @@ class ChannelImages(RawLog):
             raise
         self.topic = log.channels[next(iter(self._decoders))].topic
         self.polar = any(decoder.kind.polar for decoder in self._decoders.values())
-        self.faults, self.notes = log.faults, log.notes
         self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
 
     def close(self) -> None:
@@ -82,19 +81,16 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
             f"{c.topic} ({c.schema or 'no schema'}, {c.message_encoding or 'no encoding'})"
             for c in log.channels.values()
         )
-        damage = f" ({log.faults[0]})" if log.faults else ""
+        damage = f" ({faults[0]})" if (faults := log.diagnostics.faults) else ""
         raise SonarrecError(
-            f"{name_as_text(log.path)}: no image channel; it holds "
+            f"{log.path}: no image channel; it holds "
             f"{', '.join(held_channels) or 'no channel'}, and this reads {READABLE}{damage}"
         )
     if topic is None and len(topics) > 1:
         raise UsageError(
-            f"{name_as_text(log.path)}: several image channels; choose one with --topic: "
-            + ", ".join(topics)
+            f"{log.path}: several image channels; choose one with --topic: " + ", ".join(topics)
         )
     if topic is not None and topic not in topics:
-        raise UsageError(
-            f"{name_as_text(log.path)}: no image channel {topic!r}; there is {', '.join(topics)}"
-        )
+        raise UsageError(f"{log.path}: no image channel {topic!r}; there is {', '.join(topics)}")
     topic_chosen = topic or topics[0]
     return {c: d for c, d in decoders.items() if log.channels[c].topic == topic_chosen}

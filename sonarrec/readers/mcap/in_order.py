@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
-from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.readers.mcap.chunks import ChunkHead, Contents, DamagedError
 from sonarrec.readers.mcap.in_chunk import (
     Place,
@@ -73,9 +73,7 @@ class MessageReader:
                 yield self._next()
             self._report_faults()
         except OSError as error:
-            raise SonarrecError(
-                f"{name_as_text(log.path)}: cannot be read ({error.strerror})"
-            ) from None
+            raise SonarrecError(f"{log.path}: cannot be read ({error.strerror})") from None
 
     def _rising(self, contents: Contents, position: int, channel: int) -> Iterator[Place]:
         """The messages of a channel in no chunk, up to the first whose time goes back."""

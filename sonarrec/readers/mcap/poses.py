@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.errors import (
+    MAX_PROBLEM_LINES,
     SonarrecError,
     UsageError,
-    name_as_text,
     number_of,
 )
 from sonarrec.nouns import Clock
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.find import find_log
-from sonarrec.readers.log import MAX_PROBLEM_LINES
 from sonarrec.readers.mcap.decode import Decode, fields_decoder
 from sonarrec.readers.mcap.fields import DefinitionError, Fields
 from sonarrec.readers.mcap.messages import message_type
@@ -44,8 +43,7 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     source = find_log(path)
     if not source.reader.has_topics:
         raise UsageError(
-            f"{name_as_text(path)}: --odometry-topic names a channel of an MCAP or a ROS bag; this "
-            "log is neither"
+            f"{path}: --odometry-topic names a channel of an MCAP or a ROS bag; this log is neither"
         )
     log = source.recording()
     try:
@@ -56,7 +54,7 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
         if len(at) > 1:
             problems = [f"all have the {time} time {at[0]} ns"]
         raise SonarrecError(
-            f"{name_as_text(path)}: {topic} has fewer than two poses that can be read"
+            f"{path}: {topic} has fewer than two poses that can be read"
             + (f" ({problems[0]})" if problems else "")
         )
     if len(problems) > MAX_PROBLEM_LINES:
@@ -104,14 +102,14 @@ def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, 
                 )
             except DefinitionError as error:
                 raise SonarrecError(
-                    f"{name_as_text(log.path)}: the definition of {topic} cannot be used ({error})"
+                    f"{log.path}: the definition of {topic} cannot be used ({error})"
                 ) from None
             if decode is not None:
                 decoders[number] = decode, POSES[kind]
     if not decoders:
         topics = sorted({c.topic for c in poses.values()} - {topic})
         choice = f"there is {', '.join(topics)}" if topics else f"this reads {', '.join(POSES)}"
-        raise UsageError(f"{name_as_text(log.path)}: no pose topic {topic!r}; {choice}")
+        raise UsageError(f"{log.path}: no pose topic {topic!r}; {choice}")
     return decoders
 
 

@@ -10,7 +10,7 @@ import struct
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -20,7 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema, Statistics
 
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import SonarrecError
 from sonarrec.readers.mcap.chunks import (
     RECORD_HEAD,
     ChunkHead,
@@ -63,20 +63,19 @@ class McapFile:
 
     schemas, channels: by id. counts: number of messages by channel. header: profile and library;
     None if the file has no header. span: first and last log time, ns; None without messages.
-    chunks: number of chunks by compression. whole: whether the file has its footer. faults: a line
-    for each thing that is wrong.
+    chunks: number of chunks by compression. whole: whether the file has its footer.
 
     times, positions, channels_of_units: the units to read, one element each: its first log time
     (ns), its position in the file, and its channel. A unit is a chunk (channel CHUNK), or a run of
     messages of one channel that are in no chunk and whose times do not go back.
     """
 
-    def __init__(self, path: Path, at: Path | None = None) -> None:
-        """path: the file's name in messages. at: the file to read, if it is another one.
+    def __init__(self, path: Path, at: Path, fault: Callable[[str], None]) -> None:
+        """path: the file's name in messages. at: the file to read. fault: is told what is wrong.
 
         Raises SonarrecError if it is no MCAP file, OSError if it cannot be read.
         """
-        self.path = path
+        self.path, self.fault = path, fault
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.counts: Counter[int] = Counter()
@@ -84,13 +83,12 @@ class McapFile:
         self.span: tuple[int, int] | None = None
         self.chunks: Counter[str] = Counter()
         self.whole = False
-        self.faults: list[str] = []
         self.times, self.positions = array("Q"), array("Q")
         self.channels_of_units = array("l")
         self._statistics: Statistics | None = None
         self._oddities: Counter[str] = Counter()
         self._data_end: tuple[int, int] | None = None  # position and checksum
-        self.file = (at or path).open("rb")
+        self.file = at.open("rb")
         self.store = ChunkStore(self.file)
         try:
             self.size = self._end = self.file.seek(0, 2)
@@ -111,10 +109,6 @@ class McapFile:
             raise DamagedError("has no readable head")
         return head
 
-    def fault(self, text: str) -> None:
-        """Add a line about what is wrong."""
-        self.faults.append(f"{name_as_text(self.path.name)}: {text}")
-
     def data_are_sound(self) -> bool:
         """Whether the data section matches its checksum, or has none. Reads the whole section."""
         if self._data_end is None or not self._data_end[1]:
@@ -126,9 +120,7 @@ class McapFile:
     def _scan(self) -> None:
         self.file.seek(0)
         if self.file.read(len(MAGIC)) != MAGIC:
-            raise SonarrecError(
-                f"{name_as_text(self.path)}: not an MCAP file (it does not begin like one)"
-            )
+            raise SonarrecError(f"{self.path}: not an MCAP file (it does not begin like one)")
         stop = self._scan_from(len(MAGIC))
         while not self.whole:
             resume = next((p for p in self._indexed_positions() if p > stop), None)

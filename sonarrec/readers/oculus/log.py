@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.nouns import Stamps
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.oculus.framing import framing_of, messages
@@ -18,20 +18,21 @@ _LOOKED_THROUGH = 2 * MAX_FRAME_BYTES  # for a first ping, since the file may be
 class OculusPings(RawLog):
     """The pings of a raw stream or of an `.oculus` log, in the order of the file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
         """Raises SonarrecError if the file holds no ping that can be read."""
-        super().__init__()
+        super().__init__(diagnostics or Diagnostics(path))
         self.polar = True
-        self._name = name_as_text(path.name)
+        self._name = path.name
         self._file = FileBytes(path)
         with self._file.closed_on_error():
-            self._framing, self._start = framing_of(self._file, name_as_text(path))
-            self.header_info = HeaderInfo(values=self._first_header(name_as_text(path)))
+            self._framing, self._start = framing_of(self._file, str(path))
+            self.header_info = HeaderInfo(values=self._first_header(str(path)))
 
     def _first_header(self, where: str) -> Header:
         """The header of the first ping that can be read. where: names the file."""
-        problem = ""
-        for _, _, message, reason in self._read([], min(self._file.size, _LOOKED_THROUGH)):
+        problem, untold = "", Diagnostics("")
+        within = min(self._file.size, _LOOKED_THROUGH)
+        for _, _, message, reason in self._read(untold, within):
             if message is not None:
                 try:
                     return decoded(message)[1]
@@ -46,7 +47,7 @@ class OculusPings(RawLog):
 
     def __iter__(self) -> Iterator[RawFrame]:
         for number, (at, time_ns, message, problem) in enumerate(
-            self._read(self.faults, self._file.size)
+            self._read(self.diagnostics, self._file.size)
         ):
             name = f"ping {number} at byte {at}"
             if message is None or number in self.passed_over:
@@ -62,12 +63,12 @@ class OculusPings(RawLog):
             yield RawFrame(name, timestamp_ns, ping.pixels, None, ping.sonar, stamps)
 
     def _read(
-        self, faults: list[str], limit: int
+        self, diagnostics: Diagnostics, limit: int
     ) -> Iterator[tuple[int, int | None, bytes | None, str]]:
         """Yield (place, time in ns, message, problem) of every ping; no message if it is damaged.
 
-        limit: where in the file to stop. faults: after all is read, a line is added for bytes that
-        belong to no message, and one for pings in a format that is not read.
+        limit: where in the file to stop. diagnostics: after all is read, it is told of bytes that
+        belong to no message, and of pings in a format that is not read.
         """
         stray_bytes = stray_places = full = 0
         for at, length, whole in messages(self._file, self._framing, self._start, limit):
@@ -88,12 +89,14 @@ class OculusPings(RawLog):
             if number == SIMPLE_PING:
                 yield at, time_ns, message, ""
         if stray_places:
-            faults.append(
-                f"{self._name}: {stray_bytes} bytes in {stray_places} places belong to no message; "
-                "damaged, so pings may be missing there, or wrong before them"
+            diagnostics.fault(
+                f"{stray_bytes} bytes in {stray_places} places belong to no message; damaged, so "
+                "pings may be missing there, or wrong before them",
+                self._name,
             )
         if full:
-            faults.append(
-                f"{self._name}: {number_of(full, 'ping')} in the full format, which is not public, "
-                "cannot be read; let the sonar send simple results"
+            diagnostics.fault(
+                f"{number_of(full, 'ping')} in the full format, which is not public, cannot be "
+                "read; let the sonar send simple results",
+                self._name,
             )

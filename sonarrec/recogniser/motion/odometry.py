@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from sonarrec.arrays import ByteImage
 from sonarrec.config import Continuity
+from sonarrec.errors import Diagnostics
 from sonarrec.nouns import Motion
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.motion.image_motion import ImageMotion
@@ -71,33 +72,27 @@ class Odometry:
             self.tally.compared += 1
             self.tally.differing += abs(pose_deg - image_deg) > 0.5 * larger
 
-    def problems(self) -> list[str]:
-        """What is wrong with the table, and how many frames so far have no pose in it."""
+    def tell(self, diagnostics: Diagnostics) -> None:
+        """Tell what is wrong with the table: rows, frames that have no pose, contradictions."""
         if self._poses is None:
-            return []
-        tally = self.tally
-        if not tally.without_pose:
-            return list(self._poses.problems)
-        assert tally.span is not None
-        covered = "{:.3f} to {:.3f} s".format(*(self._poses.at[[0, -1]] / 1e9))
-        log = "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in tally.span))
-        return [
-            *self._poses.problems,
-            f"{self._poses.name}: no pose for {tally.without_pose} of {tally.frames} frames; it "
-            f"covers {covered}, and the frames are from {log}",
-        ]
-
-    def notes(self) -> list[str]:
-        """A line where the images of the frames so far contradict the table."""
-        tally = self.tally
+            return
+        tally, poses = self.tally, self._poses
+        diagnostics.problem(*poses.problems)
+        if tally.without_pose:
+            assert tally.span is not None
+            covered = "{:.3f} to {:.3f} s".format(*(poses.at[[0, -1]] / 1e9))
+            log = "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in tally.span))
+            diagnostics.problem(
+                f"{poses.name}: no pose for {tally.without_pose} of {tally.frames} frames; it "
+                f"covers {covered}, and the frames are from {log}"
+            )
         if tally.compared < LEAST_COMPARED or tally.differing <= tally.compared / 2:
-            return []
-        assert self._poses is not None
+            return
         yaw = "yaw is in degrees, positive to the right"
-        if self._poses.axes == "ahead, left":
+        if poses.axes == "ahead, left":
             yaw = "z of a pose points up, so its yaw is positive to the left (REP 103)"
-        return [
-            f"{self._poses.name}: its turns contradict those of the images in "
-            f"{tally.differing} of {tally.compared} frames; {yaw}, and times are by the frames' "
-            "clock"
-        ]
+        diagnostics.note(
+            f"its turns contradict those of the images in {tally.differing} of {tally.compared} "
+            f"frames; {yaw}, and times are by the frames' clock",
+            about=poses.name,
+        )

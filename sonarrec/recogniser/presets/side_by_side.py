@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 
 from sonarrec.config import Config
+from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.poses import PoseTable
@@ -110,15 +110,10 @@ class SideBySide:
         while self._pending:
             yield self._final()
 
-    def problems(self) -> list[str]:
-        """What is wrong with the poses of the frames so far, a line each."""
-        each = (r.odometry.problems() for r in self._recognisers.values())
-        return list(dict.fromkeys(chain.from_iterable(each)))
-
-    def notes(self) -> list[str]:
-        """A line if the frames so far contradict the poses."""
-        each = (r.odometry.notes() for r in self._recognisers.values())
-        return list(dict.fromkeys(chain.from_iterable(each)))
+    def tell(self, diagnostics: Diagnostics) -> None:
+        """Tell what is wrong with the poses of the frames so far."""
+        for recogniser in self._recognisers.values():
+            recogniser.odometry.tell(diagnostics)
 
     def about_pictures(self, found_white: float | None = None) -> list[str]:
         """What was done to the pictures before stage 1, so far: see `Unchanging` and `Levels`.
