@@ -64,6 +64,12 @@ class Candidates:
     min_visible: Annotated[float, bounds(0.01, 1)] = _setting(
         0.35, "share", "least share of the ring inside the fan"
     )
+    edge_gain: Literal["root", "none"] = _setting(
+        "root",
+        "",
+        "root: scores at the fan's edge are divided by the root of the share of the ring that is "
+        "inside, so that chance candidates are as frequent there as within; none: as correlated",
+    )
     max_candidates: Count = _setting(
         12,
         "",
@@ -132,13 +138,21 @@ class Continuity:
     hit_power: NotNegative = _setting(
         4.0, "", "P_hit = score ** hit_power: how sharply particles gather; open in the paper"
     )
+    p_hit: Literal["map", "normalised"] = _setting(
+        "map",
+        "",
+        "Eq. 4: map: P_hit is the power of the score itself, beside a P_rand of 1 / particles; "
+        "normalised: it is divided by its sum over the group, so that both are probabilities of "
+        "the particles; open in the paper",
+    )
     spread_limit: NotNegative = _setting(
         0.25,
         "disc diameters",
         "a group wider than this in either axis, after weighting, gets a strike",
     )
-    strikes: Count = _setting(
-        5, "", "strikes in a row that delete a group; the paper says five times"
+    strikes: Count = _setting(5, "", "strikes that delete a group; the paper says five times")
+    count_strikes: Literal["in_a_row", "in_all"] = _setting(
+        "in_a_row", "", "in_a_row: a frame without a strike starts the count anew; in_all: not"
     )
     p_hit_object: Annotated[float, bounds(0.01, 0.99)] = _setting(
         0.9, "probability", "existence: an object in view is a candidate in a frame"
@@ -196,6 +210,12 @@ class Features:
     distance_power: NotNegative = _setting(
         1.0, "", "inverse_distance: 1 is the paper's wording taken literally; open in the paper"
     )
+    new_belief: Literal["uniform", "neighbours"] = _setting(
+        "uniform",
+        "",
+        "inverse_distance: the belief in an object that has just begun; neighbours: by Eq. 5 from "
+        "the objects of the frame before; open in the paper",
+    )
     measurement: Literal["single", "track"] = _setting(
         "track",
         "",
@@ -227,6 +247,13 @@ class Features:
         0,
         "frames",
         "how long results wait, to be revised by what their tracks showed since",
+    )
+    decide: Literal["threshold", "comparison"] = _setting(
+        "threshold",
+        "",
+        "threshold: every object whose ID has the least score is declared; comparison: also, an ID "
+        "goes to the one object of a frame for which it is most probable (Section 4), and the "
+        "others have score 0",
     )
     # The least, in steps of 0.05, without a false claim of `offline` in the pool's twelve kinds of
     # scene, on tuning seeds (2000 to 2007, 2500 to 2507). By cost over all kinds, a false claim
@@ -290,6 +317,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
             "distance_power": 6.0,
             "measurement": "single",
             "least_ring": 0.5,
+            "decide": "comparison",
             "declare": 0.36,
         },
         "smi": {"declare": 0.48},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
@@ -24,20 +26,39 @@ def declared(score: FloatArray | float, threshold: float) -> BoolArray:
     return settled(np.asarray(score)) >= threshold
 
 
+def wins(probabilities: FloatArray) -> BoolArray:
+    """(n,) which objects of one frame win their likeliest ID: no other has more belief in it.
+
+    probabilities: (n, K + 1) as in Beliefs. Of equal ones the first wins.
+    """
+    beliefs = settled(probabilities[:, :-1])
+    if not len(beliefs):
+        return np.empty(0, bool)
+    return np.asarray(beliefs.argmax(axis=0)[beliefs.argmax(axis=1)] == np.arange(len(beliefs)))
+
+
 class EstimateMaker:
     """Makes the Estimates of both methods from their arrays."""
 
     def __init__(self, config: Config, plane: Plane, landmarks: LandmarkSet) -> None:
         self._plane = plane
         self._ids = landmarks.ids
-        self._declare = config.features.declare
+        self._features = config.features
         self._declare_smi = config.smi.declare
 
     def of_groups(self, method: str, batch: Batch, beliefs: Beliefs) -> list[Estimate]:
-        """The framework's estimates of a batch's groups. Its score is the belief in the ID."""
+        """The framework's estimates of a batch's groups. Its score is the belief in the ID.
+
+        Where objects are compared, one that loses its ID to another has score 0.
+        """
         _, scores = likeliest(beliefs.probabilities)
-        chapters = batch.evidence.chapters
-        return self._estimates(method, batch.tracked, chapters, beliefs, scores, self._declare)
+        if self._features.decide == "comparison":
+            ends = np.cumsum([len(g.numbers) for g in batch.groups])[:-1]
+            won = np.concatenate([wins(p) for p in np.split(beliefs.probabilities, ends)])
+            scores = np.where(won, scores, 0.0)
+            beliefs = replace(beliefs, earned=beliefs.earned & won)
+        chapters, least = batch.evidence.chapters, self._features.declare
+        return self._estimates(method, batch.tracked, chapters, beliefs, scores, least)
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
         """SMI's estimates of a batch's candidates, without standard errors."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, FloatArray, FloatImage, IndexArray, IntArray
+from sonarrec.config import Continuity
 
 Rows = BoolArray | IndexArray
 """Which rows to take, in which order: a mask, or indices."""
@@ -44,7 +45,7 @@ class ParticleGroups(Table):
     """The groups in view, a row each."""
 
     strikes: IntArray
-    """(n,) frames in a row in which the group was too wide."""
+    """(n,) frames in which the group was too wide, counted as Continuity.count_strikes says."""
     particles: npt.NDArray[np.float32]
     """(n, particles, 2) working pixels."""
 
@@ -75,17 +76,18 @@ class ParticleGroups(Table):
         count = self.particles.shape[1]
         return np.asarray((np.full((1, count), 1 / count, np.float32) @ self.particles)[:, 0])
 
-    def weigh(
-        self, score_map: FloatImage, z_hit: float, z_rand: float, hit_power: float
-    ) -> FloatArray:
+    def weigh(self, score_map: FloatImage, config: Continuity) -> FloatArray:
         """Eq. 4: (n, particles) weights from the score map; each group's sum to 1."""
         if len(self) == 0:  # OpenCV refuses empty maps
             return np.empty(self.particles.shape[:2])
         # Outside the image nothing is hit.
         column, row = self.particles.transpose(2, 0, 1)
         hit = cv2.remap(score_map, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        likely = hit ** np.float32(hit_power)
-        weight = z_hit * likely.astype(float) + z_rand / self.particles.shape[1]
+        likely = (hit ** np.float32(config.hit_power)).astype(float)
+        if config.p_hit == "normalised":
+            total = likely.sum(axis=1, keepdims=True)
+            np.divide(likely, total, out=likely, where=total > 0)
+        weight = config.z_hit * likely + config.z_rand / self.particles.shape[1]
         weight /= weight.sum(axis=1, keepdims=True)
         return np.asarray(weight)
 

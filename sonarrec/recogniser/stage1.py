@@ -196,8 +196,9 @@ class EdgeScore:
         self._inside = plane.inside
         radius, pixel = _radii(plane)
         outline = np.abs(radius - 1) < 0.5 * pixel
-        self._kernel = (outline / outline.sum()).astype(np.float32)
-        self._gain = _gain(plane, outline.astype(float), config.min_visible)
+        kernel = (outline / outline.sum()).astype(np.float32)
+        self._correlate = Correlation(kernel, plane.inside.shape)
+        self._gain = _gain(plane, outline.astype(float), config)
         # The fan's own edge is an edge too, and so is what the blur makes of it.
         border = config.blur_px // 2 + 1
         self._away = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
@@ -216,7 +217,7 @@ class EdgeScore:
         edges = cv2.Canny(blurred, config.canny_low * grey_sigma, config.canny_high * grey_sigma)
         edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
         on_edge = (edges > 0).astype(np.float32)
-        score = np.asarray(_correlate(on_edge, self._kernel) * self._gain)
+        score = self._correlate(on_edge) * self._gain
         # The tolerance makes plateaus. The circle is in the middle of one, and scores as its best
         # pixel.
         size = 2 * config.edge_tolerance_px + 3
@@ -248,7 +249,7 @@ class RingScore:
             ring / ring.sum() - share * gap / gap.sum() - (1 - share) * outside / outside.sum()
         ).astype(np.float32)
         self._correlate = Correlation(kernel, plane.inside.shape)
-        self._gain = _gain(plane, ring, config.min_visible) / np.float32(config.ring_full_contrast)
+        self._gain = _gain(plane, ring, config) / np.float32(config.ring_full_contrast)
 
     def __call__(
         self,
@@ -332,16 +333,18 @@ def _radii(plane: Plane) -> tuple[FloatArray, float]:
     return np.hypot(x / across, y / along), 1 / min(across, along)
 
 
-def _gain(plane: Plane, ring: FloatArray, least: float) -> FloatImage:
+def _gain(plane: Plane, ring: FloatArray, config: Candidates) -> FloatImage:
     """(rows, columns) factor of a score by how much of the ring lies inside the fan.
 
-    ring: weights of a kernel's pixels. least: where less than this share shows, the factor is 0.
+    ring: weights of a kernel's pixels. Where less than min_visible shows, the factor is 0.
     """
+    least = config.min_visible
     visible = _correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
     visible /= ring.sum()
     # The correlation falls with the share that is visible, its noise with the share's root.
     # Divided by the root, chance candidates are as frequent at the fan's edge as within it.
-    return np.where(visible >= least, np.maximum(visible, least) ** -0.5, 0).astype(np.float32)
+    power = -0.5 if config.edge_gain == "root" else 0.0
+    return np.where(visible >= least, np.maximum(visible, least) ** power, 0).astype(np.float32)
 
 
 def _correlate(image: FloatImage, kernel: FloatImage) -> FloatImage:

@@ -4,7 +4,7 @@ Each candidate gets a group of particles that walk at random and gather where th
 stage 1 is high; the mean of a group is the object's position. A group is deleted for one of five
 reasons:
 
-1. spread out: it was too wide for some frames in a row (the paper's only rule);
+1. spread out: it was too wide in some frames (the paper's only rule);
 2. unlikely: its object was a candidate too seldom to exist;
 3. astray: the sonar's motion is known, and the group was pulled off the place that follows from it;
 4. merged: it ran into an older group, which has that object;
@@ -114,7 +114,7 @@ class ContinuityFilter:
     def _weigh(self, selection: Selection, motion: Motion | None) -> tuple[FloatArray, FloatArray]:
         """Eq. 4, and resampling: (n, 2) positions, and spread per axis in disc diameters."""
         config, groups = self._config, self._groups
-        weight = groups.weigh(selection.score_map, config.z_hit, config.z_rand, config.hit_power)
+        weight = groups.weigh(selection.score_map, config)
         if motion is not None:
             weight = self._without_neighbours(weight, selection.positions, motion)
         positions, spread = groups.weighted(weight)
@@ -227,7 +227,8 @@ class ContinuityFilter:
         """
         config, groups = self._config, self._groups
         wide = (spread > config.spread_limit).any(axis=1)
-        groups.strikes = np.where(wide, groups.strikes + 1, 0)
+        left = groups.strikes if config.count_strikes == "in_all" else 0
+        groups.strikes = np.where(wide, groups.strikes + 1, left)
         hit_or_miss = np.where(hit, config.p_hit_object, 1 - config.p_hit_object)
         of_object = groups.existence * hit_or_miss
         hit_or_miss = np.where(hit, config.p_hit_clutter, 1 - config.p_hit_clutter)

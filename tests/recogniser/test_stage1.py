@@ -175,9 +175,12 @@ def test_gain_does_not_change_the_score(kind, gain):
     assert miss(plane, quiet, 2.2, 1.0) < 0.2 * plane.axes[0]
 
 
-def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out():
+@pytest.mark.parametrize(("gain", "power"), [("root", 0.5), ("none", 0.0)])
+def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out(gain, power):
     fan = make_fan(64)
-    settings = dataclasses.replace(EDGE, blur_px=3, edge_tolerance_px=1, min_visible=0.361)
+    settings = dataclasses.replace(
+        EDGE, blur_px=3, edge_tolerance_px=1, min_visible=0.361, edge_gain=gain
+    )
     plane = FanPlane(fan, BASIN.radius_m)
     select = CandidateSelector(settings, plane, BASIN, BEAM_DEG)
     rng = np.random.default_rng(6)
@@ -216,7 +219,7 @@ def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out():
             share = sum(plane.inside[p] for p in there) / len(outline)
             if share >= settings.min_visible:
                 hits = sum(on_edge[p] for p in there)
-                expected[r, c] = min(hits / len(outline) / math.sqrt(share), 1)
+                expected[r, c] = min(hits / len(outline) / share**power, 1)
     np.testing.assert_allclose(score, expected, atol=1e-5)
 
 

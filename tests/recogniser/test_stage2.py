@@ -150,16 +150,32 @@ def test_noise_dies_by_the_rule_of_25_percent_five_times(seed):
     assert wide == 4
 
 
-def test_a_narrow_frame_in_between_starts_the_count_again():
-    follow = new_filter()
+@pytest.mark.parametrize(("count", "lives"), [("in_a_row", 4), ("in_all", 1)])
+def test_a_narrow_frame_in_between_starts_the_count_again(count, lives):
+    """Unless strikes count in all: then the fifth deletes, at the second loss."""
+    follow = new_filter(dataclasses.replace(PAPER, count_strikes=count))
     noise = np.full(PLANE.shape, 0.3, np.float32)
     follow.step(selection(peaks(START), START))
-    for _ in range(4):
+    for life in range(4):
         for _ in range(4):  # lost for less than five frames
             groups = follow.step(selection(noise))
         groups = follow.step(selection(peaks(START)))
-        assert list(groups.numbers) == [1]
+        assert list(groups.numbers) == [1] * (life < lives)
         assert (groups.spread <= 0.25).all()
+
+
+def test_p_hit_is_the_map_s_power_or_its_share_of_the_group():
+    """Eq. 4 written out for four particles, of which one is on a peak."""
+    still = dataclasses.replace(PAPER, z_hit=0.8, z_rand=0.2, hit_power=2.0, particles=4)
+    group = new_filter(still)._new(np.array([1]), np.zeros((1, 2)), np.ones(1), np.zeros(1))
+    group.particles = np.array([[(10, 10), (20, 10), (20, 20), (9999, 0)]], np.float32)
+    score = np.full(PLANE.shape, 0.1, np.float32)
+    score[10, 10] = 0.9
+    hits = np.array([0.81, 0.01, 0.01, 0.0])
+    for p_hit, of_all in (("map", 1.0), ("normalised", hits.sum())):
+        weight = 0.8 * hits / of_all + 0.2 / 4
+        found = group.weigh(score, dataclasses.replace(still, p_hit=p_hit))
+        np.testing.assert_allclose(found[0], weight / weight.sum(), rtol=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(2))

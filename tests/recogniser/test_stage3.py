@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Groups
+from sonarrec.recogniser.estimates import wins
 from sonarrec.recogniser.stage3.published import (
     FeatureEstimator,
     measurement_model,
@@ -195,6 +196,33 @@ def test_a_new_track_knows_nothing_and_an_old_one_remembers(kind):
     both = estimator.step(groups([4, 9], [(50, 50), (52, 50)]), np.stack([ideal_q(1)] * 2))
     np.testing.assert_allclose(both[0], update(old, ideal_q(1)[None], model)[0])
     np.testing.assert_allclose(both[1], update(np.full((1, 4), 0.25), ideal_q(1)[None], model)[0])
+
+
+def test_a_new_track_may_take_its_neighbours_belief_by_eq_5():
+    model = measurement_model(BASIN, 2.5)
+    settings = Features(motion_model="inverse_distance", new_belief="neighbours")
+    estimator = FeatureEstimator(settings, model)
+    old = estimator.step(groups([4, 5], [(50, 50), (80, 50)]), np.stack([ideal_q(1), ideal_q(4)]))
+    new = estimator.step(groups([9], [(60, 50)]), ideal_q(3)[None])
+    mixed = (2 * old[:1] + old[1:]) / 3  # 10 and 20 pixels away
+    np.testing.assert_allclose(new, update(mixed, ideal_q(3)[None], model))
+
+
+@settings(max_examples=60)
+@given(beliefs=st.integers(0, 6).flatmap(lambda n: rows_of((n, 3)) if n else st.just(None)))
+def test_an_id_goes_to_the_one_object_for_which_it_is_most_probable(beliefs):
+    """The rule in words, object by object."""
+    rows = np.empty((0, 3)) if beliefs is None else beliefs.round(6)
+    won = wins(np.column_stack([rows, np.zeros(len(rows))]))
+    for m, row in enumerate(rows):
+        k = int(np.argmax(row))
+        rivals = [other[k] for n, other in enumerate(rows) if n != m]
+        if all(row[k] > r for r in rivals):
+            assert won[m]
+        if any(row[k] < r for r in rivals):
+            assert not won[m]
+    claimed = rows[won].argmax(axis=1)
+    assert len(set(claimed.tolist())) == len(claimed)
 
 
 def test_a_track_that_came_back_under_a_new_number_starts_again():

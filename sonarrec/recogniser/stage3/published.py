@@ -105,21 +105,28 @@ class FeatureEstimator:
         return beliefs
 
     def _predict(self, groups: Groups) -> FloatArray:
-        """(n, H) Eq. 5. The belief in an object that has just begun is uniform."""
+        """(n, H) Eq. 5. The belief in an object that has just begun is as new_belief says."""
         hypotheses = len(self._model)
+        config = self._config
+        mixed = config.motion_model == "inverse_distance" and len(self._positions) > 0
+        if mixed and config.new_belief == "neighbours":
+            return self._mixed(groups.positions)
         predicted = np.full((len(groups.numbers), hypotheses), 1 / hypotheses)
         place = {number: i for i, number in enumerate(self._numbers)}
         numbers = groups.numbers.tolist()
         known = [i for i, number in enumerate(numbers) if number in place]
         if not known:
             return predicted
-        if self._config.motion_model == "association" or not len(self._positions):
-            predicted[known] = self._beliefs[[place[numbers[i]] for i in known]]
+        if mixed:
+            predicted[known] = self._mixed(groups.positions[known])
         else:
-            power = self._config.distance_power
-            same = motion_model(groups.positions[known], self._positions, power)
-            predicted[known] = same @ self._beliefs[: len(self._positions)]
+            predicted[known] = self._beliefs[[place[numbers[i]] for i in known]]
         return predicted
+
+    def _mixed(self, positions: FloatArray) -> FloatArray:
+        """(n, H) beliefs of the frame before, mixed by the inverse distance to (n, 2) positions."""
+        same = motion_model(positions, self._positions, self._config.distance_power)
+        return np.asarray(same @ self._beliefs[: len(self._positions)])
 
 
 class PublishedMeasurement:
