@@ -75,8 +75,8 @@ _SCORING = {
         type=float,
         default=0.9,
         show_default=True,
-        help="Share of the disc that must be in view for a landmark to count; with less it is "
-        "ignored.",
+        help="Protocol strict: share of the disc that must be in view for a landmark to count; "
+        "with less it is ignored.",
     ),
     "tolerance_s": option(
         SCORING,

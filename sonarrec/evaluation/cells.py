@@ -14,6 +14,7 @@ from sonarrec.evaluation.summary import Summary
 
 HEADLINE = ("tpr", "fpr")
 """Shown in a table of their own before the other figures."""
+COUNT_ROWS = (("TP", "tp"), ("TN", "tn"), ("FP", "fp"), ("FN", "fn"), ("beta", "total"))
 TESTED = tuple(metric for metric in METRICS if metric.tested)
 
 
@@ -64,21 +65,24 @@ def protocols(evaluation: Pooled) -> list[str]:
 
 
 def paper_table(scored: PooledScored, thousands: str = "") -> Table:
-    """TPR to Total per ID and in total, in the layout of the paper; "0.0000*" for 0/0.
+    """TPR to beta per ID and in total, in the layout of the paper; "0.0000*" for 0/0.
 
-    thousands: the separator in counts.
+    "once" is the TPR without double claims, of which only protocol paper has any. thousands: the
+    separator in counts.
     """
     counts = [scored.count(k) for k in range(len(scored.ids))] + [scored.count()]
+    once = [rate(c.tp - c.double, c.tp - c.double + c.fn) for c in counts]
     return Table(
         method=scored.method,
         protocol=scored.protocol,
         heading=[f"ID.{i}" for i in scored.ids] + ["Total"],
         rows=[
             ("TPR", [rate(c.tp, c.tp + c.fn) for c in counts]),
+            ("once", once if scored.protocol == "paper" else [""] * len(counts)),
             ("FPR", [rate(c.fp, c.fp + c.tn) for c in counts]),
             *(
-                (label, [f"{getattr(c, label.lower()):{thousands}}" for c in counts])
-                for label in ("TP", "TN", "FP", "FN", "Total")
+                (label, [f"{getattr(c, name):{thousands}}" for c in counts])
+                for label, name in COUNT_ROWS
             ),
         ],
     )

@@ -71,13 +71,15 @@ def evaluate(
     Of several results of one recording the first counts.
 
     A claim is an estimate that is declared (operating point) or whose score reaches the
-    threshold (curves). A landmark with visible >= min_visible is a positive.
+    threshold (curves). A row with visible 0 is no row.
 
     Protocol "paper", per frame and ID: in view and claimed = TP, each further claim of it one TP
     more; in view and not claimed = FN; not in view and claimed, however often, = FP; else TN.
-    Position plays no part. Partly visible and nothing else of that ID in view: not counted.
+    Position plays no part. Half a disc or more is in view, anything less is not: as in the paper,
+    every frame counts. Count.tpr_once is the TPR without the further claims.
 
-    Protocol "strict": a claim belongs to the truth of its ID that is nearest in that frame, if
+    Protocol "strict": a landmark with visible >= min_visible is a positive; with less it is
+    ignored. A claim belongs to the truth of its ID that is nearest in that frame, if
     its centre is within half a disc diameter of it in the fan plane. The first claim of a
     positive (the one of highest score) is TP; every further one, and every claim that belongs to
     no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
@@ -116,14 +118,13 @@ def evaluate_whole(
     ]
     joined = join(matched_logs, [case.truth for case in cases], options.min_visible)
     estimates = np.bincount(joined.method_index, minlength=len(joined.methods))
-    positives = np.bincount(
-        joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
-    )
+    scored = score_all(joined)
+    positives = np.max([s.base[:, 3] for s in scored], axis=0, initial=0)
     notes = _notes(logs, selection.names, joined, estimates, positives)
     return Evaluation(
         joined=joined,
         folders=tuple(log.folder for log in logs),
-        scored=score_all(joined),
+        scored=scored,
         min_visible=options.min_visible,
         notes=tuple(map(printable, [*selection.notes, *notes])),
         unused=tuple(map(printable, selection.unused)),
@@ -171,7 +172,8 @@ def evaluate_many(
     )
     logs = [selection.logs[i] for i in selection.scored]
     _check_methods(logs, selection.names)
-    notes = _notes(logs, selection.names, result, result.estimates, result.positives)
+    positives = np.max([s.base.sum(axis=0)[:, 3] for s in result.scored], axis=0, initial=0)
+    notes = _notes(logs, selection.names, result, result.estimates, positives)
     return replace(
         result,
         folders=tuple(log.folder for log in logs),
@@ -344,7 +346,7 @@ def _notes(
     """Notes on what was scored, a line each.
 
     names: of the logs. scored: all of them. estimates: how many each method has. positives: how
-    many each ID has.
+    many each ID has, under the protocol with more.
     """
     notes = []
     if not scored.placed:

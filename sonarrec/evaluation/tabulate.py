@@ -14,10 +14,11 @@ from sonarrec.evaluation.summary import Summary, over_units, units_text
 
 WIDTH = 100
 LABEL, COLUMN = 30, 23
+LEGEND = "once: TPR without double claims (each ID once per frame); beta: all counts, in the paper"
 
 
 def paper_table(scored: PooledScored) -> list[str]:
-    """The lines of one of the paper's tables: a heading, then TPR to Total, per ID and in total."""
+    """The lines of one of the paper's tables: a heading, then TPR to beta, per ID and in total."""
     table = cells.paper_table(scored)
     # A star stands behind the digits.
     return [
@@ -44,6 +45,8 @@ def screen(evaluation: Pooled) -> str:
         else:
             lines += [line.rstrip() for block in blocks for line in [*block, ""]][:-1]
         lines.append("")
+    if evaluation.methods:
+        lines += [LEGEND, ""]
     if undefined:
         lines += ["* 0/0, printed as in the paper: there is nothing to measure", ""]
     return "\n".join(map(printable, lines))

@@ -12,6 +12,7 @@ from typing import Any
 from sonarrec.evaluation.counting.curves import Count, macro_curve
 from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
 from sonarrec.evaluation.counting.reliability import BINS
+from sonarrec.evaluation.matching.joined import PAPER_MIN_VISIBLE
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.summary import Summary
 from sonarrec.files.outputs import (
@@ -25,8 +26,10 @@ from sonarrec.files.outputs import (
     writing,
 )
 
-COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
+COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total", "tpr_once")
 CONFUSION = ("protocol", "method", "landmark", *COUNTS)
+PAPER_KEY = "paper_min_visible"
+"""In evaluation.json of the versions whose protocol paper counts every frame."""
 ROC = ("protocol", "method", "landmark", "threshold", "tpr", "fpr", "tp", "tn", "fp", "fn")
 FIGURES = ("protocol", "method", "landmark", "figure", "value", "low", "high", "units", "note")
 TESTS = (
@@ -102,7 +105,7 @@ def _cells(scored: PooledScored) -> list[tuple[str, Count]]:
 
 
 def _counts(c: Count) -> tuple[float, ...]:
-    return c.tpr, c.fpr, c.tp, c.tn, c.fp, c.fn, c.total
+    return c.tpr, c.fpr, c.tp, c.tn, c.fp, c.fn, c.total, c.tpr_once
 
 
 def _confusion(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
@@ -200,6 +203,7 @@ def as_json(evaluation: Pooled, summary: Summary) -> dict[str, Any]:
         "positives": int(evaluation.positives.sum()),
         "ignored": evaluation.ignored,
         "min_visible": evaluation.min_visible,
+        PAPER_KEY: PAPER_MIN_VISIBLE,
         "gate_m": list(evaluation.gates),
         "unit": summary.units.kind,
         "units": summary.units.count,

@@ -96,6 +96,17 @@ def test_fails_on_regression_only(sides: tuple[Path, Path, Path]) -> None:
         assert all(line.startswith("sonarrec: note: ") for line in lines)
 
 
+def test_a_side_that_was_scored_by_an_older_version_is_told(sides: tuple[Path, Path, Path]) -> None:
+    old, new, truth = sides
+    for side in (old, new):
+        command("--ground-truth", truth, side, "-q")
+    assert "earlier version" not in command("--ground-truth", truth, "--compare", old, new).output
+    told = old / "evaluation" / "evaluation.json"
+    told.write_text(told.read_text().replace('  "paper_min_visible": 0.5,\n', ""))
+    done = command("--ground-truth", truth, "--compare", old, new)
+    assert f"note: {told}: scored by an earlier version" in done.output
+
+
 @pytest.mark.parametrize("comparing", [True, False])
 def test_notes_are_told_once(sides: tuple[Path, Path, Path], comparing: bool) -> None:
     """Below the tables, in the JSON, and where --quiet leaves stdout empty on stderr."""

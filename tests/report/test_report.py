@@ -27,6 +27,7 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.drawing.pen import landmark_colours
+from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.reliability import Reliability
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, score
 from sonarrec.evaluation.evaluate import evaluate
@@ -126,8 +127,8 @@ def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> No
         for protocol in PROTOCOLS:
             rows = {r[0]: r[1:] for r in page.tables[f"{method}, protocol {protocol}"]}
             expected = [r for r in confusion if (r["method"], r["protocol"]) == (method, protocol)]
-            for label in ("TP", "TN", "FP", "FN", "Total"):
-                assert rows[label] == [r[label.lower()] for r in expected]
+            for label, column in cells.COUNT_ROWS:
+                assert rows[label] == [r[column] for r in expected]
             for label in ("TPR", "FPR"):
                 for cell, r in zip(rows[label], expected, strict=True):
                     if r[label.lower()]:

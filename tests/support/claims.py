@@ -43,6 +43,7 @@ def joined(
         truth_landmark_index=t[:, 1].astype(int) - 1,
         truth_position=t[:, 2:4],
         truth_positive=np.array([row[4] for row in truth], dtype=bool),
+        truth_half_in_view=np.array([row[4] for row in truth], dtype=bool),
         gate=np.full(len(t), GATE_M),
         method_index=c[:, 0].astype(int),
         claim_frame_index=c[:, 1].astype(int),

@@ -352,10 +352,10 @@ def mot(tmp_path: Path, text: str) -> Path:
 def test_mot_counts_from_one(tmp_path: Path) -> None:
     """A box of 5 x 3 pixels whose first pixel is (1, 1) is centred on pixel (2, 1) counted from 0.
 
-    Class 3 is a label; a row not to be considered is neither positive nor negative: `visible` 0.
+    Class 3 is a label; a row not to be considered is ignored by protocol strict: `visible` 0.001.
     """
     text = "1,9,1,1,5,3,1,3,0.86014\n2, 9, 2, 1, 5, 3, 0, 3, 1\n\n"
-    assert converted(tmp_path, mot(tmp_path, text)) == [(0, 3, 2, 1, 0.86), (1, 3, 3, 1, 0.0)]
+    assert converted(tmp_path, mot(tmp_path, text)) == [(0, 3, 2, 1, 0.86), (1, 3, 3, 1, 0.001)]
 
 
 def test_mot15_has_no_class_so_the_track_is_the_label(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,7 @@ from sonarrec.evaluation.matching.pairs import FindBeside, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.summary import units_text
 from sonarrec.evaluation.survey import UnreadableLog, map_logs
+from sonarrec.evaluation.write import PAPER_KEY
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.truth.fits import rows_on_frames
 
@@ -184,7 +186,7 @@ def compare(
     options.check()
     pairing = pair_logs(old, new, ground_truth, options, find_beside)
     counted = _count_pairs(pairing.pairs, jobs, options.min_visible)
-    notes = [*dict.fromkeys(pairing.notes), *counted.notes]
+    notes = [*dict.fromkeys(pairing.notes), *counted.notes, *_scored_before(old, new)]
     unused = [*dict.fromkeys([*pairing.unused, *counted.cut]), *counted.unused]
     settings = changed_settings(map(_runs, counted.used))
     before, after = counted.before, counted.after
@@ -218,6 +220,21 @@ def compare(
         notes=tuple(map(printable, notes)),
         unused=tuple(map(printable, unused)),
     )
+
+
+def _scored_before(*sides: Path) -> Iterator[str]:
+    """A note on each side whose evaluation.json is of a version that counted protocol paper
+    otherwise."""
+    for side in sides:
+        path = side / "evaluation" / "evaluation.json"
+        with suppress(OSError):
+            text = path.read_bytes() if path.is_file() else b""
+            if b'"min_visible"' in text and f'"{PAPER_KEY}"'.encode() not in text:
+                yield (
+                    f"{path}: scored by an earlier version, whose protocol paper ignored landmarks "
+                    "partly in view; now every frame counts, so its figures of protocol paper "
+                    "differ from those here; run `sonarrec evaluate` again"
+                )
 
 
 def _runs(pair: LogPair) -> tuple[str, RunFile, RunFile]:

@@ -36,7 +36,7 @@ class PassOutcomes:
     """(P,) frames of these in which it was claimed."""
     wait: FloatArray
     """(P,) frames from the first of these to the first one from which on it is claimed in all;
-    infinite if it is not claimed in the last."""
+    infinite if it is not claimed in the last, NaN without a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +78,8 @@ class SwitchTotals:
 def pass_outcomes(scored: Scored, joined: Joined, passes: Passes) -> PassOutcomes:
     """How one method did in each pass."""
     truth, right = scored.positive, positive_is_claimed(scored, joined)
+    of_pass = passes.of_truth[truth] >= 0  # not so for one that is half in view, in protocol paper
+    truth, right = truth[of_pass], right[of_pass]
     number, frame = passes.of_truth[truth], joined.truth_frame_index[truth]
     count = len(passes.first_frame_index)
     wrong_last = passes.first_frame_index - 1
@@ -85,12 +87,13 @@ def pass_outcomes(scored: Scored, joined: Joined, passes: Passes) -> PassOutcome
     lasting = frame > wrong_last[number]
     settled = np.full(count, np.inf)
     np.minimum.at(settled, number[lasting], frame[lasting])
+    frames = np.bincount(number, minlength=count)
     return PassOutcomes(
         protocol=scored.protocol,
         method=scored.method,
-        frames=np.bincount(number, minlength=count),
+        frames=frames,
         right=np.bincount(number[right], minlength=count),
-        wait=settled - passes.first_frame_index,
+        wait=np.where(frames > 0, settled - passes.first_frame_index, np.nan),
     )
 
 
@@ -106,11 +109,12 @@ def wait_counts(
     landmark_index, unit: (P,) of the passes. units: how many there are. A pass without a lasting
     ID counts as infinite.
     """
-    edges = np.unique(np.concatenate([[np.inf], *(f.wait for f in outcomes)]))
+    edges = np.unique(np.concatenate([[np.inf], *(f.wait[f.frames > 0] for f in outcomes)]))
     for outcome in outcomes:
         for name, of_id in by_landmark(ids, landmark_index):
             labels = (outcome.protocol, outcome.method, name)
-            waits = [(outcome.wait[of_id], unit[of_id])]
+            seen = of_id & (outcome.frames > 0)
+            waits = [(outcome.wait[seen], unit[seen])]
             yield histogram_sums(labels, partial(list, waits), units, edges)
 
 

@@ -27,11 +27,20 @@ class Count:
     tn: int
     fp: int
     fn: int
+    double: int = 0
+    """Those of TP that are further claims of an ID in view in one frame; protocol paper alone
+    counts these, as published."""
 
     @property
     def tpr(self) -> float:
         """True positive rate, TP / (TP + FN)."""
         return self.tp / (self.tp + self.fn) if self.tp + self.fn else math.nan
+
+    @property
+    def tpr_once(self) -> float:
+        """True positive rate without double claims: each ID counts once per frame."""
+        positives = self.tp - self.double + self.fn
+        return (positives - self.fn) / positives if positives else math.nan
 
     @property
     def fpr(self) -> float:
@@ -42,6 +51,12 @@ class Count:
     def total(self) -> int:
         """The paper's beta."""
         return self.tp + self.tn + self.fp + self.fn
+
+
+def counted(base: IntArray, declared: IntArray) -> Count:
+    """The count of TP, TN, FP, FN, (4,), that were `base` without any claim."""
+    tp, tn, fp, fn = map(int, declared)
+    return Count(tp, tn, fp, fn, double=tp + fn - int(base[3]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,9 +76,9 @@ class Totals:
     """(L,) whether the duration of a frame is known."""
     frames: int
     positives: IntArray
-    """(K,) how many truths count as positives."""
+    """(K,) how many truths count as positives under protocol strict."""
     ignored: int
-    """How many truths are only partly in view."""
+    """How many truths protocol strict ignores, since less of them is in view."""
     gates: tuple[float, ...]
     """m, rising: the distances within which a claim is right."""
     estimates: IntArray

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sonarrec.arrays import FloatArray, IntArray, joined
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, Switches
-from sonarrec.evaluation.counting.curves import Count, Curve
+from sonarrec.evaluation.counting.curves import Count, Curve, counted
 from sonarrec.evaluation.counting.parts import Part, ScoredPart, Totals
 from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, merged_units
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
@@ -41,13 +41,18 @@ class PooledScored:
 
     def count(self, k: int | None = None) -> Count:
         """The counts at the operating point: of the k-th ID, or the sum over all."""
-        row = self.declared.sum(axis=0)
-        return Count(*map(int, row.sum(axis=0) if k is None else row[k]))
+        base, declared = self.base.sum(axis=0), self.declared.sum(axis=0)
+        if k is None:
+            return counted(base.sum(axis=0), declared.sum(axis=0))
+        return counted(base[k], declared[k])
 
     def counts_per_log(self) -> list[list[Count]]:
         """For each log the counts at the operating point: of each ID, then of all."""
-        split = np.concatenate([self.declared, self.declared.sum(axis=1, keepdims=True)], axis=1)
-        return [[Count(*cell) for cell in log] for log in split.tolist()]
+        base, declared = (
+            np.concatenate([counts, counts.sum(axis=1, keepdims=True)], axis=1)
+            for counts in (self.base, self.declared)
+        )
+        return [list(map(counted, *log)) for log in zip(base, declared, strict=True)]
 
     def curve(self, k: int | None = None) -> Curve:
         """The ROC of the k-th ID, or the micro average over all."""

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.evaluation.counting.curves import Count, Curve
+from sonarrec.evaluation.counting.curves import Count, Curve, counted
 from sonarrec.evaluation.matching.joined import Joined, nearest_truth
 
 PROTOCOLS = ("paper", "strict")
@@ -39,7 +39,7 @@ class Scored:
     negative: BoolArray
     """(F, K) the frames and IDs that count as TN in base."""
     positive: IntArray
-    """(P,) the truths of Joined that count as FN in base; in the paper's protocol one per frame and
+    """(P,) the truths of Joined that count as FN in base; in protocol paper one per frame and
     ID."""
     positive_landmark_index: IntArray
     """(P,) into ids."""
@@ -62,8 +62,10 @@ class Scored:
 
     def count(self, k: int | None = None) -> Count:
         """The counts at the operating point: of the k-th ID, or the sum over all."""
-        row = self.declared.sum(axis=0) if k is None else self.declared[k]
-        return Count(*map(int, row))
+        base, declared = (
+            counts.sum(axis=0) if k is None else counts[k] for counts in (self.base, self.declared)
+        )
+        return counted(base, declared)
 
     def curve(self, k: int | None = None) -> Curve:
         """The ROC of the k-th ID, or the micro average over all."""
@@ -127,13 +129,17 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
     k = len(joined.ids)
     truth_cell = joined.truth_frame_index * k + joined.truth_landmark_index
     state = np.zeros(len(joined.frame) * k, dtype=np.int8)  # of each cell
-    state[truth_cell[~joined.truth_positive]] = IGNORED
-    state[truth_cell[joined.truth_positive]] = POSITIVE  # even if another one is partly in view
-    positive = np.flatnonzero(joined.truth_positive)
     if protocol == "paper":
+        positive = np.flatnonzero(joined.truth_half_in_view)
+        # One truth per cell, if possible one that is part of a pass.
+        positive = positive[np.argsort(~joined.truth_positive[positive], kind="stable")]
         positive = positive[np.unique(truth_cell[positive], return_index=True)[1]]
-        claims = _claims_on_cells(joined, method, state, truth_cell, positive)
+        state[truth_cell[positive]] = POSITIVE
+        claims = _claims_on_cells(joined, method, len(state), truth_cell, positive)
     else:
+        positive = np.flatnonzero(joined.truth_positive)
+        state[truth_cell] = IGNORED
+        state[truth_cell[positive]] = POSITIVE  # even if another one is partly in view
         claims = _claims_on_places(joined, method, state, truth_cell)
     positive_landmark = joined.truth_landmark_index[positive]
     negative = state.reshape(-1, k) == NEGATIVE
@@ -170,21 +176,15 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
 
 
 def _claims_on_cells(
-    joined: Joined,
-    method: int,
-    state: npt.NDArray[np.int8],
-    truth_cell: IntArray,
-    positive: IntArray,
+    joined: Joined, method: int, cells: int, truth_cell: IntArray, positive: IntArray
 ) -> _Claims:
-    """The claims under protocol paper, which ignores positions.
+    """The claims under protocol paper, which ignores positions and counts every frame.
 
-    state: of each cell. truth_cell: (T,). positive: (P,) truths, one per cell.
+    cells: their number. truth_cell: (T,). positive: (P,) truths, one per cell.
     """
     index, cell = _by_score(joined, method)
-    truth_of_cell = np.full(len(state), -1)
+    truth_of_cell = np.full(cells, -1)
     truth_of_cell[truth_cell[positive]] = positive
-    counts = state[cell] != IGNORED
-    index, cell = index[counts], cell[counts]
     return _Claims(index, cell, truth_of_cell[cell], spot=cell)
 
 
@@ -193,7 +193,7 @@ def _claims_on_places(
 ) -> _Claims:
     """The claims under protocol strict; those on a truth that is only partly in view do not count.
 
-    state, truth_cell: as in `_claims_on_cells`.
+    state: of each cell. truth_cell: (T,).
     """
     index, cell = _by_score(joined, method)
     truth = nearest_truth(joined, index, cell, truth_cell)

@@ -14,6 +14,9 @@ from sonarrec.truth.match import Truth
 
 ROUNDING_M = 1e-9
 """A claim exactly on the gate counts as inside, despite rounding."""
+PAPER_MIN_VISIBLE = 0.5
+"""The share of a disc in view from which protocol paper counts it. TP + FN of Tables 4 and 5 are
+those of frames with its centre, or half the disc, in view."""
 PAUSE = 10
 """Median steps from frame to frame; after as many frames a pass ends, too."""
 
@@ -43,7 +46,9 @@ class Joined:
     truth_orientation: FloatArray
     """(T,) deg, NaN if unknown."""
     truth_positive: BoolArray
-    """(T,) whether enough of it is in view to count as a positive."""
+    """(T,) whether enough of it is in view to count as a positive under protocol strict."""
+    truth_half_in_view: BoolArray
+    """(T,) the same under protocol paper: half of it or more."""
     gate: FloatArray
     """(T,) m, the distance within which a claim is right."""
     method_index: IntArray
@@ -129,17 +134,22 @@ def _frames_and_claims(
 def _truths(
     truth: Truth, log: LogResults, ids: tuple[int, ...], min_visible: float
 ) -> dict[str, Any]:
-    """The fields of Joined from one log's truth; frame indices count within the log."""
+    """The fields of Joined from one log's truth; frame indices count within the log.
+
+    A row with `visible` 0 is no row: nothing of the landmark is in view.
+    """
     of_id = np.array([ids.index(i) for i in log.landmarks.ids])
     n = len(truth.frame_index)
-    return {
+    fields = {
         "truth_frame_index": truth.frame_index,
         "truth_landmark_index": of_id[truth.landmark_index],
         "truth_position": _or_nan(truth.position, (n, 2)),
         "truth_orientation": _or_nan(truth.orientation, (n,)),
         "truth_positive": truth.visible >= min_visible,
+        "truth_half_in_view": truth.visible >= PAPER_MIN_VISIBLE,
         "gate": np.full(n, log.landmarks.radius_m),
     }
+    return {name: column[truth.visible > 0] for name, column in fields.items()}
 
 
 def _or_nan(values: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:

@@ -14,7 +14,7 @@ class ScoringOptions:
     """How results are read and compared with truth."""
 
     min_visible: float = 0.9
-    """A landmark counts if at least this share of its disc is in view."""
+    """Under protocol strict a landmark counts if at least this share of its disc is in view."""
     tolerance_s: float | None = None
     """For truth matched by time; None: half the time between frames."""
     landmarks: str | None = None

@@ -15,6 +15,8 @@ from sonarrec.truth.annotations.shapes import (
 )
 
 LABELS = "labels.txt"
+NOT_CONSIDERED = 0.001
+"""`visible` of a row that is not to be considered; with 0 it would be no row."""
 
 
 def matches(path: Path, text: str) -> bool:
@@ -32,7 +34,7 @@ def read(path: Path) -> Annotations:
     The label is the class: its name in a labels.txt beside the file, else its number; where there
     is no class (seven columns, or -1, as in MOT15) the label is the track's id. Frames and boxes
     count from 1; but whoever writes a labels.txt (CVAT, Datumaro) counts boxes from 0.
-    A row not to be considered is given `visible` 0: in view, but ignored in scoring.
+    A row not to be considered is given so small a share in view that protocol strict ignores it.
     """
     text = read_text(path)
     if text.strip() and not matches(path, text):
@@ -66,5 +68,7 @@ def read(path: Path) -> Annotations:
             raise SonarrecError(f"{path} line {number}: {error}") from None
         x = left - origin + width / 2 - HALF_A_PIXEL
         y = top - origin + height / 2 - HALF_A_PIXEL
-        found.shapes.append(Shape(int(frame), label, x, y, visible if considered else 0.0))
+        found.shapes.append(
+            Shape(int(frame), label, x, y, visible if considered else NOT_CONSIDERED)
+        )
     return found
