@@ -67,7 +67,7 @@ class Sonar:
     colour_map: ColourMap | None = None  # of pictures in false colour
     pixel_scale: Literal["linear", "log", "db"] | None = None  # this and the next two:
     full_scale: Finite | None = None  # how pixels become 8-bit grey,
-    dynamic_range_db: Finite | None = None  # see readers.grey
+    dynamic_range_db: Finite | None = None  # see readers.decode.grey
 
     def updated(self, other: Sonar) -> Sonar:
         """This geometry, with the keys that `other` states replaced by its values."""

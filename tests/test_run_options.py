@@ -139,7 +139,7 @@ def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPa
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sonarrec.readers.find._find", stop)
+    monkeypatch.setattr("sonarrec.readers.open._find", stop)
     stopped = run_line(name, str(SAMPLE))
     assert stopped.exit_code == 130
     assert stopped.stderr == "sonarrec: stopped\n"

@@ -293,7 +293,7 @@ def run(
 
 def _unquoted_glob_notes(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
     """A note for each folder of which several images are given as logs of their own."""
-    from sonarrec.readers.images import names_an_image
+    from sonarrec.readers.containers.images import names_an_image
 
     # Path.is_file raises where a folder without permission is in the way.
     files = [Path(one.path) for one in logs if os.path.isfile(one.path)]  # noqa: PTH113

@@ -25,7 +25,7 @@ from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import name_as_text, number_of
 
 if TYPE_CHECKING:
-    from sonarrec.readers.find import Source
+    from sonarrec.readers.open import Source
     from sonarrec.results.run_file import LogOptions, RunFile
     from sonarrec.simulation.site.results import Site
 
@@ -73,7 +73,7 @@ def site(
       sonarrec site dive.mcap --tilt-deg 20 --height-m 0.7
       sonarrec site river.avi --contrast 0,6,12 --layouts 8 -o river_site
     """
-    from sonarrec.readers.find import find_log
+    from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.prepare import RunOptions
     from sonarrec.simulation.simulate import check_free

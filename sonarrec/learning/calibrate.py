@@ -18,8 +18,8 @@ from sonarrec.learning.left_out import FOLDS, gain_on_the_rest, part_of
 from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
+from sonarrec.readers.open import find_log
 from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names

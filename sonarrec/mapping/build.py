@@ -213,7 +213,9 @@ def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTab
     if len(tables) == 1 and (not recorded or "topic" in recorded):
         return read_poses(tables[0])
     if "topic" in recorded:
-        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
+        from sonarrec.readers.messages.poses import (
+            read_topic,  # with its decompressors, where needed
+        )
 
         if not log.exists():
             raise SonarrecError(

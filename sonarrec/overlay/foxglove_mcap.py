@@ -21,7 +21,7 @@ from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
 from sonarrec.overlay import detections
-from sonarrec.readers.mcap.foxglove_schemas import json_schema
+from sonarrec.readers.messages.foxglove_schemas import json_schema
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"

@@ -22,8 +22,8 @@ from sonarrec.overlay.foxglove_layout import LAYOUT_BEGIN, write_layout
 from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
-from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
+from sonarrec.readers.open import Source, find_log
 from sonarrec.results.folders import estimates_of, part_of, possible_names
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import LogOptions, read_run

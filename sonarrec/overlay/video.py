@@ -12,7 +12,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import write_png
 from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.files.outputs import VIDEO_MARK, check_output
-from sonarrec.readers.video import opencv_name
+from sonarrec.readers.containers.video import opencv_name
 
 
 class VideoFile:

@@ -8,8 +8,8 @@ from typing import Any, get_args
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import Clock
-from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
+from sonarrec.readers.open import Source, find_log
 from sonarrec.sonar import Sonar, sonar_from
 
 

@@ -12,10 +12,10 @@ from typing import Any
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
 from sonarrec.nouns import Fan, Origin
-from sonarrec.readers.fan_outline import FanOutline
-from sonarrec.readers.find import Source, find_log
+from sonarrec.readers.guess.outline import FanOutline
+from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.log import Log
-from sonarrec.readers.plausible import Plausibility
+from sonarrec.readers.open import Source, find_log
 from sonarrec.readers.raw import RawFrame, RawLog
 from sonarrec.sonar import Sonar, sonar_from_table
 
@@ -255,7 +255,7 @@ def _size(file: Path) -> int:
 
 def _container(source: Source) -> Container:
     """What a recording says about itself, without reading its messages."""
-    from sonarrec.readers.mcap.images import image_decoders
+    from sonarrec.readers.messages.images import image_decoders
 
     log = source.recording()
     log.close()

@@ -12,10 +12,10 @@ from typing import Any
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Clock, Fan, Frame
-from sonarrec.readers.colour_maps import LUMINANCE
-from sonarrec.readers.find import Source
-from sonarrec.readers.frame_maker import FrameMaker
-from sonarrec.readers.images import MAX_FILE_BYTES, names_an_image
+from sonarrec.readers.containers.images import MAX_FILE_BYTES, names_an_image
+from sonarrec.readers.decode.colour import LUMINANCE
+from sonarrec.readers.decode.frame_maker import FrameMaker
+from sonarrec.readers.open import Source
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, showing
 from sonarrec.sonar import Sonar
 

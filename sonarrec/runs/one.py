@@ -18,8 +18,8 @@ from sonarrec.nouns import (
     FrameResult,
     Stamps,
 )
-from sonarrec.readers.find import find_log, log_name, results_name
-from sonarrec.readers.plausible import Plausibility
+from sonarrec.readers.guess.plausible import Plausibility
+from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.remote.find import RemoteLog
 from sonarrec.remote.urls import local
 from sonarrec.results.folders import folder_names

@@ -16,8 +16,8 @@ from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Fan, Frame
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
-from sonarrec.readers.find import SONAR_FILE, Source, find_log
 from sonarrec.readers.log import Log, digest_of
+from sonarrec.readers.open import SONAR_FILE, Source, find_log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
@@ -226,7 +226,9 @@ def _poses(source: Source, log_options: LogOptions, earlier: RunFile) -> PoseTab
     earlier.check_poses(log_options)
     topic = log_options.odometry_topic
     if topic is not None:
-        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
+        from sonarrec.readers.messages.poses import (
+            read_topic,  # with its decompressors, where needed
+        )
 
         poses = read_topic(source.path, topic, log_options.time or "log")
     elif log_options.odometry is not None:

@@ -22,9 +22,9 @@ from sonarrec.geometry import STEEPEST, floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Clock, Fan, Frame, Motion
 from sonarrec.poses import PoseTable
-from sonarrec.readers.find import find_log
-from sonarrec.readers.grey import DYNAMIC_RANGE_DB
+from sonarrec.readers.decode.grey import DYNAMIC_RANGE_DB
 from sonarrec.readers.log import Log
+from sonarrec.readers.open import find_log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
@@ -154,7 +154,9 @@ def poses_of(
     None if there are none. Raises SonarrecError if they cannot be used.
     """
     if topic is not None:
-        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
+        from sonarrec.readers.messages.poses import (
+            read_topic,  # with its decompressors, where needed
+        )
 
         return read_topic(Path(path), topic, time)
     file = odometry or find_log(path).beside(POSES_FILE)

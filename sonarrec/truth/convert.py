@@ -17,10 +17,10 @@ from sonarrec.files.order import natural_order
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
-from sonarrec.readers.find import find_log
-from sonarrec.readers.images import is_image, names_an_image
+from sonarrec.readers.containers.images import is_image, names_an_image
+from sonarrec.readers.guess.times import times_in_names
 from sonarrec.readers.log import Log
-from sonarrec.readers.name_times import times_in_names
+from sonarrec.readers.open import find_log
 from sonarrec.sonar import Sonar
 from sonarrec.truth.annotations import read_annotations
 from sonarrec.truth.annotations.shapes import Annotations, Shape

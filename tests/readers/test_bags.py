@@ -21,11 +21,11 @@ from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers import packed as packed_files
-from sonarrec.readers import ros_bag as ros_bags
-from sonarrec.readers.find import find_log
-from sonarrec.readers.mcap import ros
-from sonarrec.readers.mcap.poses import read_topic
+from sonarrec.readers.containers import packed as packed_files
+from sonarrec.readers.containers import ros_bag as ros_bags
+from sonarrec.readers.messages import ros
+from sonarrec.readers.messages.poses import read_topic
+from sonarrec.readers.open import find_log
 from tests.support.bags import IMAGE, bag, messages, ros1_bag, ros1_messages, split_bag
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
 from tests.support.messages import FIELDS, by_rosbags, image_fields, polar_frames, serialised

@@ -14,7 +14,7 @@ import pytest
 
 from sonarrec.nouns import ColourMap
 from sonarrec.readers import open_log
-from sonarrec.readers.colour_maps import LUMINANCE, MAPS, find_map, is_coloured, map_levels
+from sonarrec.readers.decode.colour import LUMINANCE, MAPS, find_map, is_coloured, map_levels
 from tests.support.command import sonarrec
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"

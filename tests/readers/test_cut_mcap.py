@@ -19,8 +19,8 @@ from mcap.reader import make_reader
 from sonarrec.cli import main
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap import chunks
-from sonarrec.readers.mcap.chunks import DamagedError, lz4_cut_block
+from sonarrec.readers.containers.mcap import chunks
+from sonarrec.readers.containers.mcap.chunks import DamagedError, lz4_cut_block
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
 
 COMPRESSIONS = ("none", "lz4", "zstd")

@@ -15,8 +15,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap.container import McapRecording
-from sonarrec.readers.mcap.images import ChannelImages
+from sonarrec.readers.containers.mcap.recording import McapRecording
+from sonarrec.readers.messages.images import ChannelImages
 from tests.support.hard_logs import HardLog, message, record
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames
 

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.readers.fan_outline import FanOutline, find_outline
+from sonarrec.readers.guess.outline import FanOutline, find_outline
 
 SAMPLE = Path("sample_data/pan")
 

@@ -19,9 +19,9 @@ from mcap.writer import Writer
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap import images as mcap_images
-from sonarrec.readers.mcap.poses import read_topic
-from sonarrec.readers.pixels import decode_image
+from sonarrec.readers.decode.pixels import decode_image
+from sonarrec.readers.messages import images as mcap_images
+from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.raw import UnusableError
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 
@@ -236,7 +236,7 @@ def test_a_damaged_jpeg_is_found_with_stderr_closed(tmp_path: Path) -> None:
 import os
 os.close(2)
 from pathlib import Path
-from sonarrec.readers.pixels import decode_image
+from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
 for _ in range(2):
     try:

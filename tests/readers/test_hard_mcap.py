@@ -23,7 +23,7 @@ from mcap.records import Channel, Schema, Statistics
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap import chunks, in_order
+from sonarrec.readers.containers.mcap import chunks, in_order
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.studies.memory import peak_of_reading, shapes

@@ -28,8 +28,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap.messages import decoder_for, message_type
-from sonarrec.readers.mcap.salvage import MAGIC
+from sonarrec.readers.containers.mcap.salvage import MAGIC
+from sonarrec.readers.messages.types import decoder_for, message_type
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 from sonarrec.sonar import Sonar

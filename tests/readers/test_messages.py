@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from sonarrec import config
 from sonarrec.geometry import bin_ranges
-from sonarrec.readers.mcap.fields import Fields
-from sonarrec.readers.mcap.messages import decoder_for, read_projected_sonar_image
+from sonarrec.readers.messages.fields import Fields
+from sonarrec.readers.messages.types import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.runs.one import run as run_log
 from sonarrec.simulation.render import render

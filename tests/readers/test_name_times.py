@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sonarrec.cli import main
 from sonarrec.files.order import natural_order
 from sonarrec.readers import open_log
-from sonarrec.readers.name_times import times_in_names
+from sonarrec.readers.guess.times import times_in_names
 from tests.support.logs import frames, image_folder
 
 MOMENT = datetime(2026, 11, 20, 10, 0, 0, 250_000, UTC)

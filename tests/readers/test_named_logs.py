@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.readers.find import companion, find_log
 from sonarrec.readers.named_logs import logs_named
+from sonarrec.readers.open import companion, find_log
 from sonarrec.remote.run import all_logs
 from sonarrec.runs.one import result_names
 from tests.support.bags import bag, messages, split_bag

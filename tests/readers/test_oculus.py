@@ -16,7 +16,7 @@ from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.oculus.log import OculusPings
+from sonarrec.readers.containers.oculus.log import OculusPings
 from tests.readers.test_ddf import as_fan
 from tests.support.logs import frames
 from tests.support.sonar_files import oculus_log, oculus_message, oculus_ping

@@ -19,8 +19,8 @@ from learning.random_scenes import random_scene
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
-from sonarrec.readers.grey import grey_scale, holds_amplitudes, single_channel, to_grey8
-from sonarrec.readers.pixels import decode_image
+from sonarrec.readers.decode.grey import grey_scale, holds_amplitudes, single_channel, to_grey8
+from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, sonar_from_table

@@ -18,8 +18,8 @@ from sonarrec.cli import main
 from sonarrec.geometry import PolarToFan
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
+from sonarrec.readers.guess.plausible import FRAMES, Plausibility, _cells, _floor, as_polar
 from sonarrec.readers.info import describe
-from sonarrec.readers.plausible import FRAMES, Plausibility, _cells, _floor, as_polar
 from sonarrec.sonar import Sonar
 from tests.support.drawn import draw_on_floor, make_fan, speckled
 

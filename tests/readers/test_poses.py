@@ -20,7 +20,7 @@ from sonarrec.config import Config, preset
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame, Motion
 from sonarrec.poses import PoseTable, pose_table
-from sonarrec.readers.mcap.poses import read_topic
+from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages

@@ -24,7 +24,7 @@ from sonarrec.files.order import natural_order
 from sonarrec.geometry import PolarToFan
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.images import ImagePaths
+from sonarrec.readers.containers.images import ImagePaths
 from sonarrec.readers.info import describe
 from sonarrec.readers.log import _of_one_size, _to_settle
 from sonarrec.readers.named_logs import NamedLog, logs_named

@@ -18,9 +18,9 @@ import pytest
 from rosbags.typesys import get_types_from_msg
 
 from sonarrec.errors import SonarrecError
-from sonarrec.readers.mcap.fields import DefinitionError
-from sonarrec.readers.mcap.messages import MESSAGES, decoder_for, message_type
-from sonarrec.readers.mcap.ros import RosDecoder, known_messages, parse_definition, ros_decoder
+from sonarrec.readers.messages.fields import DefinitionError
+from sonarrec.readers.messages.ros import RosDecoder, known_messages, parse_definition, ros_decoder
+from sonarrec.readers.messages.types import MESSAGES, decoder_for, message_type
 from sonarrec.readers.raw import UnusableError
 from tests.support import messages
 from tests.support.logs import cdr_image, frames, mcap_file

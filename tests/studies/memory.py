@@ -26,7 +26,7 @@ CHUNK_MESSAGES = 7  # about 1 MB, what recorders make
 _READ = """
 import resource, sys
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap import chunks
+from sonarrec.readers.containers.mcap import chunks
 if len(sys.argv) > 2:
     chunks.HELD_BYTES = int(sys.argv[2])
 from sonarrec.errors import SonarrecError

@@ -26,10 +26,10 @@ from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import fan_mask
 from sonarrec.nouns import Fan, Frame
-from sonarrec.readers.colour_maps import LUMINANCE, find_map
-from sonarrec.readers.fan_outline import find_outline
-from sonarrec.readers.grey import single_channel
-from sonarrec.readers.plausible import FRAMES as LOOKED_AT
+from sonarrec.readers.decode.colour import LUMINANCE, find_map
+from sonarrec.readers.decode.grey import single_channel
+from sonarrec.readers.guess.outline import find_outline
+from sonarrec.readers.guess.plausible import FRAMES as LOOKED_AT
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.three_stages import FRAMEWORK

@@ -20,7 +20,7 @@ from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import floor_depth
 from sonarrec.nouns import Frame
-from sonarrec.readers.floor_height import height_from_images
+from sonarrec.readers.guess.height import height_from_images
 from sonarrec.readers.log import SETTLING_FRAMES
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.runs.frames import Recogniser

@@ -24,7 +24,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap.messages import decoder_for
+from sonarrec.readers.messages.types import decoder_for
 from sonarrec.readers.raw import Ping
 from sonarrec.sonar import Sonar
 from tests.support.flatbuffer import binary_schema, encode_flatbuffer

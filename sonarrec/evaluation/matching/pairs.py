@@ -16,8 +16,8 @@ from sonarrec.errors import (
     number_of,
 )
 from sonarrec.files.tables import line_numbers, read_header, read_table
-from sonarrec.readers.find import Source, find_log, log_name
-from sonarrec.readers.images import MAX_FILE_BYTES, is_image
+from sonarrec.readers.containers.images import MAX_FILE_BYTES, is_image
+from sonarrec.readers.open import Source, find_log, log_name
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run

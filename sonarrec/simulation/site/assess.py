@@ -21,7 +21,7 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, FrameResult
-from sonarrec.readers.pixels import decode_image
+from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs.one import process

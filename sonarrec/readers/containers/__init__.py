@@ -1,0 +1,1 @@
+"""Kinds of files that hold recordings, and what is read from each."""

@@ -1,0 +1,363 @@
+"""Reads the folder of a ROS 2 bag as one recording. Messages are numbered through all its parts.
+
+metadata.yaml lists the parts and the numbers of their messages. Without it, the parts are the files
+with names as `ros2 bag record` gives them.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
+from sonarrec.files.order import natural_order
+from sonarrec.readers.containers.packed import PACKINGS
+from sonarrec.readers.containers.recording import Channel, Message, Recording
+
+METADATA = "metadata.yaml"
+_ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
+_MAX_METADATA_BYTES = 2**24
+_MAX_LOST = 10**6  # messages of one part; larger numbers in metadata.yaml are ignored
+Open = Callable[[Path, Diagnostics], Recording]
+
+
+def is_bag_folder(folder: Path) -> bool:
+    """Whether a folder is a bag: it has the metadata.yaml of a bag, or parts with usual names.
+
+    Usual names are FOLDER_0, FOLDER_1, ... or rosbag2_..._0, ... Raises OSError.
+    """
+    if (folder / METADATA).is_file():
+        with (folder / METADATA).open("rb") as file:
+            if b"rosbag2_bagfile_information" in file.read(2**12):
+                return True
+    return bool(_parts_by_name(folder))
+
+
+def are_parts(names: Iterable[str], folder: str) -> bool:
+    """Whether all logs among the file names in a folder have the usual names of parts."""
+    stems = {match[1] if (match := _numbers(n)) else None for n in names if _is_stored(n)}
+    if len(stems) != 1:
+        return False
+    stem = stems.pop()
+    return stem is not None and (stem == folder or stem.startswith("rosbag2_"))
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """The files of a bag, in order: metadata.yaml, and the parts that exist."""
+    head = folder / METADATA
+    parts, _ = _listed(folder, Diagnostics(folder))
+    return [*([head] if head.is_file() else []), *(p for p in parts if p.is_file())]
+
+
+def _stored_parts(folder: Path) -> list[Path]:
+    with os.scandir(folder) as entries:  # one by one: a folder of images may hold very many
+        parts = [folder / entry.name for entry in entries if _is_stored(entry.name)]
+    return sorted(parts, key=natural_order)
+
+
+def _is_stored(name: str) -> bool:
+    return name.lower().endswith(_ENDINGS) and name[0] != "."
+
+
+def _parts_by_name(folder: Path) -> list[Path]:
+    """The parts according to their names; none if a log in the folder has another name."""
+    parts = _stored_parts(folder)
+    return parts if are_parts((p.name for p in parts), folder.resolve().name) else []
+
+
+def _numbers(part: str) -> re.Match[str] | None:
+    return re.match(r"(.*)_([0-9]{1,9})\.[^_]*$", part)
+
+
+def _listed(folder: Path, diagnostics: Diagnostics) -> tuple[list[Path], dict[str, Any]]:
+    """(parts in order, the table of metadata.yaml)."""
+    metadata, problem = _metadata(folder / METADATA)
+    names = metadata.get("relative_file_paths")
+    if isinstance(names, list) and names:
+        # Old bags put the folder in front of the names. Nothing outside of the folder is read.
+        listed = Counter(
+            _as_stored(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names
+        )
+        parts = list(listed)
+        for part in _stored_parts(folder):
+            if part not in listed and _follows(part, parts):
+                diagnostics.fault(f"{METADATA} does not list it, so it is not read", part.name)
+        for part, times in listed.items():
+            if times > 1:
+                diagnostics.fault(f"{METADATA} lists it {times} times; it is read once", part.name)
+        return parts, metadata
+    parts = _parts_by_name(folder) or _stored_parts(folder)
+    if problem is not None:
+        diagnostics.fault(f"{problem}; the parts are read by their names", METADATA)
+    numbers = [int(match[2]) for p in parts if (match := _numbers(p.name))]
+    for before, after in pairwise([-1, *numbers] if len(numbers) == len(parts) else []):
+        if after > before + 1:
+            which = f"{before + 1}" + f" to {after - 1}" * (after > before + 2)
+            diagnostics.fault(
+                f"part {which} is missing; the numbers of the frames after it are too low",
+                folder.name,
+            )
+    return parts, {}
+
+
+def _as_stored(part: Path) -> Path:
+    """The path of a part as it exists, compressed or not, whatever metadata.yaml says."""
+    other_names = [part.with_name(part.name + end) for end in PACKINGS]
+    other_names += [part.with_suffix("")] if part.suffix.lower() in PACKINGS else []
+    return next((p for p in (part, *other_names) if p.is_file()), part)
+
+
+def _follows(path: Path, parts: list[Path]) -> bool:
+    """Whether a file has the same kind of name as the parts."""
+    stems = {match[1] for p in parts if (match := _numbers(p.name))}
+    return (match := _numbers(path.name)) is not None and match[1] in stems
+
+
+def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
+    """(table of the bag in metadata.yaml, what is wrong with the file).
+
+    The table is empty if there is no such file or it cannot be used.
+    """
+    if not file.is_file():
+        return {}, None
+    try:
+        if file.stat().st_size > _MAX_METADATA_BYTES:
+            return {}, f"larger than {_MAX_METADATA_BYTES} bytes"
+        return _parsed(file.read_bytes())
+    except OSError as error:
+        return {}, f"cannot be read ({error.strerror})"
+
+
+@lru_cache(maxsize=1)
+def _parsed(data: bytes) -> tuple[dict[str, Any], str | None]:
+    """As `_metadata`, from the file's bytes. Cached, because each bag needs it several times."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        metadata = YAML(typ="safe", pure=True).load(data.decode("utf-8"))
+    except (YAMLError, ValueError, TypeError, RecursionError):
+        return {}, "cannot be read as YAML"
+    table = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
+    return (table, None) if isinstance(table, dict) else ({}, "describes no bag")
+
+
+@dataclass(slots=True)
+class _Part:
+    """One file of a bag.
+
+    numbers: from the file's channel numbers to those of the bag. found: messages by the bag's
+    channels. start, end: first and last log time, ns. sound: whole and without faults. lost: number
+    of lost messages by the bag's channels. read: first and last log time of what a pass has read,
+    ns; None if nothing.
+    """
+
+    path: Path
+    numbers: dict[int, int] = field(default_factory=dict)
+    found: Counter[int] = field(default_factory=Counter)
+    start: int = 0
+    end: int = 0
+    sound: bool = False
+    lost: Counter[int] = field(default_factory=Counter)
+    read: tuple[int, int] | None = None
+
+
+class BagFolder(Recording):
+    """A `Recording` of all parts of a bag.
+
+    One part is open at a time; several only if they overlap in time. If a part is cut, damaged or
+    missing, only its own messages are lost.
+    """
+
+    def __init__(self, path: Path, open_part: Open, diagnostics: Diagnostics | None = None) -> None:
+        """open_part: opens one file. Raises SonarrecError if no part can be read."""
+        super().__init__(path, diagnostics)
+        self._open = open_part
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()
+        self.chunks: Counter[str] = Counter()
+        self.profile, self.library = "ros2", ""
+        self.span: tuple[int, int] | None = None
+        files, self._metadata = _listed(path, self.diagnostics)
+        self._parts = [_Part(file) for file in files]
+        for part in self._parts:
+            self._look_into(part)
+        if not any(part.numbers for part in self._parts):
+            faults = self.diagnostics.faults
+            reason = f" ({faults[0]})" if faults else ""
+            raise SonarrecError(f"{path}: no part of this bag can be read{reason}")
+        self.whole = all(part.sound for part in self._parts)
+        self._count()
+
+    def _look_into(self, part: _Part) -> None:
+        """Open a part and register its channels, counts, times and faults."""
+        known = len(self.diagnostics.faults)
+        try:
+            if not part.path.is_file():
+                raise SonarrecError("this part of the bag is missing")
+            log = self._open(part.path, self.diagnostics)
+        except (SonarrecError, OSError) as error:
+            reason = error.strerror if isinstance(error, OSError) else str(error)
+            text = str(reason).removeprefix(f"{printable(part.path)}: ").partition("\n")[0]
+            self.diagnostics.fault(text, part.path.name)
+            return
+        log.close()
+        for number, channel in log.channels.items():
+            part.numbers[number] = self._number_of(channel)
+            part.found[part.numbers[number]] += log.counts.get(number, 0)
+        self.chunks.update(log.chunks)
+        self.library = self.library or log.library
+        part.sound = log.whole and len(self.diagnostics.faults) == known
+        if log.span is not None:
+            part.start, part.end = log.span
+            first, last = self.span or log.span
+            self.span = min(first, part.start), max(last, part.end)
+
+    def _number_of(self, channel: Channel) -> int:
+        """The bag's number for a channel of a part; a new number for a new channel.
+
+        A part may lack the definition of a channel that other parts have.
+        """
+        alike = ("topic", "schema", "message_encoding")
+        for number, other in self.channels.items():
+            if all(getattr(channel, name) == getattr(other, name) for name in alike):
+                if not other.definition:
+                    self.channels[number] = channel
+                    return number
+                if not channel.definition or channel == other:
+                    return number
+        self.channels[len(self.channels)] = channel
+        return len(self.channels) - 1
+
+    def _count(self) -> None:
+        """Find out how many messages each part has lost, from the counts in metadata.yaml."""
+        for part in self._parts:
+            self.counts.update(part.found)
+        damaged = [part for part in self._parts if not part.sound]
+        files = _counts(self._metadata.get("files"), "path", "message_count")
+        for number, count in self._counts_in_metadata().items():
+            short = count - self.counts[number]
+            if short <= 0 or short > _MAX_LOST:
+                continue
+            # Lost messages of all channels; right for this one if the others lost none.
+            shares = {id(p): files.get(p.path.name, 0) - p.found.total() for p in damaged}
+            if len(damaged) == 1:
+                damaged[0].lost[number] = short
+            elif damaged and min(shares.values()) >= 0 and sum(shares.values()) == short:
+                for part in damaged:
+                    part.lost[number] = shares[id(part)]
+            else:
+                where = "; in which part cannot be known" if damaged else ""
+                self.fault(
+                    f"{METADATA} counts {number_of(count, 'message')} of "
+                    f"{self.channels[number].topic}, the parts hold {count - short}{where}, so "
+                    "numbers of frames may be too low"
+                )
+                continue
+            self.counts[number] = count
+
+    def _counts_in_metadata(self) -> dict[int, int]:
+        """Counts by channel from metadata.yaml, for topics with a single channel."""
+        by_topic: dict[str, list[int]] = {}
+        for number, channel in self.channels.items():
+            by_topic.setdefault(channel.topic, []).append(number)
+        rows = self._metadata.get("topics_with_message_count")
+        flat = [
+            {"name": row["topic_metadata"].get("name"), "count": row.get("message_count")}
+            for row in (rows if isinstance(rows, list) else [])
+            if isinstance(row, dict) and isinstance(row.get("topic_metadata"), dict)
+        ]
+        counts = _counts(flat, "name", "count")
+        return {
+            numbers[0]: counts[topic]
+            for topic, numbers in by_topic.items()
+            if len(numbers) == 1 and topic in counts
+        }
+
+    def messages(self, channels: Collection[int]) -> Iterator[Message]:
+        """The messages of some channels in log-time order; those of equal time by their parts.
+
+        A lost message that metadata.yaml counts is yielded without data, so that others keep their
+        numbers.
+        """
+        end = 0
+        for part in self._parts:  # one that cannot be read follows the one before it
+            part.start = part.start or end
+            end = part.end = max(part.end, part.start)
+        order = sorted(range(len(self._parts)), key=lambda i: (self._parts[i].start, i))
+        runs: list[tuple[int, int, Message, Iterator[Message]]] = []
+
+        def advanced(index: int, run: Iterator[Message]) -> None:
+            if (message := next(run, None)) is not None:
+                heapq.heappush(runs, (message.log_time, index, message, run))
+
+        def merged_before(time_ns: float) -> Iterator[Message]:
+            while runs and runs[0][0] < time_ns:
+                _, index, message, run = heapq.heappop(runs)
+                yield message
+                advanced(index, run)
+
+        for index in order:
+            yield from merged_before(self._parts[index].start)
+            advanced(index, self._messages_of(self._parts[index], channels))
+        yield from merged_before(math.inf)
+        self.note_set_back(part.read for part in self._parts if part.read is not None)
+
+    def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
+        passed: Counter[int] = Counter()
+        last = part.start
+        numbers = {own: number for own, number in part.numbers.items() if number in channels}
+        if numbers:
+            for message in self._read(part, numbers):
+                number = numbers[message.channel]
+                passed[number] += 1
+                last = max(last, message.log_time)
+                part.read = part.read[0] if part.read else message.log_time, last
+                yield replace(message, channel=number)
+        for number in channels:
+            gone = part.found[number] + part.lost[number] - passed[number]
+            if part.lost[number]:
+                self.diagnostics.fault(
+                    f"{number_of(gone, 'message')} of {self.channels[number].topic} lost, by the "
+                    f"counts in {METADATA}",
+                    part.path.name,
+                )
+            for _ in range(gone if gone <= _MAX_LOST else 0):
+                yield Message(number, last, None, None)
+
+    def _read(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
+        """The messages of some channels of a part, by the part's own numbers."""
+        try:
+            log = self._open(part.path, self.diagnostics)
+        except (SonarrecError, OSError):  # it was there before
+            self.diagnostics.fault("cannot be read any more", part.path.name)
+            return
+        try:
+            yield from log.messages(channels)
+        except SonarrecError as error:
+            self.diagnostics.fault(str(error).removeprefix(f"{printable(part.path)}: "), part.path)
+        finally:
+            log.close()
+
+    def close(self) -> None:
+        """Does nothing, because parts are closed when they have been read."""
+
+
+def _counts(rows: Any, name: str, count: str) -> dict[str, int]:
+    """Counts by name, from a list of tables in metadata.yaml; incomplete tables are left out."""
+    return {
+        PurePosixPath(row[name]).name if name == "path" else row[name]: row[count]
+        for row in (rows if isinstance(rows, list) else [])
+        if isinstance(row, dict)
+        and isinstance(row.get(name), str)
+        and isinstance(row.get(count), int)
+    }

@@ -1,0 +1,351 @@
+"""Finds out what an MCAP file holds, even if the file is cut short, has no index or is damaged.
+
+The `mcap` package stops at the first damage. This module goes from record to record, with or
+without an index; it uses the package only to parse single records.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Footer, Header, Schema, Statistics
+
+from sonarrec.errors import SonarrecError
+from sonarrec.readers.containers.mcap.chunks import (
+    RECORD_HEAD,
+    ChunkHead,
+    ChunkStore,
+    Contents,
+    DamagedError,
+    pieces_of,
+    read_chunk_head,
+)
+
+MAGIC = b"\x89MCAP0\r\n"
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+CHUNK = -1  # stands for a channel in McapFile.channels_of_units
+_MAX_DEFINITION_BYTES = 4 * 2**20
+_CHUNK_INDEX_HEAD = struct.Struct("<QQQ")  # start, end, position of the chunk
+_CRC = struct.Struct("<I")
+_FOOTER_BYTES = 20
+_LAST_OPCODE = 0x0F
+FIRST_PRIVATE = 0x80  # the first opcode that is free for private records
+
+
+def records_in(contents: Contents, at: int) -> Iterator[tuple[int, int, int]]:
+    """Yield (opcode, start of the body, its length) of every whole record from `at` on."""
+    file = contents.file
+    while at + RECORD_HEAD.size <= contents.end:
+        file.seek(at)
+        head = file.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:  # the file has become shorter
+            return
+        opcode, length = RECORD_HEAD.unpack(head)
+        body = at + RECORD_HEAD.size
+        if opcode == 0 or body + length > contents.end:
+            return
+        yield opcode, body, length
+        at = body + length
+
+
+class McapFile:
+    """An open MCAP file and a summary of what it holds.
+
+    schemas, channels: by id. counts: number of messages by channel. header: profile and library;
+    None if the file has no header. span: first and last log time, ns; None without messages.
+    chunks: number of chunks by compression. whole: whether the file has its footer.
+
+    times, positions, channels_of_units: the units to read, one element each: its first log time
+    (ns), its position in the file, and its channel. A unit is a chunk (channel CHUNK), or a run of
+    messages of one channel that are in no chunk and whose times do not go back.
+    """
+
+    def __init__(self, path: Path, at: Path, fault: Callable[[str], None]) -> None:
+        """path: the file's name in messages. at: the file to read. fault: is told what is wrong.
+
+        Raises SonarrecError if it is no MCAP file, OSError if it cannot be read.
+        """
+        self.path, self.fault = path, fault
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()
+        self.header: Header | None = None
+        self.span: tuple[int, int] | None = None
+        self.chunks: Counter[str] = Counter()
+        self.whole = False
+        self.times, self.positions = array("Q"), array("Q")
+        self.channels_of_units = array("l")
+        self._statistics: Statistics | None = None
+        self._oddities: Counter[str] = Counter()
+        self._data_end: tuple[int, int] | None = None  # position and checksum
+        self.file = at.open("rb")
+        self.store = ChunkStore(self.file)
+        try:
+            self.size = self._end = self.file.seek(0, 2)
+            self._scan()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self.store.close()
+        self.file.close()
+
+    def chunk_at(self, position: int) -> ChunkHead:
+        """The head of the chunk at `position`. Raises DamagedError if it cannot be used."""
+        head = read_chunk_head(self.file, position, self.size)
+        if head is None:
+            raise DamagedError("has no readable head")
+        return head
+
+    def data_are_sound(self) -> bool:
+        """Whether the data section matches its checksum, or has none. Reads the whole section."""
+        if self._data_end is None or not self._data_end[1]:
+            return True
+        end, stated = self._data_end
+        # Writers differ on whether the checksum includes the first eight bytes of the file.
+        return stated in (self._crc(0, end), self._crc(len(MAGIC), end))
+
+    def _scan(self) -> None:
+        self.file.seek(0)
+        if self.file.read(len(MAGIC)) != MAGIC:
+            raise SonarrecError(f"{self.path}: not an MCAP file (it does not begin like one)")
+        stop = self._scan_from(len(MAGIC))
+        while not self.whole:
+            resume = next((p for p in self._indexed_positions() if p > stop), None)
+            if resume is None:
+                self.fault(self._cut_text(stop))
+                break
+            self.fault(
+                f"damaged at byte {stop}; all from there to byte {resume}, where the index knows "
+                "what follows, is lost"
+            )
+            stop = self._scan_from(resume)
+        self._report_what_follows()
+        loose = self.counts.copy()
+        if not self._summary_is_complete():
+            self._look_into_chunks()
+        if self._statistics is not None and self._summary_is_complete():
+            self.counts = Counter(self._statistics.channel_message_counts)
+        undefined = sum(n for channel, n in loose.items() if channel not in self.channels)
+        if undefined:
+            self._oddities["messages of channels that nothing defines"] += undefined
+        for oddity, count in self._oddities.items():
+            self.fault(f"not read: {count} {oddity}")
+
+    def _summary_is_complete(self) -> bool:
+        """Whether the summary counts all messages, and every channel and schema is defined.
+
+        Some writers leave out the counts by channel, or channels, or schemas.
+        """
+        statistics = self._statistics
+        if statistics is None:
+            return False
+        counts = statistics.channel_message_counts
+        return (
+            sum(counts.values()) == statistics.message_count
+            and set(counts) <= set(self.channels)
+            and statistics.channel_count <= len(self.channels)
+            and {c.schema_id for c in self.channels.values()} <= {0, *self.schemas}
+        )
+
+    def _report_what_follows(self) -> None:
+        """Report bytes behind the footer, where the recording ends; they are not read."""
+        if self.whole and (more := self.size - self._end):
+            self.file.seek(self._end)
+            another = self.file.read(len(MAGIC)) == MAGIC
+            self.fault(
+                f"{more} bytes follow its end at byte {self._end} and were not read"
+                + (": another recording begins there; cut the file in two" if another else "")
+            )
+
+    def _cut_text(self, at: int) -> str:
+        where = f"cut short or damaged at byte {at} of {self.size} (no footer): "
+        if self._data_end is not None:
+            return where + "only the summary is lost, no message"
+        return where + "what is whole before it is read, the rest cannot be counted"
+
+    def _scan_from(self, at: int) -> int:
+        """Register every record from `at` to the footer or to the first incomplete record.
+
+        Returns the position at which it stopped.
+        """
+        last_times: dict[int, int] = {}
+        for opcode, body, length in records_in(Contents(self.file, at, self.size), at):
+            if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
+                self.file.seek(body + length)
+                self.whole = self.file.read(len(MAGIC)) == MAGIC
+                self._end = body + length + len(MAGIC)
+                return at
+            if opcode == Opcode.DATA_END and length == _CRC.size:
+                self.file.seek(body)
+                self._data_end = at, int.from_bytes(self.file.read(_CRC.size), "little")
+                self._end = self._end_behind(body + length)
+                if not self._summary_is_sound():
+                    self.fault("the summary fails its checksum and was not used")
+                    self.whole = True
+                    return at
+            elif opcode == Opcode.CHUNK:
+                self._add_chunk(at)
+            else:
+                self._note(opcode, at, length, last_times)
+            at = body + length
+        self.file.seek(at)
+        if self.file.read(1) == bytes([Opcode.CHUNK]):  # cut: what is there of it is read
+            self._add_chunk(at)
+        return at
+
+    def _note(self, opcode: int, at: int, length: int, last_times: dict[int, int]) -> None:
+        """Register a whole record at `at`. last_times: log time of the last message, by channel."""
+        self.file.seek(at + RECORD_HEAD.size)
+        if opcode != Opcode.MESSAGE:
+            if _LAST_OPCODE < opcode < FIRST_PRIVATE:
+                self._oddities["records of no known kind"] += 1
+            self._define(self.file, opcode, length)
+            return
+        head = self.file.read(min(length, MESSAGE_HEAD.size))
+        if len(head) < MESSAGE_HEAD.size:
+            self._oddities["messages too short for a head"] += 1
+            return
+        channel, _, time, _ = MESSAGE_HEAD.unpack(head)
+        if time < last_times.get(channel, time + 1):
+            self._add_unit(time, at, channel)
+        last_times[channel] = time
+        self._count(channel, time)
+
+    def _end_behind(self, at: int) -> int:
+        """Where the recording ends: behind its footer, or at the file's end if it has none.
+
+        at: where its summary begins.
+        """
+        for opcode, body, length in records_in(Contents(self.file, at, self.size), at):
+            if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
+                self.file.seek(body + length)
+                whole = self.file.read(len(MAGIC)) == MAGIC
+                return body + length + len(MAGIC) if whole else self.size
+        return self.size
+
+    def _add_chunk(self, position: int) -> None:
+        try:
+            head = read_chunk_head(self.file, position, self.size)
+        except DamagedError as error:
+            self.fault(f"the chunk at byte {position} {error}; its frames are lost")
+            return
+        if head is not None:
+            self.chunks[head.compression or "none"] += 1
+            self._add_unit(head.start_time, position, CHUNK)
+
+    def _add_unit(self, time: int, position: int, channel: int) -> None:
+        self.times.append(time)
+        self.positions.append(position)
+        self.channels_of_units.append(channel)
+
+    def _count(self, channel: int, time: int) -> None:
+        self.counts[channel] += 1
+        first, last = self.span or (time, time)
+        self.span = min(first, time), max(last, time)
+
+    def _define(self, file: BinaryIO, opcode: int, length: int) -> None:
+        """Register a header, schema, channel or statistics record; only count a damaged one."""
+        if opcode not in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+            return
+        stream = ReadDataStream(BytesIO(file.read(min(length, _MAX_DEFINITION_BYTES))))
+        try:
+            if opcode == Opcode.HEADER:
+                self.header = Header.read(stream)
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                self.channels[channel.id] = channel
+            else:
+                self._statistics = statistics = Statistics.read(stream)
+                if statistics.message_count:
+                    self.span = statistics.message_start_time, statistics.message_end_time
+        except (struct.error, UnicodeDecodeError, McapError):
+            self._oddities["damaged definitions"] += 1
+
+    def _look_into_chunks(self) -> None:
+        """Register the definitions inside the chunks and count their messages.
+
+        It stops as soon as the summary is complete.
+        """
+        for position, channel in zip(self.positions, self.channels_of_units, strict=True):
+            if channel == CHUNK:
+                self._look_into(position)
+                if self._summary_is_complete():
+                    return
+
+    def _look_into(self, position: int) -> None:
+        try:
+            contents = self.store.open(self.chunk_at(position))
+        except DamagedError:
+            return  # reported when the messages are read
+        for opcode, body, length in records_in(contents, contents.start):
+            contents.file.seek(body)
+            if opcode == Opcode.MESSAGE:
+                head = contents.file.read(min(length, MESSAGE_HEAD.size))
+                if len(head) == MESSAGE_HEAD.size:
+                    channel, _, time, _ = MESSAGE_HEAD.unpack(head)
+                    self._count(channel, time)
+            else:
+                self._define(contents.file, opcode, length)
+        self.store.release(contents)
+
+    # The end of the file, where the index is: it says how to go on after damage.
+
+    def _footer(self) -> tuple[int, Footer] | None:
+        """(position, contents) of the footer; None if the recording does not end with one."""
+        position = self._end - len(MAGIC) - _FOOTER_BYTES - RECORD_HEAD.size
+        if position < len(MAGIC):
+            return None
+        self.file.seek(position)
+        record = self.file.read(self._end - position)
+        head = RECORD_HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES)
+        if not record.startswith(head) or not record.endswith(MAGIC):
+            return None
+        return position, Footer.read(ReadDataStream(BytesIO(record[len(head) :])))
+
+    def _summary_is_sound(self) -> bool:
+        """Whether the summary matches its checksum in the footer, or there is none."""
+        end_footer = self._footer()
+        if end_footer is None or not end_footer[1].summary_crc:
+            return True
+        position, footer = end_footer
+        start = footer.summary_start or position
+        end = position + RECORD_HEAD.size + _FOOTER_BYTES - _CRC.size
+        return start <= position and self._crc(start, end) == footer.summary_crc
+
+    def _crc(self, start: int, end: int) -> int:
+        crc = 0
+        for piece in pieces_of(self.file, start, end):
+            crc = zlib.crc32(piece, crc)
+        return crc
+
+    def _indexed_positions(self) -> list[int]:
+        """Positions of the chunks according to the summary, and of the summary itself, rising."""
+        end_footer = self._footer()
+        if end_footer is None or not end_footer[1].summary_start or not self._summary_is_sound():
+            return []
+        end, footer = end_footer
+        positions = [footer.summary_start]
+        for opcode, body, length in records_in(
+            Contents(self.file, footer.summary_start, end), footer.summary_start
+        ):
+            if opcode == Opcode.CHUNK_INDEX and length >= _CHUNK_INDEX_HEAD.size:
+                self.file.seek(body)
+                head = self.file.read(_CHUNK_INDEX_HEAD.size)
+                positions.append(_CHUNK_INDEX_HEAD.unpack(head)[2])
+        return sorted(p for p in positions if p < end)

@@ -1,0 +1,96 @@
+"""Recordings that were compressed as a whole: unpacked into a temporary file, a piece at a time.
+
+Their readers need random access, which a compressed stream does not allow.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from sonarrec.errors import SonarrecError
+
+MOST_BYTES = 2**31  # unpacked, or as many times the file's own size, whichever is more
+MOST_TIMES = 100
+
+
+def _zstd(file: BinaryIO, size: int) -> Iterator[bytes]:
+    from sonarrec.readers.containers.mcap.chunks import inflated_zstd, pieces_of
+
+    return inflated_zstd(pieces_of(file, 0, size))
+
+
+def _lz4(file: BinaryIO, size: int) -> Iterator[bytes]:
+    from sonarrec.readers.containers.mcap.chunks import inflated_lz4
+
+    return inflated_lz4(file, 0, size, cut=True)
+
+
+PACKINGS: dict[str, Callable[[BinaryIO, int], Iterator[bytes]]] = {
+    ".zst": _zstd,
+    ".zstd": _zstd,
+    ".lz4": _lz4,
+}
+"""By the ending of a name: yields the contents of a file of so many bytes, in pieces."""
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
+    """(the file to read, what is wrong with the compressed file or None).
+
+    If it is cut or damaged, what could be unpacked before is used. The temporary file is unlinked
+    at the end, when the reader has opened it, so it never outlives the reader.
+    Raises SonarrecError if it unpacks to more than is read, or if there is no room.
+    """
+    unpack = PACKINGS.get(path.suffix.lower())
+    if unpack is None:
+        yield path, None
+        return
+    handle, name = tempfile.mkstemp(prefix="sonarrec_", suffix=Path(path.stem).suffix)
+    try:
+        with os.fdopen(handle, "wb") as out:
+            problem = _unpack_to(path, unpack, out)
+        yield Path(name), problem
+    finally:
+        with suppress(OSError):  # some systems do not unlink open files: then it stays
+            Path(name).unlink()
+
+
+def _unpack_to(
+    path: Path, unpack: Callable[[BinaryIO, int], Iterator[bytes]], out: BinaryIO
+) -> str | None:
+    """Unpack a file into `out`; returns what was wrong with it, or None."""
+    import zstandard
+
+    from sonarrec.readers.containers.mcap.chunks import DamagedError
+
+    written = 0
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        most = max(MOST_BYTES, MOST_TIMES * size)
+        try:
+            for piece in unpack(file, size):
+                written += len(piece)
+                if written > most:
+                    raise SonarrecError(
+                        f"{path}: {size} bytes unpack to more than {most}, which is "
+                        "not read; unpack it by hand if this is right"
+                    )
+                out.write(piece)
+        except (zstandard.ZstdError, DamagedError, RuntimeError, EOFError, MemoryError) as error:
+            if not written:
+                raise SonarrecError(f"{path}: cannot be unpacked ({error})") from None
+            return f"damaged after {written} unpacked bytes ({error}); what came before is read"
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            raise SonarrecError(
+                f"{tempfile.gettempdir()}: no room to unpack {path.name}; make room, "
+                "or set TMPDIR to a folder that has some"
+            ) from None
+    return None

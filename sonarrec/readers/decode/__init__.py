@@ -1,0 +1,1 @@
+"""From pixels of any kind to the grey frames of one fan."""

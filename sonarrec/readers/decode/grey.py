@@ -1,0 +1,241 @@
+"""The one place where pixels become the 8-bit grey of recognition, on a logarithmic scale.
+
+| pixels | `pixel_scale` | `full_scale`, which becomes 255 |
+|---|---|---|
+| 8 bit | linear: sonars compress before they store so few bits; but log if the speckle of the
+  first frames is that of amplitudes (`holds_amplitudes`) | 255; log: by the first frame |
+| 16 bit | linear, but log if the first frame would be almost black, or if the speckle is that of
+  amplitudes | 65535; log: by the first frame |
+| floating-point images within 0 to 1 | linear | 1 |
+| floating-point, some negative | db: decibels | by the first frame |
+| 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |
+
+`linear` is 255 v / full_scale, `log` 255 (1 + 20 log10(v / full_scale) / dynamic_range_db), `db`
+255 (1 + (v - full_scale) / dynamic_range_db), each clipped to 0 to 255. These are the defaults;
+keys of the geometry override them. The maxval of a PGM is used in place of 255 and 65535. "By the
+first frame": such that the median of its echoes becomes a third of the range; this median is floor
+speckle, whatever bright things lie on the floor. Later frames do not change the scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.errors import SonarrecError
+from sonarrec.readers.decode.colour import LUMINANCE, map_levels
+from sonarrec.readers.raw import UnusableError
+from sonarrec.sonar import Sonar
+
+DYNAMIC_RANGE_DB = 50.0
+# Floating-point values from here down are no echo in decibels, but mark pixels without data, as
+# -9999 and -32768 do.
+NO_DATA = -500.0
+_MEDIAN_AT = 1 / 3  # of the range, for floor speckle: high enough for shadows to show
+_NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median below
+
+# For `holds_amplitudes`: rows and columns of a block, which blocks are used, and the sum of slope
+# and skew above which pixels are amplitudes. In simulated pictures (77 of tuning and model seeds)
+# this sum is at most .94 for logarithms, and at least 1.05 for 95 of 100 pictures of amplitudes;
+# the others show a floor in relief without speckle.
+_BLOCK = (16, 4)
+_MOST_BLACK, _LEAST_LEVEL, _LEAST_SPREAD, _LEAST_BLOCKS = 0.2, 4.0, 0.5, 50
+_DIM, _LEAST_SPECKLE = 1 / 8, 0.2  # of full scale; spread over level
+_LEAST_RANGE = 0.12  # standard deviation of the logarithm of levels
+_AMPLITUDES = 1.0
+
+Scale = Literal["linear", "log", "db"]
+
+
+@dataclass(frozen=True, slots=True)
+class GreyScale:
+    """How the pixels of one log become grey; see the module.
+
+    bounded: whether finite pixels below 0 or above full_scale are a fault, not black or white.
+    """
+
+    pixel_scale: Scale
+    full_scale: float
+    dynamic_range_db: float
+    bounded: bool = False
+
+    def as_table(self) -> dict[str, Any]:
+        """The keys of the geometry that state this scale."""
+        table = {"pixel_scale": self.pixel_scale, "full_scale": self.full_scale}
+        linear = self.pixel_scale == "linear"
+        return table if linear else table | {"dynamic_range_db": self.dynamic_range_db}
+
+
+def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarray:
+    """(rows, columns) in this machine's byte order, from pixels as in a Ping.
+
+    8-bit colours become the levels of the colour map. Other colours, and all with LUMINANCE, become
+    grey by OpenCV's weights (.299 R + .587 G + .114 B, without alpha). Floating-point pixels of
+    NO_DATA and below become NaN.
+    Raises UnusableError for other pixels.
+    """
+    if pixels.dtype.kind not in "uif" or pixels.dtype == np.float16:
+        raise UnusableError(f"{pixels.dtype} pixels are not supported")
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
+    if pixels.dtype == np.float64:
+        with np.errstate(over="ignore"):  # values beyond 32 bits become infinite, which is white
+            pixels = pixels.astype(np.float32)
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    if pixels.ndim == 3 and pixels.shape[2] in (3, 4):
+        if pixels.dtype not in (np.uint8, np.uint16, np.float32):
+            raise UnusableError(f"{pixels.dtype} colour pixels are not supported")
+        if colour_map != LUMINANCE and pixels.dtype == np.uint8:
+            return map_levels(pixels, colour_map)
+        code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
+    if pixels.ndim != 2 or not pixels.size:
+        raise UnusableError(f"an image of shape {pixels.shape} is not supported")
+    if pixels.dtype.kind == "f" and (no_data := pixels <= NO_DATA).any():
+        return np.where(no_data, np.float32(np.nan), pixels)
+    return np.asarray(pixels)
+
+
+def grey_scale(
+    sonar: Sonar, pixels: np.ndarray, amplitudes: bool, white: int | None = None
+) -> GreyScale | None:
+    """The scale of a log by its first frame, as far as `sonar` does not state it.
+
+    pixels: from single_channel. amplitudes: whether they are known to be echo amplitudes; then
+    floating-point values within 0 to 1 are too. white: as in a RawFrame. Returns None if the frame
+    is blank, since it is black on any scale. Raises SonarrecError for an invalid full scale.
+    """
+    values = pixels[np.isfinite(pixels)]
+    if not values.any():
+        return None
+    floating = pixels.dtype.kind == "f"
+    unit = floating and not amplitudes and values.min() >= 0 and values.max() <= 1
+    largest = 1.0 if unit else None
+    if not floating and pixels.itemsize <= 2:
+        largest = float(white or np.iinfo(pixels.dtype).max)
+    scale = sonar.pixel_scale or _usual_scale(values, largest)
+    if sonar.pixel_scale is None and amplitudes and not floating:
+        scale = "log"
+    span = sonar.dynamic_range_db or DYNAMIC_RANGE_DB
+    if sonar.full_scale is not None:
+        if sonar.full_scale <= 0 and scale != "db":
+            raise SonarrecError(
+                f"full_scale = {sonar.full_scale:g} must be above 0 ({scale} scale)"
+            )
+        return GreyScale(scale, sonar.full_scale, span)
+    if scale == "linear":
+        full = float(values.max()) if largest is None else largest
+        return GreyScale(scale, full, span, bounded=unit)
+    above = (1 - _MEDIAN_AT) * span
+    if scale == "db":
+        return GreyScale(scale, float(np.median(values)) + above, span)
+    echoes = values[values > 0]
+    if not echoes.size:
+        return None
+    return GreyScale(scale, float(np.median(echoes) * 10 ** (above / 20)), span)
+
+
+def _usual_scale(values: np.ndarray, largest: float | None) -> Scale:
+    """The default scale. values: finite. largest: full scale of their type; None if unknown."""
+    if largest is None:
+        return "db" if values.dtype.kind == "f" and values.min() < 0 else "log"
+    return "log" if values.itemsize == 2 and next_to_black(values, largest) else "linear"
+
+
+def _middle(values: np.ndarray) -> float:
+    """The median without zeros."""
+    return float(np.median(values[values != 0]))
+
+
+def next_to_black(pixels: np.ndarray, white: float | None) -> bool:
+    """Whether 16-bit integers, not all 0, are so dark that they are read as log."""
+    return _middle(pixels) < _NEXT_TO_BLACK * (white or np.iinfo(pixels.dtype).max)
+
+
+def dim_level(pixels: np.ndarray, white: int | None) -> str | None:
+    """How dim 16-bit integers, not all 0, would be as linear grey; None if not dim."""
+    middle, full = _middle(pixels), white or np.iinfo(pixels.dtype).max
+    return f"median {middle:.0f} of {full}" if middle < _DIM * full else None
+
+
+def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
+    """Whether images of integers hold echo amplitudes rather than their logarithm, by speckle.
+
+    images: from single_channel, all of 8 or all of 16 bits; 16-bit ones must not be next to black.
+    In amplitudes the spread of speckle is proportional to its level, and peaks reach farther than
+    troughs; in logarithms the spread is even, and troughs reach farther. An 8-bit picture that is
+    so dim that distant echoes are next to black is taken for amplitudes too: if it holds
+    logarithms, little is lost. Measured in small blocks; False if too few show speckle.
+    """
+    # The content may fill only a small part of 16 bits: its brightest pixel counts as white.
+    deep = bool(images) and images[0].dtype != np.uint8
+    white = np.float32(max(image.max() for image in images)) if deep else None
+    parts = [_speckle(image, white) for image in images]
+    level, spread, skews = np.concatenate([np.empty((3, 0), np.float32), *parts], axis=1)
+    if len(level) < _LEAST_BLOCKS:
+        return False
+    dim = not deep and np.median(level) < _DIM * 256
+    if dim and np.median(spread / level) > _LEAST_SPECKLE:
+        return True
+    if np.log(level).std() < _LEAST_RANGE:  # levels too similar to find a slope
+        return False
+    slope = np.polyfit(np.log(level), np.log(spread), 1)[0]  # 1 of amplitudes, 0 of logarithms
+    return bool(slope + np.median(skews) > _AMPLITUDES)
+
+
+def _speckle(image: np.ndarray, white: np.float32 | None) -> FloatArray:
+    """(3, n) level, spread and skew of an image's blocks, without those that show no speckle.
+
+    white: what counts as 255; None: 255 itself.
+    """
+    rows, columns = _BLOCK
+    down, across = image.shape[0] // rows, image.shape[1] // columns
+    blocks = image[: down * rows, : across * columns].reshape(down, rows, across, columns)
+    block = blocks.swapaxes(1, 2).reshape(-1, rows * columns).astype(np.float32)
+    if white is not None:
+        block = block * 255 / white
+    level, spread = block.mean(axis=1), block.std(axis=1)
+    # Black has no speckle, and clipping at either end changes it.
+    whole = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
+    whole &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
+    block, level, spread = block[whole], level[whole], spread[whole]
+    off = (block - level[:, None]) / spread[:, None]
+    skew = (off * off * off).mean(axis=1)  # ** 3 takes twenty times as long
+    return np.stack([level, spread, skew])
+
+
+def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
+    """(rows, columns) uint8, from the pixels of single_channel; NaN (no data) becomes 0.
+
+    Raises UnusableError if pixels are out of bounds.
+    """
+    full = scale.full_scale
+    if scale.pixel_scale == "linear":
+        if pixels.dtype == np.uint8 and full == 255:
+            return np.ascontiguousarray(pixels)
+        if pixels.dtype == np.uint16:
+            return _rounded(np.ascontiguousarray(pixels), 255 / full)
+    values = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    # Infinities are allowed, because `grey_scale` uses finite values only.
+    if scale.bounded and (((values < 0) | (values > full)) & np.isfinite(values)).any():
+        raise UnusableError(
+            f"floating-point pixels must lie in 0 to {full:g}, as in the first frame"
+        )
+    if scale.pixel_scale == "log":
+        decibels = np.log10(np.maximum(values, np.finfo(np.float32).tiny)) * np.float32(20)
+        values = decibels - np.float32(20 * np.log10(full)) + np.float32(scale.dynamic_range_db)
+    elif scale.pixel_scale == "db":
+        no_data = np.isnan(pixels)
+        values = values - np.float32(full - scale.dynamic_range_db)
+        values[no_data] = 0
+    white = full if scale.pixel_scale == "linear" else scale.dynamic_range_db
+    return _rounded(np.clip(values, 0, np.float32(white)), 255 / white)
+
+
+def _rounded(values: np.ndarray, factor: float) -> ByteImage:
+    return np.asarray(cv2.convertScaleAbs(values, alpha=factor), np.uint8)

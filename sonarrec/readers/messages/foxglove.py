@@ -1,0 +1,99 @@
+"""Decodes Foxglove's image messages in protobuf and flatbuffers."""
+
+from __future__ import annotations
+
+import struct
+from functools import cache
+from typing import Any
+
+from sonarrec.readers.messages.foxglove_schemas import message_class
+from sonarrec.readers.raw import UnusableError
+
+# Fields in the order of the flatbuffers tables. New versions only append fields.
+FIELDS = {
+    "foxglove/RawImage": (
+        "timestamp", "frame_id", "width", "height", "encoding", "step", "data",
+    ),
+    "foxglove/CompressedImage": ("timestamp", "frame_id", "data", "format"),
+}  # fmt: skip
+_NUMBERS = ("width", "height", "step")
+
+
+@cache
+def _lenient_class(name: str) -> Any:
+    """The protobuf class of a message such as foxglove/RawImage, with texts declared as bytes.
+
+    protobuf rejects a whole message if one text in it, such as frame_id, is not UTF-8.
+    """
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+
+    dotted = name.replace("/", ".")
+    file = descriptor_pb2.FileDescriptorProto()
+    message_class(dotted).DESCRIPTOR.file.CopyToProto(file)
+    for field in file.message_type[0].field:
+        if field.type == field.TYPE_STRING:
+            field.type = field.TYPE_BYTES
+    pool = descriptor_pool.DescriptorPool()
+    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(dotted))
+
+
+def decode_protobuf(name: str, message: memoryview) -> dict[str, Any]:
+    """The fields of an image message (foxglove/Name). Raises UnusableError if it is malformed."""
+    from google.protobuf.message import DecodeError
+
+    try:
+        parsed = _lenient_class(name).FromString(message)
+    except DecodeError:
+        raise UnusableError("malformed message (no protobuf of its schema)") from None
+    clock = parsed.timestamp
+    fields = {key: getattr(parsed, key) for key in FIELDS[name]}
+    return fields | {"timestamp": {"sec": clock.seconds, "nanosec": clock.nanos}}
+
+
+def decode_flatbuffer(name: str, message: memoryview) -> dict[str, Any]:
+    """The fields of an image message (foxglove/Name). Raises UnusableError if it is malformed.
+
+    Decoded here: forty lines in place of two packages.
+    """
+    try:
+        root = _uint(message, 0)
+        vtable = root - struct.unpack_from("<i", message, root)[0]
+        if vtable < 0:
+            raise UnusableError("malformed message (bad vtable)")
+        slots = (struct.unpack_from("<H", message, vtable)[0] - 4) // 2
+        fields: dict[str, Any] = {}
+        for slot, key in enumerate(FIELDS[name]):
+            # A table holds offsets to its fields. An offset of 0, or none, means the default.
+            offset = (
+                struct.unpack_from("<H", message, vtable + 4 + 2 * slot)[0] if slot < slots else 0
+            )
+            at = root + offset
+            if key == "timestamp":
+                sec, nanosec = struct.unpack_from("<II", message, at) if offset else (0, 0)
+                fields[key] = {"sec": sec, "nanosec": nanosec}
+            elif key in _NUMBERS:
+                fields[key] = _uint(message, at) if offset else 0
+            else:
+                fields[key] = _vector(message, at) if offset else b""
+    except struct.error:
+        raise UnusableError("malformed message (it ends too early)") from None
+    return fields
+
+
+def _uint(message: memoryview, at: int) -> int:
+    return int(struct.unpack_from("<I", message, at)[0])
+
+
+def _vector(message: memoryview, at: int) -> memoryview:
+    """The bytes of the string or vector that the offset at `at` points to."""
+    start = at + _uint(message, at)
+    data = message[start + 4 : start + 4 + _uint(message, start)]
+    if len(data) != _uint(message, start):
+        raise UnusableError("malformed message (it ends too early)")
+    return data
+
+
+DECODERS = {"protobuf": decode_protobuf, "flatbuffer": decode_flatbuffer}
+"""By a channel's message encoding."""

@@ -1,0 +1,96 @@
+"""Reads the image channel of a recording in log-time order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.nouns import Stamps
+from sonarrec.readers.containers.recording import Recording
+from sonarrec.readers.messages.fields import DefinitionError
+from sonarrec.readers.messages.types import READABLE, Decoder, decoder_for
+from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
+
+
+def image_decoders(log: Recording) -> dict[int, Decoder]:
+    """A decoder for every channel with sonar images.
+
+    If the definition of a channel's messages cannot be used, the recording's faults say why.
+    """
+    decoders: dict[int, Decoder] = {}
+    # Channels may share a definition.
+    by_definition: dict[tuple[str, str, bytes, str], Decoder | None] = {}
+    for number, channel in log.channels.items():
+        key = channel.schema, channel.schema_encoding, channel.definition, channel.message_encoding
+        if key not in by_definition:
+            try:
+                by_definition[key] = decoder_for(*key)
+            except DefinitionError as error:
+                by_definition[key] = None
+                log.fault(f"the definition of {channel.topic} cannot be used ({error})")
+        if (decoder := by_definition[key]) is not None:
+            decoders[number] = decoder
+    return decoders
+
+
+class ChannelImages(RawLog):
+    """The messages of one image topic, decoded, in log-time order."""
+
+    def __init__(self, log: Recording, topic: str | None = None) -> None:
+        """topic: the image topic; None: the only one. Closing this also closes the recording.
+
+        Raises SonarrecError if there is no image channel, UsageError if there are several image
+        topics and none is chosen, or if `topic` is none of them.
+        """
+        super().__init__(log.diagnostics)
+        self._log = log
+        try:
+            self._decoders = _choose(log, topic)
+        except BaseException:
+            log.close()
+            raise
+        self.topic = log.channels[next(iter(self._decoders))].topic
+        self.polar = any(decoder.kind.polar for decoder in self._decoders.values())
+        self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._log.close()
+
+    def __iter__(self) -> Iterator[RawFrame]:
+        for number, message in enumerate(self._log.messages(self._decoders)):
+            name = f"message {number} of {self._log.channels[message.channel].topic}"
+            if message.data is None or number in self.passed_over:
+                yield RawFrame(name, message.log_time, None, message.problem)
+                continue
+            try:
+                ping = self._decoders[message.channel](message.data)
+            except UnusableError as error:
+                yield RawFrame(name, message.log_time, None, str(error))
+            else:
+                stamps = Stamps(message.log_time, message.publish_time, ping.stamp_ns)
+                yield RawFrame(name, message.log_time, ping.pixels, None, ping.sonar, stamps)
+
+
+def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
+    """The decoder of every channel of the chosen topic."""
+    decoders = image_decoders(log)
+    topics = sorted({log.channels[c].topic for c in decoders})
+    if not topics:
+        held_channels = sorted(
+            f"{c.topic} ({c.schema or 'no schema'}, {c.message_encoding or 'no encoding'})"
+            for c in log.channels.values()
+        )
+        damage = f" ({faults[0]})" if (faults := log.diagnostics.faults) else ""
+        raise SonarrecError(
+            f"{log.path}: no image channel; it holds "
+            f"{', '.join(held_channels) or 'no channel'}, and this reads {READABLE}{damage}"
+        )
+    if topic is None and len(topics) > 1:
+        raise UsageError(
+            f"{log.path}: several image channels; choose one with --topic: " + ", ".join(topics)
+        )
+    if topic is not None and topic not in topics:
+        raise UsageError(f"{log.path}: no image channel {topic!r}; there is {', '.join(topics)}")
+    topic_chosen = topic or topics[0]
+    return {c: d for c, d in decoders.items() if log.channels[c].topic == topic_chosen}

@@ -1,0 +1,303 @@
+"""Decodes ROS messages, CDR and the serialisation of ROS 1, with `rosbags`.
+
+rosbags generates Python code from a message's definition and runs it. So that no text from a file
+gets into that code, messages and fields are renamed first, and constants and default values are
+left out. Only kinds of numbers and lengths remain, all within bounds.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Mapping
+from functools import cache, lru_cache, partial
+from importlib import resources
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import zstandard
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from sonarrec.readers.containers.mcap.chunks import inflated_zstd
+from sonarrec.readers.messages.fields import DefinitionError
+from sonarrec.readers.raw import MAX_FRAME_BYTES, UnusableError
+
+_MAX_DEFINITION_BYTES = 2**18
+_MAX_FIELDS = 1000  # of a message and those inside it; the largest one read here has about 50
+_MAX_DEPTH = 16
+_MAX_ITEMS = 10_000  # texts and messages inside a message; those read here have far fewer
+
+Types = Mapping[str, tuple[Any, Any]]
+"""Definitions as rosbags has them: package/msg/Name to (constants, [(field, kind)])."""
+
+_FIELD = re.compile(
+    r"(?P<type>[a-zA-Z][\w/]*(?:<=[0-9]{1,9})?(?:\[(?:<=)?[0-9]{0,9}\])?)\s+"
+    r"(?P<name>[a-zA-Z]\w*)(?P<rest>\s*=.*|\s.*)?",  # a constant, or a field and its default
+    re.ASCII,
+)
+_TITLE = re.compile(r"MSG:\s*([\w/]+)", re.ASCII)
+# `time` and `duration` are built into ROS 1, so no file defines them.
+_CLOCK = [(name, (Nodetype.BASE, ("uint32", 0))) for name in ("sec", "nanosec")]
+_CLOCKS: Types = {f"builtin_interfaces/msg/{name}": ([], _CLOCK) for name in ("Time", "Duration")}
+# Kinds as rosbags has them. CDR has no empty message: it is written as one byte.
+_HALF = (Nodetype.BASE, ("uint32", 0))
+_OCTETS = (Nodetype.SEQUENCE, ((Nodetype.BASE, ("uint8", 0)), 0))
+_EMPTY = [("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))]
+_NUMPY = {"byte": "uint8", "char": "uint8"}
+_WIDE = {"float64": "d", "int64": "q", "uint64": "Q"}
+_ZSTD = b"\x28\xb5\x2f\xfd"  # a zstd frame begins so; no CDR message does
+# Second byte of the encapsulation header: plain CDR and plain XCDR2, big- and little-endian.
+_CDR_KINDS = {0: ("be", False), 1: ("le", False), 6: ("be", True), 7: ("le", True)}
+
+
+@lru_cache(maxsize=16)  # logs share a few definitions, and generating their code is slow
+def ros_decoder(name: str, definition: bytes, ros1: bool) -> RosDecoder | None:
+    """The decoder of a message type (package/Name).
+
+    It uses the definition in the file, or else our own; None if there is neither. Raises
+    DefinitionError if the file's cannot be used and there is none of our own.
+    """
+    try:
+        if definition.strip():
+            types = parse_definition(definition.decode(errors="replace"), name)
+            return RosDecoder(types, name, ros1)
+    except DefinitionError:
+        if not _is_known(name, ros1):
+            raise
+    return RosDecoder({}, name, ros1) if _is_known(name, ros1) else None
+
+
+def _is_known(name: str, ros1: bool) -> bool:
+    return name.replace("/", "/msg/") in known_messages(ros1).fielddefs
+
+
+@cache
+def known_messages(ros1: bool) -> Typestore:
+    """Our own definitions: the messages of a ROS distribution and of the drivers of sonars."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    text = resources.files(__package__).joinpath("sonars.msg").read_text(encoding="utf-8")
+    title, _, rest = text.partition("\n")
+    store.register(get_types_from_msg(rest, title.removeprefix("MSG: ")))
+    return store
+
+
+def parse_definition(text: str, name: str) -> Types:
+    """The definitions in a text: of message `name` (package/Name) and of those listed below it.
+
+    Comments, constants and default values are dropped; nothing in the text is evaluated. Raises
+    DefinitionError if the text cannot be parsed or is too long.
+    """
+    if len(text) > _MAX_DEFINITION_BYTES:
+        raise DefinitionError(f"{len(text)} bytes are more than is read")
+    defined = set(_TITLE.findall(text.replace("/msg/", "/")))
+    owner, lines = name, []
+    for line in text.splitlines():
+        line = line.partition("#")[0].strip()
+        if title := _TITLE.fullmatch(line):
+            owner = title[1]
+            lines += ["=" * 80, f"MSG: {owner}"]
+        elif line.strip("="):
+            field = _FIELD.fullmatch(line)
+            if field is None:
+                raise DefinitionError(f"{line[:60]!r} in {owner} is no field")
+            if (field["rest"] or "").lstrip().startswith("="):
+                continue
+            own_header = f"{owner.partition('/')[0]}/Header"
+            is_own = own_header in defined and field["type"].partition("[")[0] == "Header"
+            # rosbags takes a Header without its package to be that of std_msgs.
+            kind = field["type"].replace("Header", own_header) if is_own else field["type"]
+            lines.append(f"{kind} {field['name']}")
+    if len(lines) > 3 * _MAX_FIELDS:  # titles and unused messages included
+        raise DefinitionError(f"{len(lines)} lines are more than is read")
+    try:
+        return get_types_from_msg("\n".join(lines) + "\n", name)
+    except TypesysError:
+        raise DefinitionError(f"the definition of {name} cannot be parsed") from None
+
+
+class RosDecoder:
+    """Decodes messages of one definition into their fields.
+
+    Sequences of numbers become arrays, without a copy; texts become arrays of their bytes; messages
+    inside become dicts, and sequences of messages become lists.
+    """
+
+    def __init__(self, types: Types, name: str, ros1: bool) -> None:
+        """types: the definitions in the file; messages missing there are from known_messages.
+
+        Raises DefinitionError if a message is not defined anywhere or is too large.
+        """
+        self._types, self._name, self._ros1 = types, name.replace("/", "/msg/"), ros1
+        self._layouts = {"": _Layout(types, self._name, ros1)}
+
+    def __call__(self, message: memoryview) -> dict[str, Any]:
+        """The fields of a message. A CDR message begins with an encapsulation header of 4 bytes.
+
+        Bytes behind its end are ignored. Raises UnusableError if it is malformed.
+        """
+        if self._ros1:
+            return self._layouts[""].fields("deserialize_ros1", message)
+        if message[:4] == _ZSTD:  # a bag that was compressed message by message
+            message = _inflate(message)
+        if len(message) < 4 or message[0] != 0 or message[1] not in _CDR_KINDS:
+            raise UnusableError("malformed message (no CDR header)")
+        order, narrow = _CDR_KINDS[message[1]]
+        if narrow and order not in self._layouts:
+            self._layouts[order] = _Layout(self._types, self._name, False, order)
+        layout = self._layouts[order if narrow else ""]
+        return layout.fields(f"deserialize_cdr_{order}", message[4:])
+
+
+class _Layout:
+    """A definition in the form in which rosbags gets it.
+
+    Messages and fields have names of our own. Texts are arrays of bytes, because rosbags rejects a
+    whole message if one text in it, such as frame_id, is not UTF-8 or lacks its closing zero.
+    """
+
+    def __init__(self, types: Types, name: str, ros1: bool, narrow: str = "") -> None:
+        """narrow: the byte order ("le" or "be") of XCDR2; empty for other encodings.
+
+        XCDR2 aligns numbers of 8 bytes to 4, which rosbags cannot read. So each of them is
+        declared as two numbers of 4 bytes.
+        """
+        self._types, self._ros1, self._narrow = types, ros1, narrow
+        self._store: Any = Typestore()
+        # By name of a message: (kind in the store, nesting depth).
+        self._registered: dict[str, tuple[Any, int]] = {}
+        # Messages whose fields are all of one kind of number: (that kind, names of the fields).
+        self._vectors: dict[str, tuple[Any, list[str]]] = {}
+        self._field_count = self._items_left = 0
+        self._register("string", [_OCTETS], lambda values: values[0])
+        mark = ">" if narrow == "be" else "<"
+        for kind, code in _WIDE.items():
+            self._register(kind, [_HALF, _HALF], partial(_join, f"{mark}2I", f"{mark}{code}"))
+        (_, root), _ = self._message(name, 0)
+        self._root = self._store.get_msgdef(root)
+
+    def fields(self, function: str, body: memoryview) -> dict[str, Any]:
+        """Decode a message. function: the name of the method of rosbags for its encoding."""
+        self._items_left = _MAX_ITEMS
+        try:
+            parsed, _ = getattr(self._root, function)(body, 0, self._root.cls, self._store)
+        except (SerdeError, struct.error, ValueError):
+            raise UnusableError("malformed message (its bytes do not fit its definition)") from None
+        return dict(parsed)
+
+    def _message(self, name: str, depth: int) -> tuple[Any, int]:
+        """Register a message and those inside it; returns (its kind, its nesting depth)."""
+        kind, height = self._registered.get(name, (None, 0))
+        if depth + height > _MAX_DEPTH:
+            raise DefinitionError(f"{name} nests too deeply")
+        if kind is None:
+            definition = self._types.get(name) or (_CLOCKS.get(name) if self._ros1 else None)
+            definition = definition or known_messages(self._ros1).fielddefs.get(name)
+            if definition is None:
+                raise DefinitionError(f"{name} is not defined")
+            names = [field for field, _ in definition[1]]
+            kinds = [self._kind(kind_of_field, depth + 1) for _, kind_of_field in definition[1]]
+            self._add_fields(len(kinds))
+            alias, height = f"m{len(self._registered)}", max((h + 1 for _, h in kinds), default=0)
+            self._register(
+                alias, [k for k, _ in kinds], lambda values: dict(zip(names, values, strict=False))
+            )
+            kind = Nodetype.NAME, alias
+            if len({k for k, _ in kinds}) == 1 and kinds[0][0][0] == Nodetype.BASE:
+                self._vectors[alias] = kinds[0][0], names
+            self._registered[name] = kind, height
+        return kind, height
+
+    def _kind(self, listed: Any, depth: int) -> tuple[Any, int]:
+        """Translate the kind of a field for the store; returns (kind, nesting depth)."""
+        node, detail = listed
+        if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            single, count = detail
+            kind, height = self._kind(single, depth)
+            if kind == _OCTETS:  # a text: the message "string" that holds its bytes
+                kind = Nodetype.NAME, "string"
+            if node == Nodetype.SEQUENCE and kind[1] in self._vectors:
+                return self._table(*self._vectors[kind[1]]), 0
+            if node == Nodetype.ARRAY:
+                if not count:
+                    raise DefinitionError("an array of no element")
+                if kind[0] == Nodetype.NAME:  # rosbags generates code for each element
+                    self._add_fields(count)
+            return (node, (kind, count)), height
+        if node == Nodetype.NAME:
+            return self._message(detail, depth)
+        if detail[0] == "string":
+            return _OCTETS, 0
+        if self._narrow and detail[0] in _WIDE:
+            return (Nodetype.NAME, detail[0]), 0
+        return listed, 0
+
+    def _add_fields(self, count: int) -> None:
+        self._field_count += count
+        if self._field_count > _MAX_FIELDS:
+            raise DefinitionError(f"more than {_MAX_FIELDS} fields")
+
+    def _table(self, number: Any, names: list[str]) -> Any:
+        """Register a sequence of vectors, to be read into one array per component.
+
+        rosbags reads vectors one by one: the beam directions of a ping would take six times as long
+        as all the rest.
+        """
+        code = np.dtype(_NUMPY.get(number[1][0], number[1][0])).str[1:]
+
+        def read(order: str, aligned: bool, body: memoryview, at: int, *_: Any) -> tuple[Any, int]:
+            dtype = np.dtype(order + code)
+            (count,) = struct.unpack_from(f"{order}I", body, at)
+            at += 4
+            if aligned and count:
+                at += -at % dtype.itemsize
+            table = np.frombuffer(body, dtype, count * len(names), at).reshape(count, len(names))
+            return {name: table[:, i] for i, name in enumerate(names)}, at + table.nbytes
+
+        name = f"table{len(self._store.cache)}"
+        self._store.cache[name] = SimpleNamespace(
+            fields=[("f0", (Nodetype.SEQUENCE, (number, 0)))],
+            size_cdr=0,
+            size_ros1=0,
+            cls=None,
+            deserialize_cdr_le=partial(read, "<", True),
+            deserialize_cdr_be=partial(read, ">", True),
+            deserialize_ros1=partial(read, "<", False),
+        )
+        return Nodetype.NAME, name
+
+    def _register(
+        self, name: str, kinds: list[Any], make: Callable[[tuple[Any, ...]], Any]
+    ) -> None:
+        """Put a message into the store. make: turns its fields into what is returned."""
+
+        def counted_make(*values: Any) -> Any:
+            self._items_left -= 1
+            if self._items_left < 0:
+                raise UnusableError("malformed message (too many elements)")
+            return make(values)
+
+        fields = [(f"f{k}", kind) for k, kind in enumerate(kinds)]
+        self._store.fielddefs[name] = ([], fields or _EMPTY)
+        self._store.types[name] = counted_make
+
+
+def _inflate(message: memoryview) -> memoryview:
+    """Inflate a message that was compressed by itself. Raises UnusableError if that fails."""
+    out = bytearray()
+    try:
+        for piece in inflated_zstd(iter([bytes(message)])):
+            out += piece
+            if len(out) > MAX_FRAME_BYTES:
+                raise UnusableError(f"inflates to more than {MAX_FRAME_BYTES} bytes")
+    except zstandard.ZstdError:
+        raise UnusableError("malformed message (does not inflate)") from None
+    return memoryview(bytes(out))
+
+
+def _join(halves: str, whole: str, values: tuple[int, int]) -> Any:
+    """The number of 8 bytes that was read as two numbers of 4 bytes."""
+    return struct.unpack(whole, struct.pack(halves, *values))[0]

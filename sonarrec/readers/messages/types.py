@@ -1,0 +1,228 @@
+"""The message types that hold sonar images, and how each is turned into a Ping.
+
+To add a message type, write one function from Fields to a Ping and add one row to MESSAGES.
+Decoding the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) into Fields is done in decode.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonarrec.arrays import FloatArray
+from sonarrec.readers.containers.oculus.samples import oculus_geometry, oculus_samples
+from sonarrec.readers.decode.pixels import decode_image, raw_pixels
+from sonarrec.readers.messages.decode import Decode, fields_decoder
+from sonarrec.readers.messages.fields import Fields
+from sonarrec.readers.raw import Ping, UnusableError, ping_geometry
+from sonarrec.sonar import PingGeometry
+
+WIDEST_BEAM_DEG = 5.0
+
+# What each message means
+
+
+def read_image(message: Fields) -> Ping:
+    """sensor_msgs/Image, foxglove.RawImage: uncompressed pixels."""
+    encoding = message.text("encoding")
+    height, width, step = message.whole("height"), message.whole("width"), message.whole("step", 0)
+    big_endian = message.whole("is_bigendian", 0) != 0
+    pixels = raw_pixels(message.octets("data"), height, width, encoding, step, big_endian)
+    return Ping(pixels, message.stamp_ns())
+
+
+def read_compressed_image(message: Fields) -> Ping:
+    """sensor_msgs/CompressedImage, foxglove.CompressedImage: an image file.
+
+    The field `format` ("png", "mono8; png compressed mono8", ...) is ignored, because the data
+    begin with the file's own mark.
+    """
+    return Ping(decode_image(message.octets("data")), message.stamp_ns())
+
+
+# In the order in which marine_acoustic_msgs/SonarImageData numbers them.
+_SAMPLE_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
+
+
+def _samples(image: Fields, bins: int, beams: int) -> np.ndarray:
+    """(bins, beams) samples of a SonarImageData, assumed to be range-major."""
+    if bins < 2 or beams < 2:
+        raise UnusableError(f"{beams} beams of {bins} samples are no image")
+    number = image.whole("dtype")
+    if number >= len(_SAMPLE_TYPES):
+        raise UnusableError(f"unknown sample type {number}")
+    order = ">" if image.whole("is_bigendian") else "<"
+    dtype = np.dtype(order + _SAMPLE_TYPES[number])
+    data = image.octets("data")
+    if bins * beams * dtype.itemsize != len(data):
+        raise UnusableError(
+            f"{beams} beams of {bins} samples, {dtype.itemsize} bytes each, do not fit "
+            f"{len(data)} bytes"
+        )
+    return np.frombuffer(data, dtype).reshape(bins, beams)
+
+
+def _beam_count(image: Fields, bearings: np.ndarray) -> int:
+    beams = image.whole("beam_count")
+    if beams != len(bearings):
+        raise UnusableError(f"{beams} beams with {len(bearings)} directions")
+    return beams
+
+
+def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
+    """(beams,) bearings, deg, rising.
+
+    Drivers disagree on which side is positive, but all list their beams from left to right.
+    """
+    falls = len(bearings_deg) > 1 and bearings_deg[0] > bearings_deg[-1]
+    return -bearings_deg if falls else bearings_deg
+
+
+def _fan_bearings(directions: FloatArray) -> FloatArray:
+    """(beams,) bearings, deg, from left to right. directions: (beams, 3) unit vectors.
+
+    The forward axis is the one along which their mean is largest (z in the definition, x in some
+    drivers). The axis across is the one along which they differ most.
+    """
+    if len(directions) < 2:
+        raise UnusableError("fewer than two beams")
+    middle = directions.mean(axis=0)
+    forward = int(np.argmax(np.abs(middle)))
+    spread = np.ptp(directions, axis=0)
+    spread[forward] = -1
+    across = int(np.argmax(spread))
+    ahead = directions[:, forward] * np.sign(middle[forward])
+    return _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
+
+
+def read_projected_sonar_image(message: Fields) -> Ping:
+    """marine_acoustic_msgs/ProjectedSonarImage: states a direction per beam and a range per bin."""
+    image = message.inner("image")
+    bearings = _fan_bearings(message.vectors("beam_directions"))
+    ranges = message.numbers("ranges")
+    pixels = _samples(image, len(ranges), _beam_count(image, bearings))
+    geometry = ping_geometry(ranges, bearings)
+    return Ping(pixels, message.stamp_ns(), replace(geometry, beam_width_deg=_beam_width(message)))
+
+
+def _beam_width(message: Fields) -> float | None:
+    """Median width of the receiving beams at -3 dB, deg; None if it is not reported.
+
+    The message states radians (PingInfo of marine_acoustic_msgs at docs.ros.org). Impossible widths
+    are ignored, because some drivers fill in degrees or zeros.
+    """
+    try:
+        degrees = np.degrees(message.inner("ping_info").numbers("rx_beamwidths"))
+    except UnusableError:  # the image can be used without it
+        return None
+    degrees = degrees[(degrees > 0) & (degrees <= WIDEST_BEAM_DEG)]
+    return round(float(np.median(degrees)), 3) if len(degrees) else None
+
+
+def read_raw_sonar_image(message: Fields) -> Ping:
+    """marine_acoustic_msgs/RawSonarImage: ranges are computed from the times of the samples."""
+    image = message.inner("image")
+    bearings = _left_to_right(np.degrees(message.numbers("rx_angles")))
+    speed = message.inner("ping_info").number("sound_speed")
+    rate = message.number("sample_rate")
+    if speed <= 0 or rate <= 0:
+        raise UnusableError(f"sound speed {speed:g} m/s at {rate:g} samples a second")
+    bins = message.whole("samples_per_beam")
+    pixels = _samples(image, bins, _beam_count(image, bearings))
+    ranges = (message.whole("sample0") + np.arange(bins)) * speed / (2 * rate)
+    geometry = ping_geometry(ranges, bearings)
+    return Ping(pixels, message.stamp_ns(), replace(geometry, beam_width_deg=_beam_width(message)))
+
+
+def _oculus_geometry(message: Fields, bins: int, beams: int) -> PingGeometry:
+    resolution = message.number("range_resolution")
+    return oculus_geometry(message.numbers("bearings"), resolution, bins, beams)
+
+
+def read_oculus_ping(message: Fields) -> Ping:
+    """sonar_oculus/OculusPing: an image (compressed in later versions) and its geometry."""
+    inner = message.inner("ping")
+    image = read_image(inner) if "encoding" in inner else read_compressed_image(inner)
+    geometry = _oculus_geometry(message, *image.pixels.shape[:2])
+    return Ping(image.pixels, message.stamp_ns(), geometry)
+
+
+def read_oculus_interfaces_ping(message: Fields) -> Ping:
+    """oculus_interfaces/Ping: a row may begin with a gain; it is divided by the gain's root."""
+    bins, beams, step = (message.whole(k) for k in ("n_ranges", "n_beams", "step"))
+    size = message.whole("sample_size")
+    data = message.octets("ping_data")
+    gains = message.whole("has_gains") != 0
+    if len(data) != bins * step:  # a wrong step is ignored, as in images
+        step = 0
+    pixels = oculus_samples(data, bins, beams, size, gains=gains, step=step)
+    return Ping(pixels, message.stamp_ns(), _oculus_geometry(message, bins, beams))
+
+
+@dataclass(frozen=True, slots=True)
+class MessageType:
+    """How a message type is read, and whether it is polar and states its own geometry."""
+
+    read: Callable[[Fields], Ping]
+    polar: bool = False
+
+
+_IMAGE, _COMPRESSED = MessageType(read_image), MessageType(read_compressed_image)
+_PROJECTED = MessageType(read_projected_sonar_image, polar=True)
+_OCULUS = MessageType(read_oculus_ping, polar=True)
+MESSAGES = {
+    "sensor_msgs/Image": _IMAGE,
+    "sensor_msgs/CompressedImage": _COMPRESSED,
+    "foxglove/RawImage": _IMAGE,
+    "foxglove/CompressedImage": _COMPRESSED,
+    "foxglove_msgs/RawImage": _IMAGE,
+    "foxglove_msgs/CompressedImage": _COMPRESSED,
+    "marine_acoustic_msgs/ProjectedSonarImage": _PROJECTED,
+    "marine_acoustic_msgs/RawSonarImage": MessageType(read_raw_sonar_image, polar=True),
+    "acoustic_msgs/ProjectedSonarImage": _PROJECTED,  # its name before 2022
+    "sonar_oculus/OculusPing": _OCULUS,
+    "sonar_oculus/OculusPingUncompressed": _OCULUS,
+    "sonar_oculus_interface/OculusPing": _OCULUS,
+    "oculus_interfaces/Ping": MessageType(read_oculus_interfaces_ping, polar=True),
+}
+
+READABLE = f"{', '.join(MESSAGES)} (CDR, ROS 1 or JSON; foxglove also protobuf and flatbuffer)"
+"""The message types read, for error messages."""
+
+
+def message_type(schema_name: str) -> str:
+    """The message type (package/Name) that a schema's name stands for.
+
+    "sensor_msgs/msg/Image" and "sensor_msgs.msg.Image", as some recorders write it, are the same.
+    """
+    return schema_name.replace(".", "/").replace("/msg/", "/")
+
+
+@dataclass(frozen=True, slots=True)
+class Decoder:
+    """Turns a message's bytes into a Ping; raises UnusableError if they cannot be used."""
+
+    fields: Decode
+    kind: MessageType
+
+    def __call__(self, message: memoryview) -> Ping:
+        with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
+            return self.kind.read(Fields(self.fields(message)))
+
+
+def decoder_for(
+    schema_name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
+) -> Decoder | None:
+    """The decoder of a channel's messages; None if they are not sonar images or cannot be decoded.
+
+    schema_encoding, schema_data: the message definition in the file ("ros2msg", ...). Raises
+    DefinitionError if it cannot be used and we have none of our own.
+    """
+    name = message_type(schema_name)
+    kind = MESSAGES.get(name)
+    if kind is None:
+        return None
+    fields = fields_decoder(name, schema_encoding, schema_data, message_encoding)
+    return None if fields is None else Decoder(fields, kind)

@@ -1,0 +1,373 @@
+"""Finds the log at a path, the reader that opens it, and the files beside it.
+
+To add a format, write one module with a RawLog (or a Recording, for messages on channels) and add
+one row to READERS.
+"""
+
+from __future__ import annotations
+
+import errno
+import glob
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sonarrec.errors import (
+    Diagnostics,
+    MissingError,
+    SonarrecError,
+    UsageError,
+    name_as_text,
+)
+from sonarrec.files.order import natural_order
+from sonarrec.nouns import IMAGE_SUFFIXES, PART
+from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
+from sonarrec.readers.containers.ddf.frames import DdfFrames
+from sonarrec.readers.containers.gemini.log import GeminiPings
+from sonarrec.readers.containers.images import ImageFiles, ImagePaths, is_image
+from sonarrec.readers.containers.oculus.log import OculusPings
+from sonarrec.readers.containers.packed import PACKINGS, unpacked
+from sonarrec.readers.containers.recording import Recording
+from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
+from sonarrec.readers.raw import RawLog
+from sonarrec.sonar import Sonar, load_sonar
+
+SONAR_FILE = "sonar.toml"
+_UNPACK = {".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz", ".zst": "zstd -d", ".lz4": "lz4 -d"}
+"""The command that unpacks a compressed file, by its suffix, for error messages."""
+
+
+def _mcap(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
+    from sonarrec.readers.containers.mcap.recording import (
+        McapRecording,  # with its decompressors, if needed
+    )
+
+    return McapRecording(path, at, diagnostics)
+
+
+def _db3(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
+    from sonarrec.readers.containers.db3 import Db3Recording  # with rosbags, where needed
+
+    return Db3Recording(path, at, diagnostics)
+
+
+def _ros_bag(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
+    from sonarrec.readers.containers.ros_bag import RosBag  # with rosbags, where needed
+
+    return RosBag(path, at, diagnostics)
+
+
+def _bag_folder(path: Path, _: Path, diagnostics: Diagnostics) -> Recording:
+    return BagFolder(path, open_recording, diagnostics)
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """One kind of log: how its names end, and what opens it.
+
+    Either open or recording is given. open: takes the list of files. recording: for messages on
+    channels, in files that may be compressed as a whole; takes the log's path and the file to read,
+    which is another one if the log was compressed. Both take what is told of what is wrong.
+    """
+
+    kind: str
+    suffixes: frozenset[str]
+    open: Callable[[Sequence[Path], Diagnostics], RawLog] | None = None
+    recording: Callable[[Path, Path, Diagnostics], Recording] | None = None
+
+    @property
+    def has_topics(self) -> bool:
+        """Whether the log has channels, of which one can be chosen."""
+        return self.recording is not None
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """The endings of names of this kind, also when compressed."""
+        packings = ("", *PACKINGS) if self.has_topics else ("",)
+        return tuple(suffix + packing for suffix in self.suffixes for packing in packings)
+
+    def ending(self, name: str) -> str | None:
+        """The ending of a name of this kind; None for names of other kinds."""
+        return next((e for e in self.endings if name.lower().endswith(e)), None)
+
+
+_IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
+_BAG_FOLDER = Reader("ROS 2 bag", frozenset(), recording=_bag_folder)
+READERS = (
+    _IMAGES,
+    Reader("video", VIDEO_SUFFIXES, lambda files, told: VideoFrames(files[0], told)),
+    Reader("MCAP", frozenset({".mcap"}), recording=_mcap),
+    Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_db3),
+    Reader("ROS 1 bag", frozenset({".bag"}), recording=_ros_bag),
+    _BAG_FOLDER,
+    Reader("ARIS", frozenset({".aris"}), lambda files, told: DdfFrames(files[0], told)),
+    Reader("DIDSON", frozenset({".ddf"}), lambda files, told: DdfFrames(files[0], told)),
+    Reader(
+        "Oculus", frozenset({".oculus", ".raw"}), lambda files, told: OculusPings(files[0], told)
+    ),
+    Reader("Gemini", frozenset({".glf"}), lambda files, told: GeminiPings(files[0], told)),
+)
+_LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.endings)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A log that was found but not opened yet.
+
+    name: of its results folder. files: all its files, in order. diagnostics: what is to be told
+    about the log. up_to: the highest folder searched for files that belong to the log; None: only
+    beside it.
+    """
+
+    path: Path
+    name: str
+    files: Sequence[Path]
+    reader: Reader
+    diagnostics: Diagnostics
+    up_to: Path | None = None
+
+    @property
+    def place(self) -> Path:
+        """The log's file or folder; for a glob of images, their folder."""
+        return self.path if self.path.exists() else self.files[0].parent
+
+    def beside(self, name: str) -> Path | None:
+        """A file that belongs to the log, such as its sonar.toml; None if there is none."""
+        return companion(self.place, name, self.up_to)
+
+    def check_topic(self, topic: str | None, where: str | Path) -> None:
+        """Raise UsageError if a topic is given but the log has none. where: the log as given."""
+        if topic is not None and not self.reader.has_topics:
+            raise UsageError(
+                f"{where}: --topic chooses a channel of an MCAP or a ROS bag; this log is neither"
+            )
+
+    def open(self, topic: str | None = None) -> RawLog:
+        """Open the log. Raises SonarrecError if it cannot be read."""
+        if self.reader.open is None:
+            from sonarrec.readers.messages.images import ChannelImages
+
+            return ChannelImages(self.recording(), topic)
+        try:
+            return self.reader.open(self.files, self.diagnostics)
+        except OSError as error:
+            raise SonarrecError(f"{self.path}: cannot be read ({error.strerror})") from None
+
+    def recording(self) -> Recording:
+        """Open the log as messages on channels. Raises SonarrecError if it cannot be read."""
+        # If a glob matches one file, that file is the log; a bag is its folder.
+        file = self.path if self.reader is _BAG_FOLDER else self.files[0]
+        return _recording(self.reader, file, self.diagnostics)
+
+    def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
+        """(the geometry that file and flags state, its name in error messages).
+
+        Raises UsageError if the flags contradict each other.
+        """
+        file = sonar_file or self.beside(SONAR_FILE)
+        stated = Sonar() if file is None else load_sonar(file)
+        # Bearings take precedence over a field of view, but flags take precedence over the file.
+        is_fan = (flags.layout or stated.layout) == "fan"
+        if is_fan and flags.field_of_view_deg is not None and flags.bearings_deg is None:
+            stated = replace(stated, bearings_deg=None)
+        if flags.bearings_deg is not None:
+            stated = replace(stated, field_of_view_deg=None)
+        stated = stated.updated(flags)
+        stated.check_flags(flags)
+        return stated, name_as_text(file or self.path)
+
+
+def open_recording(path: Path, diagnostics: Diagnostics) -> Recording:
+    """Open one file of messages. Raises SonarrecError if it is another kind or cannot be read."""
+    reader = _reader_of(path)
+    if reader.recording is None:
+        raise SonarrecError(f"{path}: not a file of messages")
+    return _recording(reader, path, diagnostics)
+
+
+def _recording(reader: Reader, path: Path, diagnostics: Diagnostics) -> Recording:
+    assert reader.recording is not None
+    try:
+        if path.is_dir():
+            return reader.recording(path, path, diagnostics)
+        with unpacked(path) as (at, problem):
+            recording = reader.recording(path, at, diagnostics)
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    if problem is not None:
+        recording.fault(problem)
+    return recording
+
+
+def find_log(path: str | Path, up_to: Path | None = None) -> Source:
+    """Find the log at a path, or the images or the one log that a glob matches.
+
+    up_to: see Source. Raises SonarrecError if there is no log, or several.
+    """
+    path = Path(path)
+    try:
+        return _find(path, up_to)
+    except OSError as error:  # a name beyond every limit, a folder without permission
+        raise SonarrecError(f"{str(path)[:200]}: cannot be read ({error.strerror})") from None
+
+
+def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
+    """The file `name` that belongs to a log (a file or folder); None if there is none.
+
+    Searched in this order: LOG.name and then name, beside a file or inside a folder; LOG.name
+    beside a folder; both in the folders above, up to and with `up_to`. Raises OSError if a folder
+    cannot be read.
+    """
+    own_name = f"{log_name(log)}.{name}"
+    folder = log if log.is_dir() else log.parent
+    places = [folder / own_name, folder / name]
+    if folder == log:
+        places.append(
+            (log.parent if log.name not in ("", "..") else log.resolve().parent) / own_name
+        )
+    for above in _folders_up_to(folder, up_to):
+        places += [above / own_name, above / name]
+    return next((place for place in places if _is_file(place)), None)
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return False  # LOG.name is too long, because the log's name is near the limit
+
+
+def _folders_up_to(folder: Path, up_to: Path | None) -> list[Path]:
+    """The folders above one, up to and with `up_to`; none if it is not below `up_to`."""
+    if up_to is None or up_to.resolve() not in folder.resolve().parents:
+        return []
+    return [up_to / above for above in folder.resolve().relative_to(up_to.resolve()).parents]
+
+
+def log_name(path: Path) -> str:
+    """The name of a log: that of a folder, or of a file without its ending (x for x.mcap.zst)."""
+    if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises where permission is lacking
+        return path.resolve().name
+    ending = next((e for r in READERS if (e := r.ending(path.name)) is not None), path.suffix)
+    return path.name[: len(path.name) - len(ending)] if ending else path.name
+
+
+def names_a_log(name: str) -> bool:
+    """Whether a file of this name is a log by itself: a known kind other than an image."""
+    return name.lower().endswith(_LOG_ENDINGS)
+
+
+def is_log_file(path: Path) -> bool:
+    """Whether a path is a file that is a log by itself, or a link to a missing one.
+
+    The link is reported when it is opened; skipping it would hide that the log is missing.
+    """
+    return names_a_log(path.name) and (path.is_file() or (path.is_symlink() and not path.exists()))
+
+
+def matches(pattern: str | Path) -> list[Path]:
+    """The paths that a glob matches. ** stands for any folders, a final slash for folders only."""
+    return [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
+
+
+def _find(path: Path, up_to: Path | None) -> Source:
+    reader = None
+    files: Sequence[Path]
+    if not path.exists() and glob.has_magic(str(path)):
+        files = _glob_images(path)
+        if is_log_file(files[0]):
+            return _find(files[0], up_to)
+        name = files[0].parent.resolve().name
+        reader = _IMAGES
+    elif path.is_dir():
+        name = path.resolve().name
+        if is_bag_folder(path):
+            files, reader = bag_files(path), _BAG_FOLDER
+        else:
+            files, reader = _folder_images(path), _IMAGES
+    elif path.is_file():
+        files = [path]
+        name = log_name(path)
+    elif path.exists():  # a device, a pipe
+        raise UsageError(f"{path}: neither a file nor a folder")
+    elif path.is_symlink():
+        raise SonarrecError(f"{path}: a link to a file that is not there")
+    else:
+        server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
+        only = "; from servers only run, info, evaluate and report read" if server else ""
+        raise MissingError(f"{path}: no such file or folder{only}")
+    reader = reader or _reader_of(path)
+    return Source(path, results_name(name), files, reader, Diagnostics(path), up_to)
+
+
+def results_name(name: str) -> str:
+    """The name of the results of a log: valid on this disk, and not that of an unfinished run."""
+    try:
+        os.fsencode(text := name_as_text(name))
+    except UnicodeEncodeError:  # the locale lacks a letter, so the bytes are used as they are
+        text = name
+    if text.endswith(PART):  # a run of a log without this ending would overwrite it
+        return f"{text}_"
+    return "log" if text in ("", ".", "..") else text
+
+
+def _glob_images(pattern: Path) -> Sequence[Path]:
+    """The one log that matches, or else the images."""
+    paths = matches(pattern)
+    if not paths:
+        raise MissingError(f"{pattern}: no file matches this pattern")
+    logs = sorted(filter(is_log_file, paths), key=natural_order)
+    files = logs or ImagePaths(filter(is_image, paths))
+    if len(logs) > 1:
+        raise SonarrecError(
+            f"{pattern}: matches {len(logs)} logs, {logs[0].name} the first; open each by itself"
+        )
+    if not files:
+        raise SonarrecError(f"{pattern}: matches no image, video, MCAP or ROS bag")
+    return files
+
+
+def _folder_images(folder: Path) -> ImagePaths:
+    if files := ImagePaths(filter(is_image, folder.iterdir())):
+        return files
+    entries = list(folder.iterdir())
+    if not entries:
+        raise SonarrecError(f"{folder}: the folder is empty")
+    logs = sorted(filter(is_log_file, entries), key=natural_order)
+    if logs:
+        raise SonarrecError(
+            f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
+        )
+    hint = next((h for e in sorted(entries) if (h := _hint(e))), None)
+    raise SonarrecError(
+        f"{folder}: no log and no image in this folder "
+        f"({', '.join(sorted(IMAGE_SUFFIXES))}); "
+        + (hint or "--recursive looks into the folders below")
+    )
+
+
+def _hint(path: Path) -> str | None:
+    """How to unpack a file with an unknown compression; None for other files."""
+    tool = _UNPACK.get(path.suffix.lower())
+    if tool is None:
+        return None
+    return f"this compressed file is not read; unpack it first: {tool} {path.name}"
+
+
+def _reader_of(path: Path) -> Reader:
+    for reader in READERS:
+        if reader.ending(path.name) is not None:
+            if reader is not _IMAGES and not path.stat().st_size:
+                raise SonarrecError(f"{path}: the file is empty (zero bytes)")
+            return reader
+    if (hint := _hint(path)) is not None:
+        raise SonarrecError(f"{path}: {hint}")
+    known = ", ".join(s for reader in READERS for s in sorted(reader.suffixes))
+    raise SonarrecError(
+        f"{path}: not a kind of log this program reads "
+        f"(a folder of images or a ROS 2 bag, or a file: {known})"
+    )
