@@ -1,13 +1,14 @@
 """The cache of fetched files, a folder of bounded size.
 
-An entry is a folder with `files/`, `entry.json` about them, and `lock`. Its user holds the lock, so
-that no other run, process or thread deletes it. The least recently used entry is deleted first.
+An entry holds one version of one log: a folder with `files/`, `bytes` (how many it may take), and
+`lock`. Its user holds the lock, so that no other run, process or thread deletes it. The least
+recently used entry is deleted first. fsspec's own file cache does not serve here: it writes down
+the URLs with their secrets, and knows neither a bound nor other processes.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -16,11 +17,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.files.locks import is_there, locked
-from sonarrec.files.outputs import write_text
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
 _POLL_S = 0.2
@@ -58,39 +57,10 @@ def default_folder() -> Path:
     return Path(platformdirs.user_cache_dir("sonarrec", appauthor=False))
 
 
-def key_of(text: str) -> str:
-    """A folder's name for a URL; it depends on the S3 server too."""
+def key_of(*texts: object) -> str:
+    """A folder's name for what the texts, URLs among them, name on an S3 server or another."""
     server = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
-    return hashlib.sha256(f"{server} {text}".encode()).hexdigest()[:24]
-
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One entry, held by its lock."""
-
-    folder: Path
-
-    @property
-    def files(self) -> Path:
-        return self.folder / "files"
-
-    def about(self) -> dict[str, Any]:
-        """entry.json: url, bytes, files {name: [size, tag]}; empty if there is none."""
-        about: dict[str, Any] = {}
-        with suppress(OSError, ValueError):
-            about = json.loads((self.folder / "entry.json").read_text(encoding="utf-8"))
-        match about:
-            case {"bytes": int(), "files": dict()}:
-                return about
-        return {}
-
-    def write(self, about: dict[str, Any]) -> None:
-        write_text(self.folder / "entry.json", json.dumps(about))
-
-    def mark_used(self) -> None:
-        """Mark it as used now, so that others are deleted first."""
-        with suppress(OSError):
-            os.utime(self.folder / "entry.json")
+    return hashlib.sha256(repr((server, *texts)).encode()).hexdigest()[:24]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,63 +71,56 @@ class Cache:
     limit: int
 
     @contextmanager
-    def hold(self, key: str, *, alone: bool) -> Iterator[Entry]:
+    def hold(self, key: str, *, alone: bool) -> Iterator[Path]:
         """The entry of a key, which is not deleted inside. alone: nobody else uses it inside.
 
         Raises SonarrecError if the folder cannot be written.
         """
-        entry = Entry(self.folder / "logs" / key)
+        entry = self.folder / "logs" / key
         while True:
             try:
-                entry.files.mkdir(parents=True, exist_ok=True)
-                file = (entry.folder / "lock").open("ab")
+                (entry / "files").mkdir(parents=True, exist_ok=True)
+                lock = (entry / "lock").open("ab")
             except FileNotFoundError:  # deleted at this moment
                 continue
             except OSError as error:
                 raise unwritable(self.folder, error) from None
-            if locked(file, alone=alone) and is_there(file, entry.folder / "lock"):
+            if locked(lock, alone=alone) and is_there(lock, entry / "lock"):
                 break
-            file.close()
+            lock.close()
             time.sleep(_POLL_S)
-        try:
+        with lock:
             yield entry
-        finally:
-            entry.mark_used()
-            file.close()
+            with suppress(OSError):
+                os.utime(lock.name)
 
-    def make_room(self, entry: Entry, about: dict[str, Any]) -> None:
-        """Reserve room for about["bytes"] in entry.json; deletes entries that are not in use.
+    def reserve(self, entry: Path, count: int, url: str) -> None:
+        """Reserve room for `count` bytes in an entry; deletes entries that are not in use.
 
         Raises NoRoomError if the others are in use, SonarrecError if it can never fit.
         """
-        bytes_needed: int = about["bytes"]
-        if bytes_needed > self.limit:
+        if count > self.limit:
             raise SonarrecError(
-                f"{about['url']}: {_size(bytes_needed)} is more than the cache may hold "
-                f"({_size(self.limit)}); give a larger --cache-size"
+                f"{url}: {_size(count)} is more than the cache may hold ({_size(self.limit)}); "
+                "give a larger --cache-size"
             )
-        with (self.folder / ".lock").open("ab") as file:
-            while not locked(file, alone=True):
+        with (self.folder / ".lock").open("ab") as lock:
+            while not locked(lock, alone=True):
                 time.sleep(_POLL_S)
-            others = [e for e in self.entries() if e.folder != entry.folder]
-            sizes = {e.folder: e.about().get("bytes", 0) for e in others}
-            for other in others:
-                if sum(sizes.values()) + bytes_needed <= self.limit:
+            others = sorted((self.folder / "logs").glob("*"), key=_last_use)
+            sizes = {other: _bytes(other) for other in others if other != entry}
+            for other in [*sizes]:
+                if sum(sizes.values()) + count <= self.limit:
                     break
-                if _deleted(other):
-                    del sizes[other.folder]
-            if sum(sizes.values()) + bytes_needed > self.limit:
+                if deleted(other):
+                    del sizes[other]
+            if sum(sizes.values()) + count > self.limit:
                 raise NoRoomError(
-                    f"{about['url']}: {_size(bytes_needed)} do not fit beside the logs in use in "
+                    f"{url}: {_size(count)} do not fit beside the logs in use in "
                     f"{name_as_text(self.folder)} (at most {_size(self.limit)}); give a larger "
                     "--cache-size"
                 )
-            entry.write(about)
-
-    def entries(self) -> list[Entry]:
-        """All entries, the least recently used first."""
-        entries = [Entry(folder) for folder in (self.folder / "logs").glob("*")]
-        return sorted(entries, key=_last_use)
+            (entry / "bytes").write_text(str(count))
 
 
 @contextmanager
@@ -176,23 +139,36 @@ def only_one(lock: Path, what: str) -> Iterator[None]:
         yield
 
 
-def _last_use(entry: Entry) -> float:
+def files_in(entry: Path) -> list[Path]:
+    return [path for path in (entry / "files").rglob("*") if path.is_file()]
+
+
+def _bytes(entry: Path) -> int:
+    """What an entry may take, or takes."""
     try:
-        return (entry.folder / "entry.json").stat().st_mtime
+        return int((entry / "bytes").read_text())
+    except (OSError, ValueError):
+        with suppress(OSError):
+            return sum(path.stat().st_size for path in files_in(entry))
+        return 0
+
+
+def _last_use(entry: Path) -> float:
+    try:
+        return (entry / "lock").stat().st_mtime
     except OSError:
         return 0.0
 
 
-def _deleted(entry: Entry) -> bool:
+def deleted(entry: Path) -> bool:
     """Delete an entry unless it is in use; whether it is gone."""
     try:
-        with (entry.folder / "lock").open("ab") as file:
-            if not locked(file, alone=True):
-                return False
-            shutil.rmtree(entry.folder, ignore_errors=True)
+        with (entry / "lock").open("ab") as lock:
+            if locked(lock, alone=True):
+                shutil.rmtree(entry, ignore_errors=True)
     except OSError:
-        return False
-    return not entry.folder.exists()
+        pass
+    return not entry.exists()
 
 
 def _size(size: float) -> str:

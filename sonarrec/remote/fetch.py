@@ -7,17 +7,17 @@ found beside it. In messages the paths of the cache are replaced by those of the
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
 from typing import TYPE_CHECKING
+from uuid import uuid4
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Origin
-from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of, unwritable
+from sonarrec.remote.cache import Cache, NoRoomError, deleted, files_in, key_of, unwritable
 from sonarrec.remote.find import RemoteLog, items_of, relative, with_literal_name
 from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, TABLES
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 RESULTS = frozenset({"run.toml", *TABLES, *ESTIMATES})
 """The files of results that are fetched. Without run.toml, uploaded last, they are unfinished."""
-_LARGE = 2**20  # bytes; larger files are recorded as soon as they are there, in case of a kill
 Progress = Callable[[int, int | None], None]
 """Called as bytes arrive with how many have arrived, and how many there are, None if unknown."""
 
@@ -53,40 +52,20 @@ class CachedCopy:
 
 @contextmanager
 def fetched(
-    log: RemoteLog | str, cache: Cache, progress: Progress = no_progress
+    log: RemoteLog | str, cache: Cache, progress: Progress = no_progress, *, wait: bool = True
 ) -> Iterator[CachedCopy]:
     """A log in the cache: fetched if it is missing or has changed, and kept while it is used.
 
     Several processes or threads may call it at once for one log; it is fetched once.
-    progress: called as bytes arrive.
-    Raises SonarrecError if it cannot be fetched. In a SonarrecError raised inside, paths of the
-    cache are replaced by those of the server.
-    """
-    log = log if isinstance(log, RemoteLog) else RemoteLog(with_literal_name(parse_url(log)))
-    with _hold(log, _Transfer(cache, progress)) as local_log, local_log.origin.translated():
-        yield local_log
-
-
-@dataclass(frozen=True, slots=True)
-class _Transfer:
-    """How files get into the cache.
-
     progress: called as bytes arrive. wait: until other logs make room, instead of raising
-    NoRoomError.
+    NoRoomError. Raises SonarrecError if it cannot be fetched. In a SonarrecError raised inside,
+    paths of the cache are replaced by those of the server.
     """
-
-    cache: Cache
-    progress: Progress = no_progress
-    wait: bool = True
-
-
-@contextmanager
-def _hold(log: RemoteLog, transfer: _Transfer) -> Iterator[CachedCopy]:
-    """As `fetched`, but errors raised inside keep the paths of the cache."""
     from sonarrec.remote.store import Store
 
+    log = log if isinstance(log, RemoteLog) else RemoteLog(with_literal_name(parse_url(log)))
     root, name, items = items_of(log, Store(log.url))
-    with _keep(log.url, root, items, transfer) as (files, origin):
+    with _kept(log.url, root, items, cache, progress, wait) as (files, origin):
         yield CachedCopy(files / name, origin, files if log.up_to else None)
 
 
@@ -97,7 +76,7 @@ def fetch_ahead(log: RemoteLog, cache: Cache) -> None:
     """
 
     def fetch() -> None:
-        with suppress(Exception), _hold(log, _Transfer(cache, wait=False)):
+        with suppress(Exception), fetched(log, cache, wait=False):
             pass
 
     # A daemon, so that a run that is stopped does not wait for the transfer.
@@ -110,18 +89,8 @@ def fetched_file(text: str, cache: Cache) -> Iterator[CachedCopy]:
     from sonarrec.remote.store import Store
 
     url = parse_url(text)
-    with _fetched_below(url, [Store(url).file(url)], cache) as found:
-        yield found
-
-
-@contextmanager
-def _fetched_below(
-    url: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
-) -> Iterator[CachedCopy]:
-    """The file at a URL, or these files in the folder there; otherwise as `fetched`."""
-    root = url.parent
-    with _keep(url, root, items, _Transfer(cache)) as (files, origin), origin.translated():
-        yield CachedCopy(files / relative(url, root), origin, None, tuple(unused))
+    with _kept(url, url.parent, [Store(url).file(url)], cache) as (files, origin):
+        yield CachedCopy(files / relative(url, url.parent), origin)
 
 
 @contextmanager
@@ -135,163 +104,122 @@ def fetched_results(text: str, cache: Cache) -> Iterator[CachedCopy]:
 
     url = parse_url(text)
     store = Store(url)
-    folders = [url]
     items, unfinished = _finished(store, url)
+    unused = [url] if unfinished else []
     if not items and not unfinished:
-        folders = [url.child(name) for name in store.listing(url)[1]]
-    per_folder = [(folder, *_finished(store, folder)) for folder in folders]
-    items = [item for _, finished, _ in per_folder for item in finished]
-    unused = [
+        for name in store.listing(url)[1]:
+            finished, unfinished = _finished(store, url.child(name))
+            items += finished
+            unused += [url.child(name)] if unfinished else []
+    lines = tuple(
         f"{folder.redacted}: left out because its upload is not finished (it has no run.toml)"
-        for folder, _, unfinished in per_folder
-        if unfinished
-    ]
+        for folder in unused
+    )
     if not items:
-        why = unused[0] if unused else f"{url.redacted}: holds no results of `sonarrec run`"
-        raise SonarrecError(why)
-    with _fetched_below(url, store.described(items), cache, unused) as found:
-        yield found
+        raise SonarrecError(
+            lines[0] if lines else f"{url.redacted}: holds no results of `sonarrec run`"
+        )
+    with _kept(url, url.parent, store.described(items), cache) as (files, origin):
+        yield CachedCopy(files / relative(url, url.parent), origin, unused=lines)
 
 
 def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
     """(the files of the results in a folder if they are finished, whether they are unfinished)."""
-    files, _ = store.listing(folder)
-    names = {item.url.name for item in files}
-    there = [item for item in files if item.url.name in RESULTS]
-    if "run.toml" in names and "frames.csv" in names:
+    there = [item for item in store.listing(folder)[0] if item.url.name in RESULTS]
+    if {"run.toml", "frames.csv"} <= {item.url.name for item in there}:
         return there, False
     return [], bool(there)
 
 
 @contextmanager
-def _keep(
-    url: Url, root: Url, items: Sequence[Item], transfer: _Transfer
+def _kept(
+    url: Url,
+    root: Url,
+    items: Sequence[Item],
+    cache: Cache,
+    progress: Progress = no_progress,
+    wait: bool = True,
 ) -> Iterator[tuple[Path, Origin]]:
     """The folder in the cache with exactly these files, which are not deleted inside.
 
-    They are fetched if they are missing or have changed. url: of the log or the results. root: the
-    folder on the server that the one in the cache stands for.
+    url: of the log or the results. root: the folder on the server that the one in the cache stands
+    for. The folder is named by the files' versions. Files without one are fetched each time, and
+    deleted after use.
     """
-    key = key_of(f"{url.redacted.rstrip('/')} {root.redacted}")
     # A dict, since a glob or an index page may name a file twice.
     wanted = {relative(item.url, root): item for item in items}
-    cache, renewed = transfer.cache, False
+    lasting = all(item.has_version for item in wanted.values())
+    versions = sorted((name, item.size, item.tag) for name, item in wanted.items())
+    key = key_of(url.redacted, root.redacted, versions if lasting else uuid4().hex)
     while True:
         with cache.hold(key, alone=False) as entry:
-            if _is_whole(entry, wanted, renewed):
-                yield entry.files, Origin(url.redacted, str(entry.files), root.place.rstrip("/"))
-                return
+            if all(_is_whole(entry, name, item) for name, item in wanted.items()):
+                origin = Origin(url.redacted, str(entry / "files"), root.place.rstrip("/"))
+                with origin.translated():
+                    yield entry / "files", origin
+                break
         try:
             with cache.hold(key, alone=True) as entry:
-                if not _is_whole(entry, wanted, renewed):
-                    _fill(entry, url.redacted, wanted, transfer)
-                renewed = True
+                _fill(entry, url.redacted, wanted, cache, progress)
         except NoRoomError:
-            if not transfer.wait:
+            if not wait or not lasting:
                 raise
             sleep(1.0)
         except OSError as error:  # the disk is full
             raise unwritable(cache.folder, error) from None
+    if not lasting:
+        deleted(entry)
 
 
-def _is_whole(entry: Entry, wanted: dict[str, Item], renewed: bool) -> bool:
-    """Whether an entry holds exactly the wanted files, by their path below its `files`.
-
-    renewed: it was fetched just now, so files whose version the server does not state are current.
-    """
-    have = entry.about().get("files", {})
-    if have.keys() != wanted.keys():
-        return False
-    return all(_is_there(entry, have, name, item, renewed) for name, item in wanted.items())
+def _is_whole(entry: Path, name: str, item: Item) -> bool:
+    path = entry / "files" / name
+    return path.is_file() and item.size in (None, path.stat().st_size)
 
 
-def _is_there(
-    entry: Entry, have: dict[str, list[object]], name: str, item: Item, renewed: bool
-) -> bool:
-    """Whether a file is in an entry, in the version that the server has. have: by entry.json."""
-    path = entry.files / name
-    if have.get(name) != [item.size, item.tag] or not path.is_file():
-        return False
-    if item.size is not None and path.stat().st_size != item.size:
-        return False
-    return item.has_version or renewed
+def _fill(entry: Path, url: str, wanted: dict[str, Item], cache: Cache, progress: Progress) -> None:
+    """Fetch the missing files, several at once. Raises SonarrecError."""
+    from sonarrec.remote.store import AT_ONCE, BLOCK_BYTES, Store
 
-
-def _fill(entry: Entry, url: str, wanted: dict[str, Item], transfer: _Transfer) -> None:
-    """Fetch the missing files and delete others. Raises SonarrecError."""
-    from sonarrec.remote.store import AT_ONCE, Store
-
-    held = entry.about().get("files", {})
-    have = {
-        name: held[name]
-        for name, item in wanted.items()
-        if _is_there(entry, held, name, item, False)
-    }
     sizes = [item.size for item in wanted.values()]
-    about = {"url": url, "bytes": sum(size or 0 for size in sizes), "files": have}
-    transfer.cache.make_room(entry, about)
-    # Transfers that were broken off go on where they were.
-    parts = {f"{name}.{item.identity}.part" for name, item in wanted.items()}
-    for path in _files_below(entry.files):
-        if path.relative_to(entry.files).as_posix() not in {*have, *parts}:
-            path.unlink()
-    lacks = [name for name in wanted if name not in have]
-    total = None if None in sizes else sum(wanted[n].size or 0 for n in lacks)
-    arrived, lock, given_up = 0, threading.Lock(), threading.Event()
+    room = sum(size or 0 for size in sizes)
+    cache.reserve(entry, room, url)
+    lacks = [name for name, item in wanted.items() if not _is_whole(entry, name, item)]
+    total = None if None in sizes else sum(wanted[name].size or 0 for name in lacks)
+    arrived, lock, errors = 0, threading.Lock(), list[BaseException]()
 
     def count(more: int) -> None:
-        nonlocal arrived
-        if given_up.is_set():
+        nonlocal arrived, room
+        if errors:
             raise SonarrecError(f"{url}: given up")
         with lock:
             arrived += more
-            transfer.progress(arrived, total)
-
-    def one(name: str) -> None:
-        item = wanted[name]
-        Store(item.url).fetch(item, entry.files / name, count)
-        with lock:
-            have[name] = [item.size, item.tag]
-            if (item.size or 0) >= _LARGE:
-                entry.write(about)
-
-    try:
-        _at_once(one, lacks, AT_ONCE)
-    except BaseException:
-        given_up.set()
-        raise
-    finally:
-        entry.write(about)
-    size = sum(path.stat().st_size for path in _files_below(entry.files))
-    entry.write({**about, "bytes": size})
-
-
-def _files_below(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file())
-
-
-def _at_once(one: Callable[[str], None], names: Sequence[str], most: int) -> None:
-    """Call `one` for each name, `most` at a time; raises the first error.
-
-    In daemon threads, so that a run that is stopped does not wait for transfers.
-    """
-    left, errors = deque(names), list[BaseException]()
+            if arrived > room and total is None:  # by files whose server states no size
+                room = arrived + BLOCK_BYTES if arrived + BLOCK_BYTES < cache.limit else arrived
+                cache.reserve(entry, room, url)
+            progress(arrived, total)
 
     def work() -> None:
-        while left and not errors:
+        while not errors:
+            with lock:
+                if not lacks:
+                    return
+                name = lacks.pop()
+            item = wanted[name]
             try:
-                name = left.popleft()
-            except IndexError:  # another thread was quicker
-                return
-            try:
-                one(name)
+                Store(item.url).fetch(item, entry / "files" / name, count, resume=True)
             except BaseException as error:  # raised below
                 errors.append(error)
 
-    threads = [threading.Thread(target=work, daemon=True) for _ in names[:most]]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    # Daemons, so that a run that is stopped does not wait for transfers.
+    threads = [threading.Thread(target=work, daemon=True) for _ in lacks[:AT_ONCE]]
+    try:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    except BaseException as error:
+        errors.append(error)
+        raise
     if errors:
         raise errors[0]
+    cache.reserve(entry, sum(path.stat().st_size for path in files_in(entry)), url)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sonarrec.errors import MissingError, SonarrecError, UsageError
@@ -22,9 +19,6 @@ from sonarrec.remote.urls import HIDDEN, Url, parse_url
 if TYPE_CHECKING:
     from sonarrec.remote.store import Item, Store
 
-WINDOWS = os.name == "nt"
-_ALL_REFUSE = re.compile(r"\0")
-_WINDOWS_REFUSES = re.compile(r'[<>:"|?*\x00-\x1f]|[ .](?=/|$)')  # x.mcap:y is a stream of x.mcap
 COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
 """Companions of a log: files of these names, and NAME.sonar.toml and so on."""
 
@@ -44,7 +38,7 @@ class RemoteLog:
         """Its path as if the server were a disk, to name results by; for a glob its folder."""
         url = _fixed(self.url)
         host = url.front.partition("://")[2].rpartition("@")[2]
-        return Path("/", host, url.path.strip("/"))
+        return Path("/", host, url.plain_path.strip("/"))
 
     @property
     def name(self) -> str:
@@ -72,8 +66,7 @@ def _find(url: Url, recursive: bool) -> list[RemoteLog]:
     from sonarrec.remote.store import Store
 
     if _is_glob(url):
-        logs = _bags_as_one(Store(url), url)
-        up_to = _fixed(url)
+        logs, up_to = _bags_as_one(Store(url), url), _fixed(url)
     elif _is_file(url):
         return [RemoteLog(url)]
     else:
@@ -94,7 +87,7 @@ def _bags_as_one(store: Store, pattern: Url) -> list[Url]:
     bags = {
         folder
         for folder, inside in names.items()
-        if are_parts(inside, folder.name) or store.companion(folder.child(METADATA))
+        if are_parts(inside, folder.name) or store.item(folder.child(METADATA))
     }
     logs = (url.parent if url.parent in bags else url for url in matching)
     return list(dict.fromkeys(logs))
@@ -115,9 +108,8 @@ def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
         return
     yield from (item.url for item in files if names_a_log(item.url.name))
     for name in folders:
-        if name[0] != ".":
-            below = list(_below(store, folder.child(name), recursive)) if recursive else []
-            yield from below
+        if recursive and name[0] != ".":
+            yield from _below(store, folder.child(name), recursive)
 
 
 def with_literal_name(url: Url) -> Url:
@@ -143,8 +135,7 @@ def _is_file(url: Url) -> bool:
 
 
 def _is_glob(url: Url) -> bool:
-    marks = "*[" if url.is_web else "*?["
-    return not url.literal and any(mark in url.path for mark in marks)
+    return not url.literal and any(mark in url.path for mark in "*?[")
 
 
 def _fixed(url: Url) -> Url:
@@ -162,18 +153,14 @@ def items_of(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
     else:
         if _is_glob(url):
             items = [i for i in store.glob(url) if names_an_image(i.url.name)]
-            pattern = url.name
-            items = [i for i in items if fnmatchcase(i.url.name, pattern)]
         else:
-            files, _ = store.listing(url)
-            items = [i for i in files if _belongs(i.url.name)]
+            items = [i for i in store.listing(url)[0] if _belongs(i.url.name)]
         if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
             raise SonarrecError(f"{url.redacted}: no log and no image here")
         items = store.described(items)
-    urls = {str(item.url) for item in items}
-    for place in _companions(log, COMPANIONS):
-        if str(place) not in urls and (companion := store.companion(place)) is not None:
-            items.append(companion)
+    known = {item.url for item in items}
+    places = (place for place in _companions(log, COMPANIONS) if place not in known)
+    items += [item for place in places if (item := store.item(place)) is not None]
     return root, relative(url, root), items
 
 
@@ -190,7 +177,7 @@ def beside(text: str, name: str) -> tuple[Item | None, int | None]:
     log = RemoteLog(with_literal_name(parse_url(text)))
     store = Store(log.url)
     size = _bytes(log.url, store)
-    companions = (store.companion(place) for place in _companions(log, (name,)))
+    companions = map(store.item, _companions(log, (name,)))
     return next((item for item in companions if item is not None), None), size
 
 
@@ -240,9 +227,7 @@ def _companions(log: RemoteLog, names: tuple[str, ...]) -> list[Url]:
 
 def relative(url: Url, root: Url) -> str:
     """The path below `root`. Raises SonarrecError if it cannot be a local file name."""
-    relative = url.path.removeprefix(root.path).strip("/")
-    parts = PurePosixPath(relative).parts
-    leads_away = not parts or {".", ".."} & set(relative.split("/")) or "\\" in relative
-    if leads_away or (_WINDOWS_REFUSES if WINDOWS else _ALL_REFUSE).search(relative):
+    relative = url.plain_path.removeprefix(root.plain_path).strip("/")
+    if {"", ".", ".."} & set(relative.split("/")) or "\\" in relative or "\0" in relative:
         raise SonarrecError(f"{url.redacted}: this name cannot be used for a local file")
     return relative

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import PurePosixPath
 from typing import TypeVar
 from urllib.parse import quote, unquote, urlsplit
 
@@ -15,11 +14,12 @@ Place = TypeVar("Place")
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
 HIDDEN = "***"
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(?=[^/])")  # a Path keeps one slash only
-_SECRET = re.compile(r"(?i)sig|token|secret|key|pass|pwd|cred|auth|jwt|policy|code")
-# Quoted slashes and pluses stay quoted: a slash would separate folders, and a plus means a space to
-# some servers. %252F is the text %2F, and so on.
+# A quoted slash would separate folders, and a bare plus means a space to some servers. %252F is the
+# text %2F, and so on.
 _KEPT = re.compile(r"(?i)(%(?:25)*2[BF])")
+_SAFE = "/!~@:+,;=&$'()"
 _LEAST = 4  # characters; shorter secrets are not searched for in error texts
+_LOGIN_OR_QUERY = re.compile(r"(?<=://)[^/\s@]*@|(?<=\?)[^\s'\"]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Url:
     """A place on a server.
 
     front: "s3://" or "https://user:password@host". path: "bucket/dives/a.mcap" or "/dives/a.mcap",
-    unquoted except for %2F and %2B of a web URL. query: of https, with its question mark.
+    quoted for a web server only. query: of a web URL, with its question mark.
     literal: * ? [ in the path are part of names, not wildcards.
     """
 
@@ -39,92 +39,68 @@ class Url:
 
     def __str__(self) -> str:
         """The URL with its secrets: for servers only, never for messages or files."""
-        path = _changed(self.path, _quoted) if self.is_web else self.path
-        return f"{self.front}{path}{self.query}"
+        return f"{self.front}{self.path}{self.query}"
 
     @property
     def is_web(self) -> bool:
         return self.scheme in ("http", "https")
 
     @property
+    def plain_path(self) -> str:
+        """The path unquoted, but for slashes and pluses."""
+        return _changed(self.path, unquote) if self.is_web else self.path
+
+    @property
     def name(self) -> str:
         """The last part of the path; for the root the host name."""
-        return PurePosixPath(self.path).name or urlsplit(self.front).hostname or "log"
+        last = self.plain_path.rstrip("/").rpartition("/")[2]
+        return last or urlsplit(self.front).hostname or "log"
 
     @property
     def parent(self) -> Url:
         return replace(self, path=self.path.rstrip("/").rpartition("/")[0])
 
     def child(self, relative: str) -> Url:
-        """The URL of a path below, with the same query, which may hold a key."""
-        path = f"{self.path.rstrip('/')}/{relative}"
+        """The URL of an unquoted path below, with the same query, which may hold a key."""
+        path = _changed(relative, lambda part: quote(part, _SAFE)) if self.is_web else relative
+        path = f"{self.path.rstrip('/')}/{path}"
         return replace(self, path=path.lstrip("/") if self.scheme in ("s3", "gs") else path)
 
     @property
     def redacted(self) -> str:
-        """The URL for messages and files: the password and keys in the query are hidden."""
+        """The URL for messages and files: the password and every value of the query are hidden."""
+        pairs = [pair.partition("=") for pair in self.query.removeprefix("?").split("&") if pair]
+        query = "&".join(f"{key}={HIDDEN}" if equals else HIDDEN for key, equals, _ in pairs)
+        return self.place + (f"?{query}" if query else "")
+
+    @property
+    def place(self) -> str:
+        """`redacted` without a query."""
         scheme, _, rest = self.front.partition("://")
         user, at, host = rest.rpartition("@")
         if at:
             name, colon, _ = user.partition(":")
             # A web user without a password is a token.
             user = f"{name}:{HIDDEN}" if colon else HIDDEN if self.is_web else name
-        query = "&".join(_redacted_pair(pair) for pair in self.query.removeprefix("?").split("&"))
-        return name_as_text(
-            f"{scheme}://{user}{at}{host}{self._readable()}{'?' * bool(query)}{query}"
-        )
-
-    def _readable(self) -> str:
-        """The path; for a web URL, with characters of special meaning quoted."""
-        if not self.is_web:
-            return self.path
-        marks = "%#?*[" if self.literal else "%#?"
-        return _changed(
-            self.path, lambda text: "".join(quote(c, safe="") if c in marks else c for c in text)
-        )
-
-    @property
-    def place(self) -> str:
-        """`redacted` without a query."""
-        return replace(self, query="").redacted
+        return name_as_text(f"{scheme}://{user}{at}{host}{self.path}")
 
     def hide(self, text: str) -> str:
         """A text such as an error message without this URL's secrets."""
         text = text.replace(str(self), self.redacted)
-        for secret in sorted(self._secrets(), key=len, reverse=True):
-            text = text.replace(secret, HIDDEN)
-        return text
-
-    def _secrets(self) -> set[str]:
-        user, _, _ = self.front.partition("://")[2].rpartition("@")
-        name, _, password = user.partition(":")
-        secrets = {password} if password or not self.is_web else {name}
-        for pair in self.query.removeprefix("?").split("&"):
-            key, _, value = pair.partition("=")
-            if _SECRET.search(key):
-                secrets.add(value)
+        user = self.front.partition("://")[2].rpartition("@")[0]
+        values = [pair.partition("=") for pair in self.query.removeprefix("?").split("&")]
+        secrets = {user.partition(":")[2], *(value or key for key, _, value in values)}
         secrets |= {unquote(secret) for secret in secrets}
-        return {secret for secret in secrets if len(secret) >= _LEAST}
-
-
-def _quoted(text: str) -> str:
-    return quote(text, safe="/*[]!~@:+,;=&$'()")
+        for secret in sorted(secrets, key=len, reverse=True):
+            if len(secret) >= _LEAST:
+                text = text.replace(secret, HIDDEN)
+        return _LOGIN_OR_QUERY.sub(lambda found: HIDDEN + "@" * found[0].endswith("@"), text)
 
 
 def _changed(path: str, change: Callable[[str], str]) -> str:
     """A path of a web URL, changed except for its quoted slashes and pluses."""
     parts = _KEPT.split(path)
     return "".join(part if n % 2 else change(part) for n, part in enumerate(parts))
-
-
-def unquoted(path: str) -> str:
-    """The path of a web URL as `Url` holds it."""
-    return _changed(path, unquote)
-
-
-def _redacted_pair(pair: str) -> str:
-    key, equals, _ = pair.partition("=")
-    return f"{key}={HIDDEN}" if equals and _SECRET.search(key) else pair
 
 
 def is_url(text: object) -> bool:
@@ -143,18 +119,23 @@ def local(place: Place) -> Place:
 
 
 def parse_url(text: object) -> Url:
-    """The URL in a text. Raises UsageError if its scheme is not supported."""
+    """The URL in a text. Raises UsageError if its scheme is not supported, or if it has a login
+    where its scheme has none."""
     match = _URL.match(str(text))
     scheme = match[1].lower() if match else ""
     if match is None or scheme not in SCHEMES:
         known = ", ".join(f"{s}://" for s in SCHEMES)
         raise UsageError(f"{scheme}://: only {known} and local files can be read")
     rest = str(text)[match.end() :]
-    if scheme in ("s3", "gs"):
-        return Url(scheme, f"{scheme}://", rest)
     host, slash, path = rest.partition("/")
+    if scheme in ("s3", "gs"):
+        if "@" in host:
+            raise UsageError(
+                f"{scheme}://{HIDDEN}@{host.rpartition('@')[2]}: {scheme}:// takes no keys in the "
+                "URL; `sonarrec help remote` says where credentials are searched"
+            )
+        return Url(scheme, f"{scheme}://", rest)
     if scheme == "sftp":
         return Url(scheme, f"sftp://{host}", slash + path)
     path, mark, query = path.partition("#")[0].partition("?")
-    literal = not any(c in path for c in "*[")
-    return Url(scheme, f"{scheme}://{host}", unquoted(slash + path), mark + query, literal)
+    return Url(scheme, f"{scheme}://{host}", quote(slash + path, f"{_SAFE}%*[]"), mark + query)

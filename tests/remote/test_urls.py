@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from sonarrec.errors import UsageError
@@ -18,13 +20,30 @@ from sonarrec.remote.urls import is_url, parse_url
         ("sftp://ann:pw:d@host/a.mcap", "sftp://ann:***@host/a.mcap"),
         (
             "https://h/a.mcap?X-Amz-Signature=abc&versionId=7&sig=d",
-            "https://h/a.mcap?X-Amz-Signature=***&versionId=7&sig=***",
+            "https://h/a.mcap?X-Amz-Signature=***&versionId=***&sig=***",
         ),
     ],
 )
 def test_secrets_are_hidden(url: str, shown: str) -> None:
     assert parse_url(url).redacted == shown
     assert str(parse_url(url)).replace("%20", " ") == url
+
+
+@pytest.mark.parametrize("key", ["access", "k", "hmac", "st", "X-Amz-Signature", "versionId"])
+def test_every_value_of_a_query_is_hidden(key: str) -> None:
+    url = parse_url(f"https://h/a.mcap?x=1&{key}=abcdef&bare")
+    assert url.redacted == f"https://h/a.mcap?x=***&{key}=***&***"
+    for text in (f"GET {url}", "no abcdef", "at https://h/a.mcap?x=1&bare", "https://ab:c@h/"):
+        assert not {"abcdef", "bare", "x=1", "ab:c"} & set(re.split(r"[ /?&@]", url.hide(text)))
+
+
+@pytest.mark.parametrize("scheme", ["s3", "gs"])
+def test_keys_in_front_of_a_bucket_are_refused_and_hidden(scheme: str) -> None:
+    with pytest.raises(UsageError, match=r"takes no keys in the URL") as told:
+        parse_url(f"{scheme}://KEY:SECRET@dives/a.mcap")
+    assert str(told.value).startswith(f"{scheme}://***@dives: ")
+    assert "KEY" not in str(told.value)
+    assert parse_url(f"{scheme}://dives/a@b.mcap").name == "a@b.mcap"
 
 
 def test_a_librarys_words_are_shown_without_secrets() -> None:
@@ -65,7 +84,7 @@ def test_a_web_server_is_asked_for_what_was_written(path: str) -> None:
     text = f"https://h/o/{path}?alt=media"
     url = parse_url(text)
     assert str(url) == text
-    assert str(parse_url(url.redacted)) == text
+    assert str(parse_url(url.place)) == text.partition("?")[0]
     assert str(url.parent) == "https://h/o?alt=media"
     assert str(url.parent.child(url.name)) == text
 

@@ -19,8 +19,8 @@ class Web:
     """A web server over a folder, and how it behaves.
 
     ranges: it serves parts of files. lengths: it tells how long files are. broken: how many more
-    answers break off in the middle. busy: Retry-After of the first GETs, each a 503. wrong_md5: it
-    states a checksum that is not the file's. asked: (method, path, Range or "") of every request.
+    answers break off in the middle. busy: how many more GETs are answered by 503.
+    asked: (method, path, Range or "") of every request.
     """
 
     folder: Path
@@ -28,8 +28,7 @@ class Web:
     lengths: bool = True
     tags: bool = True
     broken: int = 0
-    busy: list[str] = field(default_factory=list)
-    wrong_md5: bool = False
+    busy: int = 0
     port: int = 0
     asked: list[tuple[str, str, str]] = field(default_factory=list)
 
@@ -75,10 +74,8 @@ def web_server(folder: Path, **how: Any) -> Iterator[Web]:
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
             if web.busy and body:
-                self.send_response(HTTPStatus.SERVICE_UNAVAILABLE)
-                self.send_header("Retry-After", web.busy.pop(0))
-                self.send_header("Content-Length", "0")
-                self.end_headers()
+                web.busy -= 1
+                self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
                 return
             data = path.read_bytes()
             whole = len(data)
@@ -92,8 +89,6 @@ def web_server(folder: Path, **how: Any) -> Iterator[Web]:
                 self.send_response(HTTPStatus.OK)
             if web.tags:
                 self.send_header("ETag", f'"{path.stat().st_mtime_ns}-{whole}"')
-            if web.wrong_md5:
-                self.send_header("Content-MD5", "AAAAAAAAAAAAAAAAAAAAAA==")
             if web.lengths:
                 self.send_header("Content-Length", str(len(data)))
             self.send_header("Connection", "close")
