@@ -26,7 +26,7 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 # Stated here, because looking it up in the installed package takes longer than loading click.
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 _HOMES = {
     "Recogniser": "runs.frames",
