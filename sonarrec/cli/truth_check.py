@@ -94,10 +94,10 @@ def check(
     for kind, count in counts.items():
         if count > _MOST_LINES:
             say(f"... and {count - _MOST_LINES} more of this kind: {kind}")
-    tell(checked.problems)
+    tell(checked.diagnostics.problems)
     if not quiet:
         say(f"{ground_truth}: {checked.summary()}")
-    for line in checked.notes:
+    for line in checked.diagnostics.notes:
         say(f"note: {line}")
     if checked.others:
         say(f"note: {number_of(checked.others, 'row')} of other logs not checked")
@@ -105,4 +105,4 @@ def check(
         say(f"{sheet}: contact sheet")
     elif not strips:
         say("note: no row has a position on a frame of the log, so there is no sheet")
-    end(checked.faults or checked.problems)
+    end(checked.faults or checked.diagnostics.problems)

@@ -102,11 +102,11 @@ def convert(
         first_frame=first_frame,
         log=images,
     )
-    tell(report.unused)
+    tell(report.diagnostics.problems)
     counts = ", ".join(f"ID.{i} {count}" for i, count in report.counts.items()) or "no landmark"
     if not quiet:
         rows = sum(report.counts.values())
         say(f"{out}: {number_of(rows, 'row')} from {report.format} ({counts})")
-    for line in report.notes:
+    for line in report.diagnostics.notes:
         say(f"note: {line}")
-    end(report.unused)
+    end(report.diagnostics.problems)

@@ -65,11 +65,13 @@ def propose(
     """
     from sonarrec.truth.propose import propose as propose_truth
 
-    tracks = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
-    tell(tracks.problems)
+    tracks, diagnostics = propose_truth(
+        results, out, method=method, min_score=min_score, max_gap=max_gap
+    )
+    tell(diagnostics.problems)
     if not quiet:
-        _print(tracks.tracks, out)
-    end(tracks.problems)
+        _print(tracks, out)
+    end(diagnostics.problems)
 
 
 def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:

@@ -25,12 +25,9 @@ from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
 from sonarrec.truth.fits import (
-    as_proposed,
-    columns_not_read,
     misfit,
+    notes_on_fit,
     of_other_logs,
-    pixels_elsewhere,
-    places_outside,
     rows_on_frames,
     without_rows,
 )
@@ -136,7 +133,6 @@ def learn(
             f"{ground_truth}: of {len(paths)} logs, the truth needs a log column that names them"
         )
     told = Diagnostics()
-    told.note(*columns_not_read(table))
     lessons: list[_Lesson] = []
     for path in paths:
         with open_log(path, **log_options.arguments()) as log:
@@ -217,9 +213,13 @@ def _lesson(
         told.problem(f"{unlike}; nothing is learned from {name}")
     else:
         told.note(
-            *pixels_elsewhere(table, tracks, "teach"),
-            *places_outside(table, tracks, truth),
-            *as_proposed(table, name, "they teach what the program takes for true already"),
+            *notes_on_fit(
+                table,
+                tracks,
+                truth,
+                "teach",
+                "they teach what the program takes for true already",
+            ),
             *rows_on_frames(name, truth.rows, truth.between),
         )
         if truth.unprocessed:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.errors import SonarrecError, number_of
+from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.files.tables import line_numbers
 from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
@@ -22,7 +24,7 @@ from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
-"""Tolerance for labels made by eye: a tenth of the radius in place, of the area in `visible`."""
+"""Tolerance for labels made by eye: a tenth of the radius in position, of the area in `visible`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +60,8 @@ class CheckedTruth:
     """In order of the lines."""
     others: int
     """Number of rows on other logs."""
-    notes: list[str]
-    """On the columns."""
-    problems: list[str]
-    """Of the log."""
+    diagnostics: Diagnostics
+    """On the columns and the log."""
 
     def summary(self) -> str:
         """How many rows were checked, and how many faults there are."""
@@ -70,20 +70,30 @@ class CheckedTruth:
 
 
 @dataclass(frozen=True, slots=True)
-class _Places:
-    """Where the landmarks of the log's N rows are.
+class _Rows:
+    """The log's N rows with positions; line, landmark, frame, visible as in CheckedTruth.
 
-    frame, landmark: (N,) as in CheckedTruth. range_m, bearing_deg: (N,). x_px, y_px: (N,) in the
-    fan image. floor: (N, 2) m on the floor, to the right and ahead of the sonar.
+    range_m, bearing_deg: (N,). floor: (N, 2) m on the floor, to the right and ahead of the sonar.
     """
 
-    frame: IntArray
+    line: IntArray
     landmark: IntArray
+    frame: IntArray
+    visible: FloatArray
     range_m: FloatArray
     bearing_deg: FloatArray
-    x_px: FloatArray
-    y_px: FloatArray
     floor: FloatArray
+
+    def by_frame(self, chosen: IntArray) -> dict[int, IntArray]:
+        """Some of the rows, those on frames of the log, by frame, rising."""
+        chosen = chosen[np.argsort(self.frame[chosen], kind="stable")]
+        chosen = chosen[self.frame[chosen] >= 0]
+        frames, starts = np.unique(self.frame[chosen], return_index=True)
+        return dict(zip(frames.tolist(), np.split(chosen, starts[1:]), strict=bool(len(frames))))
+
+    def distances(self, row: int, others: IntArray) -> FloatArray:
+        """(n,) m on the floor from a row to others."""
+        return np.asarray(np.hypot(*(self.floor[others] - self.floor[row]).T))
 
 
 def check_truth(
@@ -95,65 +105,62 @@ def check_truth(
     Raises SonarrecError if either cannot be read at all.
     """
     table = read_rows(path)
-    row = _rows_on(table, log)
-    lines = np.fromiter(line_numbers(path), np.int64, len(table.at))
-    line, visible = lines[row], table.visible[row]
-    frames, faults = _matched(table, row, line, log)
-    assert log.fan is not None
-    faults += _ids(line, table.landmark[row], landmarks)
-    faults += _shares(line, visible)
-    places = _places(table, row, frames, log.fan)
-    if places is not None:
-        faults += _repeats(table, row, lines)
-        faults += _contradictions(line, pixels_apart(table, row, log.fan))
-        faults += _outside(line, places, visible, log.fan, landmarks.radius_m)
-        faults += _overlaps(line, places, landmarks.radius_m)
-        changes = _changes(line, places, landmarks.radius_m)
-        changed = {fault.line for fault in changes}
-        jumps = _jumps(line, places, log.fan, landmarks.radius_m, max_pan_deg)
-        faults += [*changes, *(jump for jump in jumps if jump.line not in changed)]
-    return CheckedTruth(
-        path=path,
-        fan=log.fan,
-        landmarks=landmarks,
-        line=line,
-        landmark=table.landmark[row],
-        frame=frames,
-        x_px=None if places is None else places.x_px,
-        y_px=None if places is None else places.y_px,
-        visible=visible,
-        faults=sorted(faults, key=lambda fault: fault.line),
-        others=len(table.at) - len(row),
-        notes=columns_not_read(table),
-        problems=log.diagnostics.problems,
-    )
-
-
-def _rows_on(table: TruthTable, log: Log) -> IntArray:
-    """(N,) the rows on a log. Raises SonarrecError if the column `log` does not name it."""
     # Results are named by the log's name, with folders in front if another log has the same name.
     names = possible_names(log.name, find_log(log.path).place.resolve())
     row = table.rows_of(table.name_of(names))
-    if len(table.at) and not len(row):
+    if len(table.at) and table.log is not None and not len(row):
         named = ", ".join(sorted({repr(str(name)) for name in table.log}))
-        raise SonarrecError(
-            f"{table.path}: its log column does not name {log.name}; it has {named}"
-        )
-    return row
-
-
-def _places(table: TruthTable, row: IntArray, frame: IntArray, fan: Fan) -> _Places | None:
-    """Where the landmarks of these rows are; None if the table has no positions."""
-    if table.position is None:
-        return None
-    kind, first, second = table.position[0], table.position[1][row], table.position[2][row]
-    range_m, bearing_deg = first, second
-    if kind != "polar":
-        range_m, bearing_deg = polar_from_pixel(fan, first, second)
-    # Nearer than the floor counts as straight below.
-    floor = plane_from_polar(np.nan_to_num(ground_range(fan, range_m)), bearing_deg)
-    pixels = pixel_from_polar(fan, range_m, bearing_deg)
-    return _Places(frame, table.landmark[row], range_m, bearing_deg, *pixels, floor)
+        raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
+    lines = np.fromiter(line_numbers(path), np.int64, len(table.at))
+    line, landmark, visible = lines[row], table.landmark[row], table.visible[row]
+    frame, faults = _matched(table, row, line, log)
+    fan, x_px, y_px = log.fan, None, None
+    assert fan is not None
+    known = ", ".join(map(str, landmarks.ids))
+    for n in np.flatnonzero(~np.isin(landmark, landmarks.ids)):
+        text = f"ID.{landmark[n]} is not in the set {landmarks.name!r} ({known})"
+        faults.append(Fault(int(line[n]), "landmark", text))
+    for n in np.flatnonzero((visible < 0) | (visible > 1)):
+        text = f"visible is a share, 0 to 1, not {visible[n]:g}"
+        faults.append(Fault(int(line[n]), "visible", text))
+    if table.position is not None:
+        kind, first, second = table.position[0], table.position[1][row], table.position[2][row]
+        if kind != "polar":
+            first, second = polar_from_pixel(fan, first, second)
+        # Nearer than the floor counts as straight below.
+        floor = plane_from_polar(np.nan_to_num(ground_range(fan, first)), second)
+        rows = _Rows(line, landmark, frame, visible, first, second, floor)
+        x_px, y_px = pixel_from_polar(fan, first, second)
+        pairs = repeated_rows(table)
+        for a, b in pairs[np.isin(pairs[:, 1], row)]:
+            faults.append(Fault(int(lines[b]), "repeated", f"repeats line {lines[a]}"))
+        apart = pixels_apart(table, row, fan)
+        for n in np.flatnonzero(apart > SLACK_PX):  # one of the two was edited
+            text = f"x_px,y_px and range_m,bearing_deg are {apart[n]:.1f} pixels apart"
+            faults.append(Fault(int(line[n]), "position", text))
+        faults += _outside(rows, fan, landmarks.radius_m)
+        faults += _overlaps(rows, landmarks.radius_m)
+        changes = [*_changes(rows, landmarks.radius_m)]
+        changed = {fault.line for fault in changes}
+        jumps = _jumps(rows, fan, landmarks.radius_m, max_pan_deg)
+        faults += [*changes, *(jump for jump in jumps if jump.line not in changed)]
+    diagnostics = Diagnostics()
+    diagnostics.note(*columns_not_read(table))
+    diagnostics.problem(*log.diagnostics.problems)
+    return CheckedTruth(
+        path=path,
+        fan=fan,
+        landmarks=landmarks,
+        line=line,
+        landmark=landmark,
+        frame=frame,
+        x_px=x_px,
+        y_px=y_px,
+        visible=visible,
+        faults=sorted(faults, key=lambda fault: fault.line),
+        others=len(table.at) - len(row),
+        diagnostics=diagnostics,
+    )
 
 
 def _matched(
@@ -174,200 +181,116 @@ def _matched(
         nearest, known, kept = match_times(stamps, at)
         # If truth is denser than the frames, the nearest row counts, as in scoring.
         frames = np.where(kept, numbers[nearest], -1)
-    return frames, _frames(line[~known], at[~known], table.key, numbers)
-
-
-def _frames(line: IntArray, at: IntArray, key: str, numbers: IntArray) -> list[Fault]:
-    """Frames that the log does not have."""
     last = int(numbers.max())
     faults = []
-    for number, frame in zip(line, at, strict=True):
-        if key != "frame":
-            text = f"no frame of the log is near {key} {frame}"
-        elif 0 <= frame <= last:
-            text = f"frame {frame} of the log cannot be read"
-        else:
-            text = f"frame {frame} is not in the log, which has 0 to {last}"
-        faults.append(Fault(int(number), "frame", text))
-    return faults
+    for n in np.flatnonzero(~known):
+        text = f"frame {at[n]} is not in the log, which has 0 to {last}"
+        if table.key != "frame":
+            text = f"no frame of the log is near {table.key} {at[n]}"
+        elif 0 <= at[n] <= last:
+            text = f"frame {at[n]} of the log cannot be read"
+        faults.append(Fault(int(line[n]), "frame", text))
+    return frames, faults
 
 
-def _ids(line: IntArray, landmark: IntArray, landmarks: LandmarkSet) -> list[Fault]:
-    known = ", ".join(map(str, landmarks.ids))
-    return [
-        Fault(int(number), "landmark", f"ID.{i} is not in the set {landmarks.name!r} ({known})")
-        for number, i in zip(line, landmark, strict=True)
-        if i not in landmarks.ids
-    ]
-
-
-def _shares(line: IntArray, visible: FloatArray) -> list[Fault]:
-    wrong = (visible < 0) | (visible > 1)
-    return [
-        Fault(int(number), "visible", f"visible is a share, 0 to 1, not {share:g}")
-        for number, share in zip(line[wrong], visible[wrong], strict=True)
-    ]
-
-
-def _repeats(table: TruthTable, row: IntArray, lines: IntArray) -> list[Fault]:
-    pairs = repeated_rows(table)
-    return [
-        Fault(int(lines[b]), "repeated", f"repeats line {lines[a]}")
-        for a, b in pairs[np.isin(pairs[:, 1], row)]
-    ]
-
-
-def _contradictions(line: IntArray, apart_px: FloatArray) -> list[Fault]:
-    """Rows whose pixels are not where their range and bearing are: one of them was edited."""
-    return [
-        Fault(
-            int(line[n]),
-            "position",
-            f"x_px,y_px and range_m,bearing_deg are {apart_px[n]:.1f} pixels apart",
-        )
-        for n in np.flatnonzero(apart_px > SLACK_PX)
-    ]
-
-
-def _outside(
-    line: IntArray, places: _Places, visible: FloatArray, fan: Fan, radius_m: float
-) -> list[Fault]:
+def _outside(rows: _Rows, fan: Fan, radius_m: float) -> Iterator[Fault]:
     """Discs that lie outside the fan, or show less than `visible` says.
 
     Something else may hide a landmark too, so `visible` may be less than the geometry allows.
     """
-    share = share_in_image(fan, places.range_m, places.bearing_deg, radius_m)
-    near = share_in_image(fan, places.range_m, places.bearing_deg, radius_m * (1 + SLACK))
-    faults = []
+    visible = rows.visible
+    share, near = (
+        share_in_image(fan, rows.range_m, rows.bearing_deg, radius)
+        for radius in (radius_m, radius_m * (1 + SLACK))
+    )
     for n in np.flatnonzero((near == 0) | ((visible <= 1) & (visible > share + SLACK))):
+        kind = "visible"
+        text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
         if near[n] == 0:
-            where = f"range {places.range_m[n]:.2f} m, bearing {places.bearing_deg[n]:.1f} deg"
-            text = f"the whole disc is outside the fan ({where})"
-            faults.append(Fault(int(line[n]), "outside", text))
-        else:
-            text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
-            faults.append(Fault(int(line[n]), "visible", text))
-    return faults
+            where = f"range {rows.range_m[n]:.2f} m, bearing {rows.bearing_deg[n]:.1f} deg"
+            kind, text = "outside", f"the whole disc is outside the fan ({where})"
+        yield Fault(int(rows.line[n]), kind, text)
 
 
-def _overlaps(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
+def _overlaps(rows: _Rows, radius_m: float) -> Iterator[Fault]:
     """Two landmarks of one frame, of equal or different ID, that would lie on each other."""
-    order = np.argsort(places.frame, kind="stable")
-    frame = places.frame[order]
-    faults = []
-    # Neighbours in the order, then next but one, until no two of a frame are left.
-    for step in range(1, len(order)):
-        together = np.flatnonzero((frame[step:] == frame[:-step]) & (frame[step:] >= 0))
-        if not len(together):
-            break
-        a, b = order[together], order[together + step]
-        apart = np.hypot(*(places.floor[a] - places.floor[b]).T)
-        # The same ID in the same place is a repeated row, which `_repeats` reports.
-        other = (apart > 0) | (places.landmark[a] != places.landmark[b])
-        for n in np.flatnonzero((apart < radius_m) & other):
-            first, second = sorted((int(line[a[n]]), int(line[b[n]])))
-            text = f"lies on the landmark of line {first}, {apart[n]:.2f} m away on the floor"
-            faults.append(Fault(second, "overlap", text))
-    return faults
+    for group in rows.by_frame(np.arange(len(rows.line))).values():
+        for k, a in enumerate(group[:-1].tolist(), 1):
+            distance = rows.distances(a, group[k:])
+            # The same ID in the same position is a repeated row, which is told already.
+            other = (distance > 0) | (rows.landmark[group[k:]] != rows.landmark[a])
+            for n in np.flatnonzero((distance < radius_m) & other):
+                first, second = sorted((int(rows.line[a]), int(rows.line[group[k:][n]])))
+                text = (
+                    f"lies on the landmark of line {first}, {distance[n]:.2f} m away on the floor"
+                )
+                yield Fault(second, "overlap", text)
 
 
-def _changes(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
-    """Landmarks that change their ID from one frame to the next, in one place.
+def _changes(rows: _Rows, radius_m: float) -> Iterator[Fault]:
+    """Landmarks that change their ID from one frame to the next, in one position.
 
     The step back after a wrong row is not a second fault.
     """
-    order = np.argsort(places.frame, kind="stable")
-    order = order[places.frame[order] >= 0]
-    frame, landmark, floor = places.frame[order], places.landmark[order], places.floor[order]
-    present = set(zip(frame.tolist(), landmark.tolist(), strict=True))
-    first = np.searchsorted(frame, frame - 1)
-    count = np.searchsorted(frame, frame - 1, side="right") - first
-    wrong: dict[int, Fault] = {}
-    for k in range(int(count.max(initial=0))):
-        before = np.where(k < count, first + k, 0)
-        apart = np.hypot(*(floor - floor[before]).T)
-        for n in np.flatnonzero((k < count) & (apart < radius_m) & (landmark != landmark[before])):
-            old, new, at = int(landmark[before[n]]), int(landmark[n]), int(frame[n])
-            earlier = slice(first[n], first[n] + count[n])
-            own = floor[earlier][landmark[earlier] == new] - floor[n]
-            followed = (np.hypot(*own.T) < 3 * radius_m).any()  # it moved here, its neighbour left
-            if (at, old) in present or followed or before[n] in wrong:
-                continue
-            text = f"ID.{new} where frame {at - 1} has ID.{old} (line {line[order[before[n]]]})"
-            wrong[int(n)] = Fault(int(line[order[n]]), "changed", text)
-    return list(wrong.values())
+    wrong: set[int] = set()
+    frames = rows.by_frame(np.arange(len(rows.line)))
+    for frame, group in frames.items():
+        before = frames.get(frame - 1, group[:0])
+        for b in group.tolist():
+            new = rows.landmark[b]
+            distance, other = rows.distances(b, before), rows.landmark[before] != new
+            if (distance[~other] < 3 * radius_m).any():
+                continue  # it moved here, its neighbour left
+            for a in before[other & (distance < radius_m)].tolist():
+                old = rows.landmark[a]
+                if a not in wrong and b not in wrong and old not in rows.landmark[group]:
+                    wrong.add(b)
+                    text = f"ID.{new} where frame {frame - 1} has ID.{old} (line {rows.line[a]})"
+                    yield Fault(int(rows.line[b]), "changed", text)
 
 
-def _jumps(
-    line: IntArray, places: _Places, fan: Fan, radius_m: float, max_pan_deg: float
-) -> list[Fault]:
+def _jumps(rows: _Rows, fan: Fan, radius_m: float, max_pan_deg: float) -> Iterator[Fault]:
     """Rows too far from every row of the same ID in the last frame that has one.
 
     A pan turns everything about the sonar and leaves ranges as they are; a disc radius a frame is
     allowed for heave and drift. The step back after a wrong row is not a second fault. Nor is a
     second landmark of the ID that enters at an edge of the fan while the first stays in view.
     """
-    order = np.lexsort((places.frame, places.landmark))
-    order = order[places.frame[order] >= 0]
-    landmark, frame = places.landmark[order], places.frame[order]
-    range_m, bearing_deg = places.range_m[order], places.bearing_deg[order]
-    # A group: the rows of one ID in one frame, nearly always one.
-    new = np.diff(landmark, prepend=-1) != 0
-    new |= np.diff(frame, prepend=-1) != 0
-    starts = np.flatnonzero(new)
-    sizes = np.diff(np.append(starts, len(order)))
-    group = np.cumsum(new) - 1
 
-    def nearest_in(back: int) -> tuple[FloatArray, IntArray]:
-        """Per row, the least step from a row `back` groups earlier (1: the limit), and that row.
+    def step_from(group: IntArray, b: int) -> tuple[float, int]:
+        """The least step to row b from a group (1: the limit), and the row that it is from."""
+        frames = max(int(rows.frame[b] - rows.frame[group[0]]), 1)
+        rotation = np.abs(rows.bearing_deg[group] - rows.bearing_deg[b]) / (max_pan_deg * frames)
+        shift = np.abs(rows.range_m[group] - rows.range_m[b]) / (radius_m * frames)
+        step = np.maximum(rotation, shift)
+        return float(step.min()), int(group[step.argmin()])
 
-        (inf, -1) if the ID has no such group.
-        """
-        earlier = np.maximum(group - back, 0)
-        count = np.where(group >= back, sizes[earlier], 0)
-        least = np.full(len(order), np.inf)
-        nearest = np.full(len(order), -1)
-        for k in range(int(sizes.max(initial=0))):
-            there = np.where(k < count, starts[earlier] + k, 0)
-            gap = np.maximum(frame - frame[there], 1)
-            turned = np.abs(bearing_deg - bearing_deg[there]) / (max_pan_deg * gap)
-            moved = np.abs(range_m - range_m[there]) / (radius_m * gap)
-            excess = np.maximum(turned, moved)
-            better = (k < count) & (landmark[there] == landmark) & (excess < least)
-            least, nearest = np.where(better, excess, least), np.where(better, there, nearest)
-        return least, nearest
-
-    (once, before), (twice, _) = nearest_in(1), nearest_in(2)
-    far = np.flatnonzero((before >= 0) & (once > 1))
-    stays = set(zip(group[once <= 1].tolist(), before[once <= 1].tolist(), strict=True))
-    another = np.array([(int(group[b]), int(before[b])) in stays for b in far], dtype=bool)
-    frames = np.maximum(frame[far] - frame[before[far]], 1)
-    steps = (range_m[far], bearing_deg[far], radius_m * frames, max_pan_deg * frames)
-    enters = another & _near_an_edge(fan, *steps, radius_m)
-    wrong: dict[int, Fault] = {}
-    for b in far[~enters]:
-        a = int(before[b])
-        if a in wrong and twice[b] <= 1:
-            continue
-        text = (
-            f"ID.{landmark[b]} jumps by {bearing_deg[b] - bearing_deg[a]:+.1f} deg and "
-            f"{range_m[b] - range_m[a]:+.2f} m from frame {frame[a]} (line {line[order[a]]}) "
-            f"to {frame[b]}"
-        )
-        wrong[int(b)] = Fault(int(line[order[b]]), "jump", text)
-    return list(wrong.values())
+    wrong: set[int] = set()
+    for landmark in np.unique(rows.landmark):
+        groups = [*rows.by_frame(np.flatnonzero(rows.landmark == landmark)).values()]
+        for k, (before, group) in enumerate(pairwise(groups)):
+            steps = {b: step_from(before, b) for b in group.tolist()}
+            stay = {a for step, a in steps.values() if step <= 1}
+            for b, (step, a) in steps.items():
+                frames = int(rows.frame[b] - rows.frame[a])
+                limits = radius_m * frames, max_pan_deg * frames
+                if step <= 1 or (a in stay and _near_an_edge(rows, b, fan, *limits, radius_m)):
+                    continue
+                if a in wrong and k and step_from(groups[k - 1], b)[0] <= 1:
+                    continue
+                wrong.add(b)
+                text = (
+                    f"ID.{landmark} jumps by {rows.bearing_deg[b] - rows.bearing_deg[a]:+.1f} deg "
+                    f"and {rows.range_m[b] - rows.range_m[a]:+.2f} m from frame {rows.frame[a]} "
+                    f"(line {rows.line[a]}) to {rows.frame[b]}"
+                )
+                yield Fault(int(rows.line[b]), "jump", text)
 
 
 def _near_an_edge(
-    fan: Fan,
-    range_m: FloatArray,
-    bearing_deg: FloatArray,
-    moved_m: FloatArray,
-    turned_deg: FloatArray,
-    radius_m: float,
-) -> BoolArray:
-    """(N,) whether discs, after such a turn or move, may lie partly outside the fan image."""
-    still = np.zeros(len(range_m))
-    moves = ((moved_m, still), (-moved_m, still), (still, turned_deg), (still, -turned_deg))
-    shares = [share_in_image(fan, range_m + m, bearing_deg + t, radius_m) for m, t in moves]
-    return np.asarray(np.min(shares, axis=0) < 1)
+    rows: _Rows, b: int, fan: Fan, shift_m: float, rotation_deg: float, radius_m: float
+) -> bool:
+    """Whether a disc, after such a shift or rotation, may lie partly outside the fan image."""
+    range_m = rows.range_m[b] + np.array([shift_m, -shift_m, 0, 0])
+    bearing_deg = rows.bearing_deg[b] + np.array([0, 0, rotation_deg, -rotation_deg])
+    return bool((share_in_image(fan, range_m, bearing_deg, radius_m) < 1).any())

@@ -12,7 +12,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.errors import SonarrecError, UsageError, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 from sonarrec.files.order import natural_order
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
@@ -61,14 +61,13 @@ class LogImages:
 class ConversionReport:
     """What became of the annotations.
 
-    format: which it was. counts: rows written per ID. notes: what was done on the way.
-    unused: what could not be used, or does not fit the log, one line each.
+    format: which it was. counts: rows written per ID. diagnostics: what was done on the way, and
+    what could not be used, or does not fit the log.
     """
 
     format: str
     counts: dict[int, int]
-    notes: list[str]
-    unused: list[str]
+    diagnostics: Diagnostics
 
 
 def look_at(log: Log) -> LogImages:
@@ -101,46 +100,48 @@ def convert(
     UsageError if `labels` or `first_frame` are invalid.
     """
     name, found = read_annotations(source, format_name)
-    unused = [
-        f"{what}: {number_of(count, 'shape')} without one centre passed over"
-        for what, count in found.unused.items()
-    ]
-    ids, unknown = _landmark_ids(Counter(s.label for s in found.shapes), labels or {}, landmarks)
-    unused += unknown
+    told = Diagnostics()
+    for what, count in found.unused.items():
+        told.problem(f"{what}: {number_of(count, 'shape')} without one centre passed over")
+    by_label = Counter(s.label for s in found.shapes)
+    ids = _landmark_ids(by_label, labels or {}, landmarks, told)
     key, frames, rule = _frame_numbers(source, found, first_frame, log.names if log else ())
     missing = Counter(str(s.frame) for s in found.shapes if s.frame not in frames)
     if missing:
-        unused.append(
+        told.problem(
             f"{number_of(missing.total(), 'shape')} on images that are not in the log: "
             f"{_some(missing)}"
         )
     used = [s for s in found.shapes if s.label in ids and s.frame in frames]
-    if unused and not used:
-        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(unused)}")
+    if told.problems and not used:
+        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(told.problems)}")
     if log is not None and key == "frame":
-        unused += _not_as_in_log(log, [frames[s.frame] for s in used], len(found.images), rule)
+        told.problem(*_not_as_in_log(log, [frames[s.frame] for s in used], len(found.images), rule))
     sizes = {size for name, size in found.sizes.items() if name is None or name in frames}
     x, y, visible = _in_fan_pixels(source, sizes, used, log, landmarks.radius_m)
     # Tracks drawn in overlapping parts of one job hold a shape twice, hidden perhaps in one only.
     share: dict[tuple[int, int, str, str], str] = {}
     for n, s in enumerate(used):
-        place = frames[s.frame], ids[s.label], f"{x[n]:.2f}", f"{y[n]:.2f}"
-        share[place] = min(f"{visible[n]:.3f}", share.get(place, "1.000"))
-    rows = sorted(((*place, least) for place, least in share.items()), key=lambda row: row[:2])
+        shape = frames[s.frame], ids[s.label], f"{x[n]:.2f}", f"{y[n]:.2f}"
+        share[shape] = min(f"{visible[n]:.3f}", share.get(shape, "1.000"))
+    rows = sorted(((*shape, least) for shape, least in share.items()), key=lambda row: row[:2])
     write_truth(out, HEADER.replace("frame", key).split(","), rows)
-    notes = [rule]
+    told.note(rule)
     if found.interpolated:
-        notes.append(f"{number_of(found.interpolated, 'shape')} filled in between keyframes")
+        told.note(f"{number_of(found.interpolated, 'shape')} filled in between keyframes")
     if len(rows) < len(used):
-        notes.append(f"{number_of(len(used) - len(rows), 'repeated shape')} left out")
+        told.note(f"{number_of(len(used) - len(rows), 'repeated shape')} left out")
     counts = Counter(row[1] for row in rows)
-    return ConversionReport(name, {i: counts[i] for i in landmarks.ids if counts[i]}, notes, unused)
+    return ConversionReport(name, {i: counts[i] for i in landmarks.ids if counts[i]}, told)
 
 
 def _landmark_ids(
-    labels: Counter[str], given: Mapping[str, int | None], landmarks: LandmarkSet
-) -> tuple[dict[str, int], list[str]]:
-    """(ID per label that has one, lines about labels that should have one)."""
+    labels: Counter[str],
+    given: Mapping[str, int | None],
+    landmarks: LandmarkSet,
+    told: Diagnostics,
+) -> dict[str, int]:
+    """The ID per label that has one; labels that should have one are told."""
     known = ", ".join(map(str, landmarks.ids))
     for label, landmark in given.items():
         if label not in labels:
@@ -148,27 +149,26 @@ def _landmark_ids(
         if landmark is not None and landmark not in landmarks.ids:
             raise UsageError(f"--map {label}: ID {landmark} is not in {landmarks.name!r} ({known})")
     ids = {label: landmark for label, landmark in given.items() if landmark is not None}
-    unused = []
     for label, count in labels.items():
         if label in given:
             continue
         plain = _PLAIN_LABEL.fullmatch(label.strip())
         named = f"label {label!r} ({number_of(count, 'time')})"
         if not label:
-            unused.append(f"{number_of(count, 'shape')} without a label")
+            told.problem(f"{number_of(count, 'shape')} without a label")
         elif plain is None:
-            unused.append(
+            told.problem(
                 f"{named} has no ID: give one by --map '{label}=ID', or leave it out by "
                 f"--map '{label}=none'"
             )
         elif int(plain[1]) not in landmarks.ids:
-            unused.append(
+            told.problem(
                 f"{named} is not in the set {landmarks.name!r} ({known}): name the right set by "
                 "--landmarks"
             )
         else:
             ids[label] = int(plain[1])
-    return ids, unused
+    return ids
 
 
 def _frame_numbers(
@@ -282,7 +282,7 @@ def _path(name: str, log_names: Sequence[str]) -> Path:
 
 
 def _once(names: Sequence[str]) -> dict[str, int]:
-    """The place of each name that occurs once."""
+    """The index of each name that occurs once."""
     times = Counter(names)
     return {name: n for n, name in enumerate(names) if times[name] == 1}
 
@@ -339,15 +339,15 @@ def _polar_pixels(
     return range_m, -bearing_deg if sonar.flip else bearing_deg
 
 
-def _between_samples(at: FloatArray, values: FloatArray) -> FloatArray:
-    """(N,) values at (N,) places between samples, and beyond the first and the last one.
+def _between_samples(index: FloatArray, values: FloatArray) -> FloatArray:
+    """(N,) values at (N,) indices between samples, and beyond the first and the last one.
 
     A disc that the image's edge cuts, drawn as if it were whole, may have its centre out there.
     """
     last = len(values) - 1
     steps = np.diff(values) if last else np.zeros(1)
-    beyond = np.minimum(at, 0) * steps[0] + np.maximum(at - last, 0) * steps[-1]
-    return np.asarray(np.interp(at, np.arange(last + 1), values) + beyond)
+    beyond = np.minimum(index, 0) * steps[0] + np.maximum(index - last, 0) * steps[-1]
+    return np.asarray(np.interp(index, np.arange(last + 1), values) + beyond)
 
 
 def _wrong_size(source: Path, sizes: Sizes, size: str) -> SonarrecError:

@@ -1,8 +1,8 @@
-"""Finds out whether a truth can be that of a log."""
+"""Finds out whether a truth can be that of a log, and what is doubtful about it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,19 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
         if unit is not None:
             return f"{table.path}: {in_other_unit(unit, log.name)}"
     if truth.rows and not len(truth.frame_index):
-        return _no_row_on_a_frame(table, log, truth, at)
+        near, of_frames, question = "on", log.frame, "is this the truth of another log?"
+        if truth.tolerance_ns is not None:
+            assert log.timestamp_ns is not None
+            near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", log.timestamp_ns
+            if hours := _hours_between(log.timestamp_ns, at):
+                question = (
+                    f"shifted by {hours * 3600} s all would: are they times of another time zone?"
+                )
+        return (
+            f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) "
+            f"lies {near} a processed frame of {log.name} ({number_of(len(log.frame), 'frame')}, "
+            f"{of_frames.min()} to {of_frames.max()}); {question}"
+        )
     outside = outside_image(log, truth)
     if len(outside) and outside.all():
         assert log.fan is not None
@@ -42,24 +54,7 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
     return None
 
 
-def _no_row_on_a_frame(table: TruthTable, log: ReadLog, truth: Truth, at: IntArray) -> str:
-    """The message for a truth without a row on a processed frame. at: of its rows on the log."""
-    near, of_frames, hours = "on", log.frame, None
-    if truth.tolerance_ns is not None:
-        assert log.timestamp_ns is not None
-        near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", log.timestamp_ns
-        hours = _hours_away(log.timestamp_ns, at)
-    question = "is this the truth of another log?"
-    if hours:
-        question = f"shifted by {hours * 3600} s all would: are they times of another time zone?"
-    return (
-        f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) lies "
-        f"{near} a processed frame of {log.name} ({number_of(len(log.frame), 'frame')}, "
-        f"{of_frames.min()} to {of_frames.max()}); {question}"
-    )
-
-
-def _hours_away(timestamp_ns: IntArray, at: IntArray) -> int | None:
+def _hours_between(timestamp_ns: IntArray, at: IntArray) -> int | None:
     """By how many whole hours times must be shifted to be those of frames; None if none fits.
 
     timestamp_ns: (F,) of frames. at: (R,) ns. All times must meet frames to within 10 us, at least
@@ -67,13 +62,15 @@ def _hours_away(timestamp_ns: IntArray, at: IntArray) -> int | None:
     """
     if not is_date(int(timestamp_ns.min())) or len(np.unique(at)) < 3:
         return None
-    for hours in sorted(range(-14, 15), key=abs):
-        _, met, _ = match_times(timestamp_ns, at + hours * 3600 * 10**9, 1e-5)
-        if met.all():
-            return hours
-    return None
+    shifts = (
+        (h, match_times(timestamp_ns, at + h * 3600 * 10**9, 1e-5))
+        for h in sorted(range(-14, 15), key=abs)
+    )
+    return next((hours for hours, (_, met, _) in shifts if met.all()), None)
 
 
+FEWEST = 5
+"""Frames or rows from which on a pattern in them is told."""
 _UNITS_NS = {"microseconds": 10**3, "milliseconds": 10**6, "seconds": 10**9}
 
 
@@ -156,47 +153,69 @@ def of_other_logs(table: TruthTable, logs: Sequence[str], consequence: str) -> l
 
 
 def columns_not_read(table: TruthTable) -> list[str]:
-    """A line if columns look like those that are read, but are not read."""
+    """A line if columns are not read that may be meant as positions or `visible`."""
     return [f"{table.path}: columns {', '.join(table.not_read)} are not read"] * bool(
         table.not_read
     )
 
 
-def pixels_elsewhere(table: TruthTable, log: ReadLog, use: str) -> list[str]:
-    """A line if pixels and polar positions of rows on the log contradict each other.
+def notes_on_fit(
+    table: TruthTable, log: ReadLog, truth: Truth, use: str, of_proposals: str
+) -> list[str]:
+    """What a reader should know of the rows on one log, a line each.
 
-    use: what is done with range and bearing, a verb.
+    truth: as matched to the log. use: what is done with range and bearing, a verb. of_proposals:
+    the consequence of rows as `truth propose` wrote them, a clause.
     """
-    if log.fan is None or table.pixels is None:
-        return []
-    apart = int(np.sum(pixels_apart(table, table.rows_of(log.name), log.fan) > SLACK_PX))
-    return [
-        f"{table.path}: {number_of(apart, 'row')} for {log.name} with x_px,y_px elsewhere than "
-        f"range_m,bearing_deg, which {use}; `sonarrec truth check` tells which"
-    ] * bool(apart)
+    rows = table.rows_of(log.name)
+    notes = list(columns_not_read(table))
+    if proposed := np.count_nonzero(table.proposed[rows]):
+        notes.append(
+            f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {log.name} are "
+            f"unchecked proposals of `truth propose`; {of_proposals}. Clear `source` in the rows "
+            "that a person has checked"
+        )
+    if outside := int(np.count_nonzero(outside_image(log, truth))):
+        notes.append(
+            f"{table.path}: {outside} of {len(truth.frame_index)} positions lie outside the image "
+            f"of {log.name}; `sonarrec truth check` names them"
+        )
+    if log.fan is not None:
+        apart = int(np.sum(pixels_apart(table, rows, log.fan) > SLACK_PX))
+        if apart:
+            notes.append(
+                f"{table.path}: {number_of(apart, 'row')} for {log.name} with x_px,y_px elsewhere "
+                f"than range_m,bearing_deg, which {use}; `sonarrec truth check` tells which"
+            )
+    return [*notes, *_doubts(table, log, truth, rows)]
 
 
-def as_proposed(table: TruthTable, name: str, consequence: str) -> list[str]:
-    """A line if rows on a log are as `truth propose` wrote them.
-
-    consequence: of that, a clause.
-    """
-    rows = table.rows_of(name)
-    proposed = np.count_nonzero(table.proposed[rows])
-    return [
-        f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {name} are unchecked "
-        f"proposals of `truth propose`; {consequence}. Clear `source` in the rows that a person "
-        "has checked"
-    ] * bool(proposed)
-
-
-def places_outside(table: TruthTable, log: ReadLog, truth: Truth) -> list[str]:
-    """A line if positions lie outside the image of a log. truth: as matched to it."""
-    outside = int(np.count_nonzero(outside_image(log, truth)))
-    return [
-        f"{table.path}: {outside} of {len(truth.frame_index)} positions lie outside the image of "
-        f"{log.name}; `sonarrec truth check` names them"
-    ] * bool(outside)
+def _doubts(table: TruthTable, log: ReadLog, truth: Truth, rows: IntArray) -> Iterator[str]:
+    """Signs that a truth is not what it is taken for, a line each. rows: those on the log."""
+    frames = np.unique(truth.frame_index)
+    if len(frames) >= FEWEST and np.diff(frames).min() > 1:
+        step = int(np.median(np.diff(frames)))
+        yield (
+            f"{table.path}: of {log.name} about one frame in {step} has a row; the frames between "
+            "are taken to hold no landmark, so that claims in them are false. Give every frame its "
+            "rows"
+        )
+    if table.timestamp_ns is not None and log.timestamp_ns is not None and len(rows):
+        nearest, met, _ = match_times(log.timestamp_ns, table.timestamp_ns[rows])
+        other = int(np.count_nonzero(met & (log.frame[nearest] != table.at[rows])))
+        if other:
+            yield (
+                f"{table.path}: {other} of {len(rows)} rows for {log.name} have the timestamp_ns "
+                "of another frame than the one they name; frame counts. Drop the wrong column"
+            )
+    if log.fan is not None and table.position is not None and table.position[0] == "polar":
+        bearings = np.abs(table.position[2][rows])
+        widest = max(-log.fan.bearing_min_deg, log.fan.bearing_max_deg)
+        if len(rows) >= FEWEST and 0 < bearings.max() <= np.radians(widest):
+            yield (
+                f"{table.path}: no bearing for {log.name} is beyond {bearings.max():.2g} deg, of "
+                f"{widest:.3g} in view; are they in radians?"
+            )
 
 
 def outside_image(log: ReadLog, truth: Truth) -> BoolArray:

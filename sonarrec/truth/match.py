@@ -155,10 +155,10 @@ def match_times(
         near = np.zeros(len(at), dtype=np.int64)
     else:
         near = np.where(times[after] - at < at - times[after - 1], after, after - 1)
-    away = np.abs(times[near] - at)
-    matched = away <= _tolerance_ns(timestamp_ns, tolerance_s)
+    offset = np.abs(times[near] - at)
+    matched = offset <= _tolerance_ns(timestamp_ns, tolerance_s)
     # Per frame the nearest time, the earlier of two equally near; all rows of that time stay.
-    best = np.lexsort((at, away, near))
+    best = np.lexsort((at, offset, near))
     firsts = best[np.unique(near[best], return_index=True)[1]] if len(at) else best
     stamp = np.zeros(len(times), dtype=np.int64)
     stamp[near[firsts]] = at[firsts]

@@ -27,28 +27,16 @@ from sonarrec.files.tables import (
 HEADER = "frame,landmark,x_px,y_px,visible"
 TRACKED, FILLED_IN = "tracked", "interpolated"
 """In the column `source` of a proposal: what its rows are."""
-_PIXELS = "x_px,y_px (pixels of the fan image)"
-_POLAR = "range_m,bearing_deg (slant range in m; deg, positive to the right)"
-_LOOK_ALIKE = {
-    _PIXELS: (
-        *("x", "y", "u", "v", "col", "row", "column", "px", "py", "cx", "cy", "xc", "yc"),
-        *("x_pixel", "y_pixel", "x_pixels", "y_pixels", "pixel_x", "pixel_y", "xpx", "ypx"),
-        *("x_center", "y_center", "center_x", "center_y", "x_centre", "y_centre", "centre_x"),
-        "centre_y",
-    ),
-    _POLAR: (
-        *("range", "r", "rho", "slant_range", "slant_range_m", "range_metres", "range_meters"),
-        *("distance", "distance_m", "rangem", "bearing", "bearing_rad", "bearing_degrees"),
-        *("azimuth", "azimuth_deg", "theta", "angle", "angle_deg", "x_m", "y_m", "z_m"),
-    ),
+_KINDS: dict[str, Kind] = {
+    "frame": "whole",
+    "timestamp_ns": "whole",
+    "landmark": "whole",
+    "visible": "blank or number",
+    "orientation_deg": "blank or number",
+    "log": "text",
+    "source": "blank or text",
+    **POSITION_KINDS,
 }
-"""Names in lower case that other programs use for positions, by the names expected here."""
-_OTHER_ALIKE = {
-    "visible": ("visible", "visibility", "vis"),
-    "orientation_deg": ("orientation_deg", "orientation"),
-    "log": ("log",),
-}
-"""The same for columns that are optional, but change what the truth means."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +63,14 @@ class TruthTable:
     proposed: BoolArray
     """(R,) whether `truth propose` wrote the row, by the column `source`."""
     not_read: tuple[str, ...]
-    """Columns that look like positions, `visible` and so on, but are not read."""
+    """Columns that are not read, if positions or `visible` are missing: perhaps they are these."""
+    timestamp_ns: IntArray | None
+    """(R,) times beside frame numbers; None without."""
 
     def rows_of(self, name: str) -> IntArray:
-        """(n,) the rows on a log, rising."""
-        if self.log is None:
-            return np.arange(len(self.at))
-        return np.flatnonzero(self.log == name)
+        """(n,) the rows on a log, rising. A row with `visible` 0 is none: nothing is in view."""
+        rows = self.visible != 0
+        return np.flatnonzero(rows if self.log is None else rows & (self.log == name))
 
     def name_of(self, names: Sequence[str]) -> str:
         """The name by which the log column calls a log; the first if it names none.
@@ -129,19 +118,9 @@ def read_truth(path: Path) -> TruthTable:
 def read_rows(path: Path) -> TruthTable:
     """Read gt.csv without checks of its rows: `visible` of any value, repeated rows.
 
-    Raises SonarrecError on wrong columns, on a cell that is no number, or if columns look like
-    positions but none can be read.
+    Raises SonarrecError on wrong columns and on a cell that is no number.
     """
-    kinds: dict[str, Kind] = {
-        "frame": "whole",
-        "timestamp_ns": "whole",
-        "landmark": "whole",
-        "visible": "blank or number",
-        "orientation_deg": "blank or number",
-        "log": "text",
-        "source": "blank or text",
-    }
-    table = read_table(path, kinds | POSITION_KINDS, ("landmark",), HEADER)
+    table = read_table(path, _KINDS, ("landmark",), HEADER)
     key = "frame" if "frame" in table else "timestamp_ns"
     if key not in table:
         raise SonarrecError(
@@ -157,6 +136,9 @@ def read_rows(path: Path) -> TruthTable:
     proposed = np.zeros(rows, dtype=bool)
     if "source" in table:
         proposed = np.asarray(table["source"].isin((TRACKED, FILLED_IN)))
+    read = {"track", *_KINDS} - ({*POSITION_KINDS} if position is None else set())
+    complete = position is not None and "visible" in table
+    unread = [] if complete or not rows else read_header(path, HEADER)
     return TruthTable(
         path=path,
         key=key,
@@ -168,43 +150,9 @@ def read_rows(path: Path) -> TruthTable:
         pixels=pixels,
         orientation=table.get("orientation_deg"),
         proposed=proposed,
-        not_read=_not_read(path, position is not None),
+        not_read=tuple(name for name in unread if name and name not in read),
+        timestamp_ns=table.get("timestamp_ns") if key == "frame" else None,
     )
-
-
-def _not_read(path: Path, placed: bool) -> tuple[str, ...]:
-    """Columns with other names than those that are read, but similar ones.
-
-    placed: whether there are positions. Raises SonarrecError if there are none, but columns that
-    look like them.
-    """
-    header = read_header(path, HEADER)
-    positions = _look_alike(header)
-    if positions and not placed:
-        columns = "; ".join(f"{', '.join(n)}: expected {right}" for right, n in positions.items())
-        raise SonarrecError(
-            f"{path}: no position can be read from the columns {columns}; both columns of one pair "
-            "are needed. Rename them, or drop them to score protocol paper alone"
-        )
-    others = (
-        name
-        for right, names in _OTHER_ALIKE.items()
-        for name in header
-        if right not in header and name.lower() in names
-    )
-    return (*(name for names in positions.values() for name in names), *others)
-
-
-def _look_alike(header: Sequence[str]) -> dict[str, list[str]]:
-    """Columns that look like positions and are not read, by what they should be called."""
-    found: dict[str, list[str]] = {}
-    for right, names in _LOOK_ALIKE.items():
-        pair = right.partition(" ")[0].split(",")
-        # One of a pair is of no use; a pair left blank is no mistake.
-        read = pair if all(name in header for name in pair) else []
-        alike = [n for n in header if n.lower().replace(" ", "_") in (*names, *pair)]
-        found[right] = [n for n in alike if n not in read]
-    return {right: names for right, names in found.items() if names}
 
 
 def repeated_rows(table: TruthTable) -> IntArray:

@@ -59,7 +59,7 @@ def checked(path: Path, log: Path, max_pan_deg: float = 5.0) -> CheckedTruth:
 
 def test_columns_that_only_look_like_others_are_noted(tmp_path: Path, log: Path) -> None:
     path = truth(tmp_path, ["0,1,2.0,0,0"], "frame,landmark,range_m,bearing_deg,Visibility")
-    assert checked(path, log).notes == [f"{path}: columns Visibility are not read"]
+    assert checked(path, log).diagnostics.notes == [f"{path}: columns Visibility are not read"]
 
 
 def kinds(path: Path, log: Path, max_pan_deg: float = 5.0) -> list[tuple[int, str]]:

@@ -8,14 +8,7 @@ from pathlib import Path
 
 from sonarrec.errors import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole
-from sonarrec.truth.fits import (
-    as_proposed,
-    columns_not_read,
-    misfit,
-    pixels_elsewhere,
-    places_outside,
-    without_rows,
-)
+from sonarrec.truth.fits import misfit, notes_on_fit, without_rows
 from sonarrec.truth.match import Truth
 from sonarrec.truth.table import TruthTable
 
@@ -73,7 +66,13 @@ def check_fit(case: MatchedLog) -> TruthCheck:
         between=case.truth.between,
         frames=len(case.log.frame),
         fault=misfit(case.table, case.log, case.truth),
-        notes=_notes(case),
+        notes=notes_on_fit(
+            case.table,
+            case.log,
+            case.truth,
+            "are scored",
+            "they say nothing about the results that they came from",
+        ),
         not_whole=not_whole(case.log, "scored"),
     )
 
@@ -98,15 +97,6 @@ def scorable_logs(cases: Sequence[TruthCheck], subset: bool = False) -> Scorable
     for i in scorable.usable:
         scorable.notes.extend(cases[i].notes)
     return scorable
-
-
-def _notes(case: MatchedLog) -> list[str]:
-    """Notes on a truth, a line each."""
-    table, log = case.table, case.log
-    notes = columns_not_read(table)
-    notes += as_proposed(table, log.name, "they say nothing about the results that they came from")
-    notes += places_outside(table, log, case.truth)
-    return notes + pixels_elsewhere(table, log, "are scored")
 
 
 def left_out(cases: Sequence[TruthCheck]) -> list[str]:
