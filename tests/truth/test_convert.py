@@ -191,7 +191,7 @@ def test_cvat_shapes_without_one_centre_are_counted_and_the_others_used(tmp_path
     assert [row[:4] for row in converted(tmp_path, source, code=3)] == [(0, 1, 14.5, 14.5)]
     (tmp_path / "gt.csv").unlink()
     report = convert(source, tmp_path / "gt.csv", BASIN)
-    assert report.unused == [
+    assert report.diagnostics.problems == [
         f"{kind}: 2 shapes without one centre passed over"
         for kind in ("several points", "polyline", "cuboid", "skeleton")
     ]
