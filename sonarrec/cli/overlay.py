@@ -103,8 +103,9 @@ def overlay(
             grid=grid,
             observe=step,
         )
-    tell(report.problems, report.notes)
+    told = report.diagnostics
+    tell(told.problems, told.notes)
     if not quiet:
         for target in filter(None, targets.values()):
             say(f"{target}: {number_of(report.frames, 'frame')}, {report.method}")
-    end(report.problems)
+    end(told.problems)

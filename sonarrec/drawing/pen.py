@@ -65,16 +65,11 @@ def disc_outline(fan: Fan, radius_m: float, x_px: float, y_px: float) -> FloatAr
     range_m, bearing_deg = polar_from_pixel(fan, x_px, y_px)
     floor_m = np.maximum(range_m, STEEPEST * floor_depth(fan))
     ground, bearing = ground_range(fan, floor_m), np.radians(bearing_deg)
-    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    across = ground * np.sin(bearing) + radius_m * np.cos(turn)
-    along = ground * np.cos(bearing) + radius_m * np.sin(turn)
-    outline = np.column_stack(
-        pixel_from_polar(
-            fan,
-            slant_range(fan, np.hypot(across, along)),
-            np.degrees(np.arctan2(across, along)),
-        )
-    )
+    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    across = ground * np.sin(bearing) + radius_m * np.cos(angle)
+    along = ground * np.cos(bearing) + radius_m * np.sin(angle)
+    range_m = slant_range(fan, np.hypot(across, along))
+    outline = np.column_stack(pixel_from_polar(fan, range_m, np.degrees(np.arctan2(across, along))))
     drawn_at = np.array(pixel_from_polar(fan, floor_m, bearing_deg))
     return np.asarray(outline + np.array([x_px, y_px]) - drawn_at)
 
@@ -154,16 +149,8 @@ class Pen:
         """Write from the bottom-left (or right) corner of the text, in pixels of the canvas."""
         width = int(cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)[0][0])
         corner = (round(at[0]) - (width if align_right else 0), round(at[1]))
-        cv2.putText(
-            self.canvas,
-            text,
-            corner,
-            _FONT,
-            self._unit / 2,
-            colour[::-1],
-            self._thickness,
-            cv2.LINE_AA,
-        )
+        look = (_FONT, self._unit / 2, colour[::-1], self._thickness, cv2.LINE_AA)
+        cv2.putText(self.canvas, text, corner, *look)
 
 
 def pen_on(image: ByteImage, fan: Fan) -> Pen:
@@ -178,11 +165,9 @@ def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
     """A drawn frame above its strip, both centred; even sides, as video codecs need them."""
     rows, columns = frame.shape[0] + strip.shape[0], max(frame.shape[1], strip.shape[1])
     picture = np.zeros((rows + rows % 2, columns + columns % 2, 3), np.uint8)
-    at = 0
-    for part in (frame, strip):
+    for top, part in ((0, frame), (frame.shape[0], strip)):
         left = (picture.shape[1] - part.shape[1]) // 2
-        picture[at : at + part.shape[0], left : left + part.shape[1]] = part
-        at += part.shape[0]
+        picture[top : top + part.shape[0], left : left + part.shape[1]] = part
     return picture
 
 

@@ -61,42 +61,41 @@ def detections_message(
     detection's id is its track's number. An unknown orientation is 0 with a variance of pi^2.
     stamp_ns: one that `has_time`.
     """
-    store = _store()
-    types: Any = store.types
-    header = types["std_msgs/msg/Header"](
-        types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000)), FRAME_ID
-    )
+    stamp = _made("builtin_interfaces/msg/Time", *divmod(stamp_ns, 1_000_000_000))
+    header = _made("std_msgs/msg/Header", stamp, FRAME_ID)
+    size = _made("geometry_msgs/msg/Vector3", 2 * landmarks.radius_m, 2 * landmarks.radius_m, 0.0)
     detections = []
     for e in estimates:
         if e.declared:
-            pose = _pose(types, fan, e)
-            hypothesis = types["vision_msgs/msg/ObjectHypothesis"](str(e.landmark), e.score)
-            with_pose = types["vision_msgs/msg/ObjectHypothesisWithPose"](
-                hypothesis,
-                types["geometry_msgs/msg/PoseWithCovariance"](pose, _covariance(fan, e).ravel()),
+            pose = _pose(fan, e)
+            covariance = _covariance(fan, e).ravel()
+            with_pose = _made(
+                "vision_msgs/msg/ObjectHypothesisWithPose",
+                _made("vision_msgs/msg/ObjectHypothesis", str(e.landmark), e.score),
+                _made("geometry_msgs/msg/PoseWithCovariance", pose, covariance),
             )
-            size = types["geometry_msgs/msg/Vector3"](
-                2 * landmarks.radius_m, 2 * landmarks.radius_m, 0.0
-            )
-            box = types["vision_msgs/msg/BoundingBox3D"](pose, size)
+            box = _made("vision_msgs/msg/BoundingBox3D", pose, size)
             number = str(e.object) if e.object >= 0 else ""
             detections.append(
-                types["vision_msgs/msg/Detection3D"](header, [with_pose], box, number)
+                _made("vision_msgs/msg/Detection3D", header, [with_pose], box, number)
             )
-    return bytes(store.serialize_cdr(types[NAME](header, detections), NAME))
+    return bytes(_store().serialize_cdr(_made(NAME, header, detections), NAME))
 
 
-def _pose(types: Any, fan: Fan, e: Estimate) -> Any:
+def _made(name: str, *fields: Any) -> Any:
+    """A message object."""
+    return _store().types[name](*fields)
+
+
+def _pose(fan: Fan, e: Estimate) -> Any:
     ground, bearing = _ground(fan, e), math.radians(e.bearing_deg)
-    # Nearer than the floor only the direction is known, so the place is straight below the sonar.
+    # Nearer than the floor only the direction is known: the position is straight below the sonar.
     down = math.sqrt(max(e.range_m**2 - ground**2, 0.0))
     half = 0.0 if math.isnan(e.orientation_deg) else math.radians(e.orientation_deg - 90) / 2
-    return types["geometry_msgs/msg/Pose"](
-        types["geometry_msgs/msg/Point"](
-            ground * math.cos(bearing), -ground * math.sin(bearing), -down
-        ),
-        types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half)),
-    )
+    x, y = ground * math.cos(bearing), -ground * math.sin(bearing)
+    point = _made("geometry_msgs/msg/Point", x, y, -down)
+    rotation = _made("geometry_msgs/msg/Quaternion", 0.0, 0.0, math.sin(half), math.cos(half))
+    return _made("geometry_msgs/msg/Pose", point, rotation)
 
 
 def _ground(fan: Fan, e: Estimate) -> float:

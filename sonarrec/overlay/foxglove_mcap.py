@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
 from sonarrec.drawing.results import AROUND, Mark, caption
-from sonarrec.errors import SonarrecError, name_as_text, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, name_as_text, number_of
 from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
@@ -36,10 +36,12 @@ class FoxgloveFile:
     footer.
     """
 
-    def __init__(self, path: Path, landmarks: LandmarkSet, *, with_images: bool) -> None:
-        """Raises SonarrecError where the file cannot be made."""
-        self._path = path
-        self._landmarks = landmarks
+    def __init__(
+        self, path: Path, landmarks: LandmarkSet, told: Diagnostics, *, with_images: bool
+    ) -> None:
+        """told: is told what could not be written. Raises SonarrecError where the file cannot be
+        made."""
+        self._path, self._landmarks, self._told = path, landmarks, told
         self._untimed = 0  # frames that have no detections
         with writing(path):
             self._file = path.open("wb")
@@ -62,7 +64,14 @@ class FoxgloveFile:
         # Foxglove pairs annotations with the image whose own stamp is the same to the nanosecond.
         stamp = logged if frame.stamps.header is None else frame.stamps.header
         if self._images is not None:
-            self._add(self._images, _json(image_message(frame, stamp)), logged)
+            png = cv2.imencode(".png", np.asarray(frame.image))[1].tobytes()
+            image = {
+                "timestamp": _time(stamp),
+                "frame_id": detections.FRAME_ID,
+                "data": base64.b64encode(png).decode(),
+                "format": "png",
+            }
+            self._add(self._images, _json(image), logged)
         message = annotations_message(frame, stamp, self._landmarks, estimates, paths, truth)
         self._add(self._annotations, _json(message), logged)
         if not detections.has_time(stamp):
@@ -73,16 +82,6 @@ class FoxgloveFile:
             detections.detections_message(frame.fan, stamp, self._landmarks, estimates),
             logged,
         )
-
-    def problems(self) -> list[str]:
-        """What could not be written, a line each."""
-        if not self._untimed:
-            return []
-        frames = number_of(self._untimed, "frame")
-        return [
-            f"{name_as_text(self._path)}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has times "
-            "from 1901 to 2038 only; all else is there"
-        ]
 
     def _channel(self, topic: str, message: str) -> int:
         data = json.dumps(json_schema(message)).encode()
@@ -98,6 +97,12 @@ class FoxgloveFile:
 
     def __exit__(self, kind: object, *_: object) -> None:
         """Close the file. Raises SonarrecError where the disk takes no more."""
+        if self._untimed:
+            frames = number_of(self._untimed, "frame")
+            self._told.problem(
+                f"{name_as_text(self._path)}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has "
+                "times from 1901 to 2038 only; all else is there"
+            )
         try:
             with self._file:
                 if kind is None:
@@ -152,13 +157,13 @@ class _Annotations:
         self._lines: list[dict[str, Any]] = []
         self._texts: list[dict[str, Any]] = []
 
-    def line(self, kind: int, at: FloatArray, colour: Colour, width: float) -> None:
-        """kind: such as LINE_LOOP. at: (n, 2) column and row."""
+    def line(self, kind: int, points: FloatArray, colour: Colour, width: float) -> None:
+        """kind: such as LINE_LOOP. points: (n, 2) column and row."""
         self._lines.append(
             {
                 "timestamp": self._time,
                 "type": kind,
-                "points": [_point(x, y) for x, y in at.tolist()],
+                "points": [_point(x, y) for x, y in points.tolist()],
                 "outline_color": _colour(colour),
                 "outline_colors": [],
                 "fill_color": _colour(colour, 0),
@@ -188,17 +193,6 @@ class _Annotations:
             "texts": self._texts,
             "metadata": [],
         }
-
-
-def image_message(frame: Frame, stamp_ns: int) -> dict[str, Any]:
-    """A foxglove.CompressedImage message of the fan, without loss."""
-    png = cv2.imencode(".png", np.asarray(frame.image))[1].tobytes()
-    return {
-        "timestamp": _time(stamp_ns),
-        "frame_id": "sonar",
-        "data": base64.b64encode(png).decode(),
-        "format": "png",
-    }
 
 
 def _json(message: Mapping[str, Any]) -> bytes:

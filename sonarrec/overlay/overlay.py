@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.drawing.pen import draw_picture
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
-from sonarrec.errors import MissingError, SonarrecError, UsageError
+from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError
 from sonarrec.files.outputs import Kind, check_output, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
@@ -48,12 +48,11 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class OverlayReport:
-    """The method shown, frames written, a line for each thing that could not be used, and notes."""
+    """The method shown, the number of frames written, and what is to be told."""
 
     method: str
     frames: int
-    problems: list[str]
-    notes: list[str]
+    diagnostics: Diagnostics
 
 
 # Long by its parameters and what is said of them.
@@ -97,14 +96,15 @@ def write_overlay(
     method = choose_method(table, method)
     with open_log(source, **log_options.arguments()) as log:
         check_same_log(log, folder, run)
-        problems = []
+        told = Diagnostics()
         if not run.finished:
             last = last_frame(folder)
-            problems.append(f"{folder}: the run was cut short; frames after {last} have no results")
+            told.problem(f"{folder}: the run was cut short; frames after {last} have no results")
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
-        truth, unlike = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
-        problems += unlike
+        truth: dict[int, list[Mark]] = {}
+        if ground_truth is not None:
+            truth = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan, told)
         rows = read_estimates(table, method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         outputs: _Outputs | None = None
@@ -118,19 +118,17 @@ def write_overlay(
                 if frame.index < span[0]:
                     continue
                 if outputs is None:  # an older overlay stays if there is nothing to write
-                    outputs = _open_outputs(targets, stack, log, first, landmark_set, folder)
+                    outputs = _open_outputs(targets, stack, log, first, landmark_set, folder, told)
                 outputs.write(frame, history, truth.get(frame.index, []), grid=grid)
                 written += 1
-        problems += log.diagnostics.problems
+            told.problem(*log.diagnostics.problems)
     if outputs is None:
         raise UsageError(
             f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}{log.why_none()}"
         )
-    problems += outputs.problems()
-    notes = []
     if topic and run.input.topic not in (None, topic):
-        notes.append(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
-    return OverlayReport(method, written, problems, notes)
+        told.note(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
+    return OverlayReport(method, written, told)
 
 
 def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> None:
@@ -182,10 +180,6 @@ class _Outputs:
         for target in self.pictures:
             target.write(frame.index, picture)
 
-    def problems(self) -> list[str]:
-        """A line for each thing that could not be written."""
-        return [] if self.annotations is None else self.annotations.problems()
-
 
 def _open_outputs(
     targets: Targets,
@@ -194,6 +188,7 @@ def _open_outputs(
     first: Frame,
     landmarks: LandmarkSet,
     results: Path,
+    told: Diagnostics,
 ) -> _Outputs:
     """Open the outputs; they are closed with the stack."""
     annotations = None
@@ -205,14 +200,16 @@ def _open_outputs(
     if targets.mcap is not None:
         # If Foxglove cannot show the recording as this fan, the overlay brings the fan images.
         unseen = first.stamps.log is None or log.sonar.layout == "polar" or bool(log.sonar.flip)
-        annotations = FoxgloveFile(targets.mcap, landmarks, with_images=unseen)
+        annotations = FoxgloveFile(targets.mcap, landmarks, told, with_images=unseen)
         stack.enter_context(annotations)
         if targets.layout is not None:
             topic = None if unseen else log.reading().get("topic")
             write_layout(targets.layout, topic or FAN_TOPIC)
     if targets.video is not None:
-        video = VideoFile(targets.video, _frame_rate(results, log.sonar))
-        pictures.append(stack.enter_context(video))
+        times = read_frames(results).get("timestamp_ns", ())
+        between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        rate_hz = 1e9 / between if between > 0 else log.sonar.frame_rate_hz or 10.0
+        pictures.append(stack.enter_context(VideoFile(targets.video, rate_hz)))
     if targets.images is not None:
         pictures.append(ImageFolder(targets.images))
     return _Outputs(annotations, pictures, landmarks)
@@ -236,49 +233,42 @@ def _results_folder(path: Path, source: Source, results: Path) -> Path:
     )
 
 
-def _frame_rate(folder: Path, sonar: Sonar) -> float:
-    """Frames per second: by the times of the results, else as stated for the sonar, else 10."""
-    times = read_frames(folder).get("timestamp_ns", ())
-    between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    return 1e9 / between if between > 0 else sonar.frame_rate_hz or 10.0
-
-
 def _with_estimates(
     frames: Iterable[Frame], rows: Iterator[tuple[int, tuple[Estimate, ...]]], end: int | None
 ) -> Iterator[tuple[Frame, tuple[Estimate, ...]]]:
     """Every frame before `end` with its estimates; both come in rising order."""
-    at, estimates = -1, tuple[Estimate, ...]()
+    index, estimates = -1, tuple[Estimate, ...]()
     for frame in frames:
         if end is not None and frame.index >= end:
             break
-        while at < frame.index:
-            at, estimates = next(rows, (sys.maxsize, ()))
-        yield frame, estimates if at == frame.index else ()
+        while index < frame.index:
+            index, estimates = next(rows, (sys.maxsize, ()))
+        yield frame, estimates if index == frame.index else ()
 
 
 def _truth_marks(
-    path: Path | None, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan
-) -> tuple[dict[int, list[Mark]], list[str]]:
-    """The landmarks in view by frame, and a line if the truth cannot be that of the log.
+    path: Path, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan, told: Diagnostics
+) -> dict[int, list[Mark]]:
+    """The landmarks in view by frame; none, which is told, if the truth cannot be that of the log.
 
     Raises SonarrecError if gt.csv has no positions.
     """
-    if path is None:
-        return {}, []
     pixels = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
     log = read_log(folder, landmarks, sonar.updated(pixels))
     table = read_truth(path)
     truth = match_truth(table, log)
-    place = truth.pixels(fan)
-    if place is None:
+    positions = truth.pixels(fan)
+    if positions is None:
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to draw")
     if truth.rows:
         unlike = misfit(table, log, truth)
     else:
         unlike = without_rows(path, len(table.at), [log.name], "it shows no landmark")
     if unlike is not None:
-        return {}, [f"{unlike}; no truth is drawn"]
+        told.problem(f"{unlike}; no truth is drawn")
+        return {}
     marks: dict[int, list[Mark]] = {}
-    for at, k, (x, y) in zip(truth.frame_index, truth.landmark_index, place.tolist(), strict=True):
-        marks.setdefault(int(log.frame[at]), []).append(Mark(log.landmarks.ids[k], x, y))
-    return marks, []
+    frames = log.frame[truth.frame_index].tolist()
+    for frame, k, (x, y) in zip(frames, truth.landmark_index, positions.tolist(), strict=True):
+        marks.setdefault(frame, []).append(Mark(log.landmarks.ids[k], x, y))
+    return marks

@@ -511,7 +511,7 @@ def test_frames_beyond_the_times_of_ros_2_are_told_once(tmp_path: Path) -> None:
     kind = {"schema": "foxglove.RawImage", "encoding": "json", "schema_encoding": "jsonschema"}
     log = mcap_file(tmp_path / "log.mcap", recorded, **kind)
     results, o = write_results(tmp_path / "results", moving(3)), tmp_path / "o.mcap"
-    [told] = write_overlay(log, Targets(mcap=o), results=results).problems
+    [told] = write_overlay(log, Targets(mcap=o), results=results).diagnostics.problems
     assert f"{o}: 1 frame without /sonarrec/detections" in told
     assert len(list(messages(o))) == 3
     with o.open("rb") as file:
@@ -589,14 +589,15 @@ def test_the_log_is_read_as_the_run_read_it(tmp_path: Path) -> None:
     run = {"input": {"topic": "/b", "time": "header"}, "sonar": sonar.as_table()}
     (tmp_path / "sonar.toml").unlink()
     results = write_results(tmp_path / "results", moving(3), run)
-    assert not write_overlay(log, Targets(mcap=tmp_path / "o.mcap"), results=results).notes
+    o = tmp_path / "o.mcap"
+    assert not write_overlay(log, Targets(mcap=o), results=results).diagnostics.notes
     found = [m for name, _, m in messages(tmp_path / "o.mcap") if name.endswith("e")]
     for message, image in zip(found, noise(3), strict=True):
         png = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
         shown = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(shown, image[:, ::-1] + 100)
     other = write_overlay(log, Targets(mcap=tmp_path / "a.mcap"), results=results, topic="/a")
-    assert other.notes == [f"{results}: results of topic /b, drawn onto /a"]
+    assert other.diagnostics.notes == [f"{results}: results of topic /b, drawn onto /a"]
 
 
 def test_video_and_images(tmp_path: Path) -> None:
@@ -604,7 +605,8 @@ def test_video_and_images(tmp_path: Path) -> None:
     results = write_results(tmp_path / "results", moving(6))
     video, images = tmp_path / "o.mp4", tmp_path / "shots"
     done = write_overlay(log, Targets(video=video, images=images), results=results, span=(1, 5))
-    assert (done.method, done.frames, done.problems) == ("framework", 4, [])
+    assert (done.method, done.frames) == ("framework", 4)
+    assert done.diagnostics.problems == []
     assert sorted(p.name for p in images.iterdir()) == [f"{n:06d}.png" for n in range(1, 5)]
     player = cv2.VideoCapture(str(video))
     assert player.get(cv2.CAP_PROP_FPS) == 4
