@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 from sonarrec.evaluation.compare.compare import compare
 from tests.evaluation.test_evaluation import write_case
-from tests.report.test_report import Page
+from tests.support.pages import Page
 
 FRAMES = range(400)
 PASSES = 8

@@ -1,0 +1,187 @@
+"""The report's drawing against brute force."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.drawing.pen import landmark_colours
+from sonarrec.evaluation.counting.reliability import Reliability
+from sonarrec.landmarks import load_landmarks
+from sonarrec.report import charts, svg
+from sonarrec.report.logs import (
+    ReportedLog,
+    Track,
+)
+from tests.support.browser import contrast
+
+
+@given(st.lists(st.floats(0, 1) | st.just(np.nan), min_size=1, max_size=3000), st.integers(2, 400))
+@settings(max_examples=60)
+def test_thinning_keeps_peaks_and_dips(values: list[float], most: int) -> None:
+    y = np.array(values)
+    kept = svg.thinned(y, most)
+    assert len(kept) <= max(most, 1)
+    assert (np.diff(kept) > 0).all()
+    if np.isfinite(y).any():
+        assert np.nanmax(y[kept]) == np.nanmax(y)
+        assert np.nanmin(y[kept]) == np.nanmin(y)
+
+
+def drawn_points(path: str) -> list[list[tuple[int, int]]]:
+    """The subpaths of a polyline."""
+    return [
+        [tuple(map(int, p.split())) for p in part.split("L")]  # type: ignore[misc]
+        for part in path.split("M")[1:]
+    ]
+
+
+def test_lines_break_where_nothing_was_seen() -> None:
+    x = np.array([0, 0.25, 0.5, 0.75, 1.0])
+    y = np.array([0, 1, np.nan, 0.5, np.nan])
+    assert drawn_points(svg.polyline(x, y)) == [
+        [(0, 1000), (500, 0)],
+        [(1500, 500), (1500, 500)],
+    ]
+    assert svg.polyline(x, np.full(5, np.nan)) == ""
+
+
+def test_no_line_through_a_step_of_few_estimates() -> None:
+    """Nor through an empty one; its dot is hollow, and what it tells says so."""
+    count = np.array([0, 9, 10, 400, 3, 12, 15, 0, 11, 1])
+    mean = np.where(count, np.arange(10) / 10 + 0.05, np.nan)
+    right = np.where(count, 0.5, np.nan)
+    chart = charts.reliability(Reliability("mine", "top", count, mean, right), 0)
+    (line,) = [s.path for s in chart.shapes if s.label == "mine"]
+    columns = [[x for x, _ in part] for part in drawn_points(line)]
+    assert columns == [[500, 700], [1100, 1300], [1700, 1700]]
+    hollow = [dot.x for dot in chart.dots if dot.kind == "few"]
+    assert hollow == pytest.approx([15, 45, 95])
+    assert all(("too few" in d.label) == (d.kind == "few") for d in chart.dots)
+    assert len(chart.dots) == 8
+
+
+def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
+    """Grey where it was followed; above it, where the score is worth a bar, in the ID's colour."""
+    log = SimpleNamespace(
+        time=np.arange(10.0),
+        truth_near=None,
+        results=SimpleNamespace(
+            landmark_index=np.array([0, 0, 1, 1]),
+            score=np.array([0.0, 0.0, 0.4, 0.0]),
+            landmarks=SimpleNamespace(ids=(1, 2)),
+        ),
+    )
+    track = Track(7, np.arange(4), np.array([2, 3, 4, 5]))
+    (lane,) = charts.silent_lanes(cast(ReportedLog, log), [track])
+    followed, first, second = (painted(shape.path) for shape in lane.chart.shapes)
+    assert (followed[400:1200] == 150).all()
+    assert not followed[:400].any()
+    assert not followed[1200:].any()
+    assert not first.any()
+    assert (second[800:1000] == 400).all()
+    assert np.count_nonzero(second) == 200
+
+
+def painted(path: str) -> np.ndarray:
+    """(WIDTH,) height of the bars at every column of the sheet, by filling each rectangle."""
+    height = np.zeros(svg.WIDTH)
+    for left, up, wide in re.findall(r"M(\d+) 1000v-(\d+)h(\d+)v\d+z", path):
+        columns = slice(int(left), int(left) + int(wide))
+        height[columns] = np.maximum(height[columns], int(up))
+    return height
+
+
+@pytest.mark.parametrize("count", [1, 397, 5000])
+def test_bars_cover_their_frames(count: int) -> None:
+    rng = np.random.default_rng(count)
+    start = np.cumsum(rng.choice([1.0, 30.0], count, p=[0.95, 0.05])) - 1
+    height = np.where(rng.random(count) < 0.6, rng.random(count).round(1), 0)
+    axis = svg.Axis(0.0, float(start[-1]) + 1)
+    path = svg.bars(axis, start, 1.0, height)
+    columns = painted(path)
+    centre = np.floor(axis.share(start + 0.5) * svg.WIDTH).astype(int)
+    at = columns[np.minimum(centre, svg.WIDTH - 1)]
+    if count < svg.MOST_POINTS:
+        assert at == pytest.approx(1000 * height)
+        between = np.diff(start) > 2  # nothing is drawn over time without frames
+        gaps = np.floor(axis.share(start[:-1][between] + 15) * svg.WIDTH).astype(int)
+        assert not columns[gaps].any()
+    else:
+        assert path.count("M") <= svg.MOST_POINTS
+        assert columns.max() == 1000 * height.max()
+
+
+def test_bars_are_seen_beside_a_pause_of_a_day() -> None:
+    start = np.array([0.0, 0.25, 0.5, 86_400.0, 86_400.25])
+    path = svg.bars(svg.Axis(0.0, 86_400.5), start, 0.25, np.array([0, 1, 0, 0, 0.5]))
+    columns = painted(path)
+    assert np.flatnonzero(columns).tolist() == [0, svg.WIDTH - 1]
+    assert columns[[0, -1]].tolist() == [1000, 500]
+
+
+def test_ticks_are_round_and_in_place() -> None:
+    for high in (0.3, 1.0, 61.75, 25_000.0):
+        ticks = svg.Axis(0.0, high).ticks()
+        assert 3 <= len(ticks) <= 7
+        for tick in ticks:
+            assert tick.at == pytest.approx(100 * float(tick.text) / high, abs=0.01)
+    assert svg.Axis(0.0, 0.3).ticks()[-1].text == "0.3"
+    # A second of a track, ten hours into the log; frames of a very long one.
+    late = [tick.text for tick in svg.Axis(36_000.125, 36_001.375).ticks()]
+    assert late == ["36000.25", "36000.5", "36000.75", "36001", "36001.25"]
+    assert svg.Axis(0.0, 3_000_000.0).ticks()[-1].text == "3000000"
+
+
+def test_the_landmark_drawn_is_the_landmark() -> None:
+    """Each glyph's path, filled by the even-odd rule, against the set's own pattern."""
+    landmarks = load_landmarks("basin")
+    x, y = (
+        v.ravel() for v in np.meshgrid(np.linspace(-0.97, 0.97, 60), np.linspace(-0.97, 0.97, 60))
+    )
+    from matplotlib.path import Path as Outline
+
+    for k in range(len(landmarks.ids)):
+        inside = np.zeros(len(x), dtype=bool)
+        for part in svg.glyph(landmarks, k).split("M")[1:]:
+            inside ^= Outline(traced(part)).contains_points(
+                np.column_stack([50 + 49 * x, 50 - 49 * y])
+            )
+        expected = landmarks.pattern(k, x, y) > 0.5
+        # Grid points on an edge may fall either way.
+        assert np.mean(inside != expected) < 0.02
+
+
+def traced(part: str) -> np.ndarray:
+    """(n, 2) points along a circle "cx cy a..." or a wedge "A, outer arc, L, inner arc"."""
+    numbers = [float(v) for v in re.findall(r"-?\d+\.?\d*", part)]
+    turn = np.linspace(0, 2 * np.pi, 200)
+    if "a" in part:
+        radius = numbers[2]
+        return np.column_stack([50 + radius * np.cos(turn), 50 + radius * np.sin(turn)])
+    (ax, ay, outer, _, _, _, _, bx, by, dx, dy, *_), (cx, cy) = numbers, numbers[-2:]
+
+    def arc(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
+        radius = np.hypot(x0 - 50, y0 - 50)
+        begin, end = np.arctan2(50 - y0, x0 - 50), np.arctan2(50 - y1, x1 - 50)
+        way = np.linspace(0, (end - begin + np.pi) % (2 * np.pi) - np.pi, 30) + begin
+        return np.column_stack([50 + radius * np.cos(way), 50 - radius * np.sin(way)])
+
+    assert outer == pytest.approx(np.hypot(ax - 50, ay - 50), abs=0.1)
+    return np.vstack([arc(ax, ay, bx, by), arc(dx, dy, cx, cy)])
+
+
+def test_colours_stand_out_on_white() -> None:
+    """Those of a set of 20 IDs as well: 3 to 1, as WCAG 2 asks of what is drawn."""
+    white = [255, 255, 255]
+    for colour in (*landmark_colours(range(20)).values(), (0, 0, 0), (255, 255, 255)):
+        dark = svg.darkened(colour)
+        assert contrast([int(dark[n : n + 2], 16) for n in (1, 3, 5)], white) >= 3
+        if contrast(list(colour), white) > 3.2:
+            assert dark == "#{:02x}{:02x}{:02x}".format(*colour)

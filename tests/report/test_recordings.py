@@ -1,0 +1,180 @@
+"""Frames of the recordings on the page, and which recording is which log's."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import os
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+
+from sonarrec.report import frames
+from sonarrec.truth.table import read_truth
+from tests.support.command import SAMPLE, sonarrec
+from tests.support.pages import (
+    Page,
+    held_frames,
+    reported,
+)
+
+
+def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None:
+    """All of a short log; each with its time, its truth and what every method says in it."""
+    (log,) = held_frames(pages["full"])
+    assert (log["name"], log["unit"], log["methods"]) == ("pan", "s", ["smi", "framework"])
+    assert [f["frame"] for f in log["frames"]] == list(range(128))
+    declared: dict[tuple[int, str], list[str]] = {}
+    with (results / "estimates.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            if row["declared"] == "1":
+                label = f"ID.{row['landmark']}  {float(row['score']):.2f}"
+                declared.setdefault((int(row["frame"]), row["method"]), []).append(label)
+    truth = read_truth(SAMPLE / "gt.csv")
+    for f in log["frames"]:
+        assert f["at"] == f["frame"] / 4
+        for method, said in zip(log["methods"], f["said"], strict=True):
+            labels = sorted(o["label"] for o in said if o["declared"])
+            assert labels == sorted(declared.get((f["frame"], method), []))
+        assert len(f["truth"]) == np.count_nonzero(truth.at == f["frame"])
+        data = base64.b64decode(f["image"].removeprefix("data:image/webp;base64,"))
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        source = cv2.imread(str(SAMPLE / f"{f['frame']:06d}.png"), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        assert source is not None
+        assert list(image.shape[::-1]) == f["size"] == [191, 256]
+        assert np.corrcoef(image.ravel(), source.ravel())[0, 1] > 0.97
+
+
+def test_outlines_lie_where_the_table_has_them(pages: dict[str, Path], results: Path) -> None:
+    (log,) = held_frames(pages["full"])
+    with (results / "estimates.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            if row["declared"] == "1":
+                of_method = log["frames"][int(row["frame"])]["said"][
+                    log["methods"].index(row["method"])
+                ]
+                # Pixel centres are whole numbers in the table, halves on the page.
+                place = np.array([float(row["x_px"]), float(row["y_px"])]) + 0.5
+                away = [np.linalg.norm(np.array(o["ellipse"][:2]) - place) for o in of_method]
+                assert min(away) < 1
+
+
+@pytest.mark.parametrize("most", [3, 40])
+def test_which_frames_are_held(results: Path, most: int) -> None:
+    """The wanted first, in their order; of the rest as many as there is room for, spread out."""
+    logs = [reported(results, SAMPLE / "gt.csv")]
+    wanted = [("pan", 99), ("pan", 5), ("other", 1), ("pan", 99), ("pan", 6), ("pan", 7)]
+    found = frames.choose(logs, wanted, most)["pan"]
+    assert len(found) == most
+    assert found == sorted(set(found))
+    assert {99, 5, 6} <= set(found)
+    if most == 40:
+        assert max(np.diff(found)) <= 6
+
+
+def test_of_each_log_a_frame_is_held(results: Path) -> None:
+    """Also where others want all there is room for: a click on the log has to show something."""
+    log = reported(results, SAMPLE / "gt.csv")
+    logs = [replace(log, results=replace(log.results, name=name)) for name in ("a", "b", "c")]
+    wanted = [("a", f) for f in range(60)] + [("b", 70)]
+    found = frames.choose(logs, wanted, 20)
+    assert found == {"a": list(range(18)), "b": [70], "c": [0]}
+
+
+def test_frames_held_take_no_more_than_stated() -> None:
+    """Of noise, which no coder makes small."""
+    noise = np.random.default_rng(0).integers(0, 256, (900, 700), dtype=np.uint8)
+    for most in (400, 3000, 15_000):
+        source = frames._within(noise, most)
+        assert len(source) <= most
+        assert source.startswith("data:image/webp;base64,")
+
+
+def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "pan"
+    shutil.copytree(SAMPLE, folder)
+    (folder / "000127.png").unlink()
+    fault = sonarrec("report", results, "--log", folder, "-o", tmp_path / "x.html", code=1).stderr
+    assert fault.startswith("sonarrec: ")
+    assert "results of another log" in fault
+    assert not (tmp_path / "x.html").exists()
+    # Nor is a topic that the run had one that was given.
+    named = tmp_path / "named"
+    shutil.copytree(results, named)
+    run = (named / "run.toml").read_text()
+    run = run.replace('time = "log"\n', 'time = "header"\ntopic = "/sonar"\n')
+    (named / "run.toml").write_text(run)
+    given = ("--log", folder, "-o", tmp_path / "x.html")
+    assert "results of another log" in sonarrec("report", named, *given, code=1).stderr
+    fault = sonarrec("report", named, *given, "--topic", "/sonar", code=2).stderr
+    assert "--topic chooses a channel" in fault
+
+
+@pytest.mark.slow
+def test_a_table_of_pairs(results: Path, tmp_path: Path) -> None:
+    """Each log against its own truth, its recording found by name in a folder of them."""
+    shutil.copytree(results, tmp_path / "a" / "pan")
+    for day in ("day1", "day2"):
+        shutil.copytree(SAMPLE, tmp_path / "logs" / day / "pan")
+    other = tmp_path / "logs" / "day2" / "pan"
+    for n in range(40, 128):
+        (other / f"{n:06d}.png").unlink()
+    sonarrec("run", other, "-o", tmp_path / "b")
+    gt = SAMPLE / "gt.csv"
+    (tmp_path / "pairs.csv").write_text(
+        f"results,ground_truth,log\na/pan,{gt},one\nb/pan,{gt},two\n"
+    )
+    sonarrec("report", "--pairs", tmp_path / "pairs.csv", "--log", tmp_path / "logs", code=3)
+    page = Page(tmp_path / "report.html")
+    assert [row[0] for row in page.tables["Per log, protocol strict"][2:]] == ["one", "two"]
+    assert [log["name"] for log in held_frames(tmp_path / "report.html")] == ["one", "two"]
+    both = sonarrec("report", results, "--pairs", tmp_path / "pairs.csv", code=2)
+    assert "leave out RESULTS" in both.stderr
+
+
+def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
+    """By name, and of equal names by SHA-256; what is missing is told."""
+    shutil.copytree(results, tmp_path / "out" / "pan")
+    shutil.copytree(results, tmp_path / "out" / "gone")
+    run = tmp_path / "out" / "gone" / "run.toml"
+    run.write_text(re.sub(r'(name|path) = ".*pan"', r'\1 = "gone"', run.read_text()))
+    other = tmp_path / "logs" / "day1" / "pan"
+    shutil.copytree(SAMPLE, other)
+    (other / "000127.png").unlink()
+    shutil.copytree(SAMPLE, tmp_path / "logs" / "day2" / "pan")
+    told = sonarrec("report", tmp_path / "out", "--log", tmp_path / "logs", code=3)
+    assert "no log of the name gone in it; the page has no frames of it" in told.stderr
+    assert "no log of the name gone" in Page(tmp_path / "out" / "report.html").text
+    (log,) = held_frames(tmp_path / "out" / "report.html")
+    assert (log["name"], log["in_all"]) == ("pan", 128)
+
+
+def test_logs_in_several_folders_are_each_found_in_one(tmp_path: Path) -> None:
+    """What is not in the first folder, but in the second, is not told as missing."""
+    for name in ("a", "b"):
+        shutil.copytree(SAMPLE, tmp_path / f"at_{name}" / name)
+        sonarrec(
+            "run", "-q", tmp_path / f"at_{name}" / name, "--frames", ":3", "-o", tmp_path / "o"
+        )
+    both = ["--log", tmp_path / "at_a", "--log", tmp_path / "at_b"]
+    assert "no log of the name" not in sonarrec("report", tmp_path / "o", *both).stderr
+    told = sonarrec("report", tmp_path / "o", *both[:2], code=3).stderr
+    assert told.count("no log of the name b in it; the page has no frames of it") == 1
+
+
+def test_a_packed_log_of_any_name_is_found_in_a_folder_of_logs(tmp_path: Path) -> None:
+    packed = tmp_path / "logs" / os.fsdecode(b"d\xe9ve.mcap.zst")
+    packed.parent.mkdir()
+    packed.write_bytes(zstandard.compress(SAMPLE.with_suffix(".mcap").read_bytes()))
+    shutil.copy(SAMPLE / "sonar.toml", packed.parent)
+    sonarrec("run", "-q", packed, "--frames", "0:3", "-o", tmp_path / "out")
+    sonarrec("report", tmp_path / "out", "--log", tmp_path / "logs")
+    [log] = held_frames(tmp_path / "out" / "report.html")
+    assert log["name"] == r"d\xe9ve"

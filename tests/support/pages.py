@@ -1,0 +1,83 @@
+"""What tests of pages share: a page's elements and tables, and tables written by hand."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+from sonarrec.evaluation.matching.options import ScoringOptions
+from sonarrec.report.logs import LogToShow, ReportedLog, read_logs
+from sonarrec.sonar import Sonar
+from sonarrec.truth.table import read_truth
+
+DECLARED = "frame,method,object,landmark,score,declared"
+PLACED = "frame,method,object,range_m,bearing_deg,p_1,p_2,p_3,p_4,p_none,landmark,score,declared"
+
+
+class Page(HTMLParser):
+    """Every element of a page with its attributes, and every table as rows of cells."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.text = ""
+        self._rows: list[list[str]] = []
+        self._caption: str | None = None
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag == "table":
+            self._rows = []
+        elif tag == "caption":
+            self._caption = ""
+        elif tag == "tr":
+            self._rows.append([])
+        elif tag in ("td", "th"):
+            self._rows[-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "caption" and self._caption is not None:
+            self.tables[self._caption] = self._rows
+            self._caption = None
+        elif tag == "table":
+            self._rows = []
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        if self._caption is not None:
+            self._caption += data
+        elif self._rows and self._rows[-1]:
+            self._rows[-1][-1] += data.strip()
+
+
+def tables(folder: Path, frames: Iterable[object], head: str, rows: Iterable[str]) -> None:
+    """Results of another program. frames: numbers, or (number, time in ns); rows: of estimates."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [",".join(map(str, f)) if isinstance(f, tuple) else str(f) for f in frames]
+    columns = "frame,timestamp_ns" if "," in lines[0] else "frame"
+    (folder / "frames.csv").write_text("\n".join([columns, *lines, ""]))
+    (folder / "estimates.csv").write_text("\n".join([head, *rows, ""]))
+
+
+def held_frames(path: Path) -> list[dict[str, Any]]:
+    """What the page holds to be shown on a click, per log."""
+    (text,) = re.findall(
+        r'<script type="application/json" id="frames">(.*?)</script>', path.read_text()
+    )
+    found: list[dict[str, Any]] = json.loads(text)
+    return found
+
+
+def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
+    [log], _ = read_logs(
+        [LogToShow(folder, read_truth(truth or folder / "gt.csv"))],
+        ScoringOptions(sonar=Sonar()),
+        method=None,
+    )
+    return log
