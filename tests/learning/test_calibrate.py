@@ -1,9 +1,8 @@
-"""`sonarrec calibrate`: curves that are known, and recordings whose truth is known."""
+"""`sonarrec calibrate`: recordings whose truth is known, and truth that teaches nothing."""
 
 from __future__ import annotations
 
 import csv
-import tracemalloc
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
@@ -20,312 +19,22 @@ from sonarrec.learning import calibrate
 from sonarrec.learning.calibrate import (
     FOLDS,
     LearningReport,
-    _counted,
-    _labelled,
     _not_taught,
     learn,
 )
-from sonarrec.learning.fit import PRIOR_WEIGHT, fit
-from sonarrec.learning.left_out import _standard_error, gain_on_the_rest
-from sonarrec.learning.samples import Samples, Tracks, describe, label
+from sonarrec.learning.samples import Tracks, describe
 from sonarrec.nouns import Frame
-from sonarrec.recogniser.stage3.description import FEATURES
 from sonarrec.recogniser.stage3.model import (
-    AppearanceModel,
     built_in_model,
     parse_model,
     read_model,
 )
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.simulate import write_recording
-from sonarrec.truth.match import Truth
 from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin")
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
-
-
-# Curves
-
-
-def known_model() -> AppearanceModel:
-    """Two features that tell, one of them bent; the others are worth nothing."""
-    knots = np.linspace(-2, 2, 8)
-    values = [np.zeros((2, 8)) for _ in FEATURES]
-    values[0][:] = 1.5 * knots
-    values[1][:] = -2 * np.abs(knots) + 2 * np.abs(knots).mean()
-    return AppearanceModel(np.array([-1.0, -1.0]), (knots,) * len(FEATURES), tuple(values))
-
-
-def drawn(
-    model: AppearanceModel, count: int, seed: int, ids: int = 4, smear: float = 0.0
-) -> Samples:
-    """Features drawn at random, and labels drawn from the model's probabilities."""
-    rng = np.random.default_rng(seed)
-    features = rng.uniform(-2, 2, (count, ids, len(FEATURES)))
-    smears = np.full(count, smear)
-    edges = model.probabilities(features, smears).cumsum(axis=1)
-    labels = (rng.random((count, 1)) > edges[:, :-1]).sum(axis=1)
-    return Samples(features, smears, labels, np.arange(count))
-
-
-def apart(one: AppearanceModel, other: AppearanceModel, feature: int, of: int = 0) -> float:
-    """Root mean square between two curves of mean 0 over their range; of: 0 sharp, 1 smeared."""
-    at = np.linspace(-1.9, 1.9, 50)
-    curves = [np.interp(at, m.knots[feature], m.values[feature][of]) for m in (one, other)]
-    curves = [c - c.mean() for c in curves]
-    return float(np.sqrt(np.mean((curves[0] - curves[1]) ** 2)))
-
-
-def log_likelihood(model: AppearanceModel, samples: Samples) -> float:
-    p = model.probabilities(samples.features, samples.smear)
-    return float(np.log(p[np.arange(len(samples.label)), samples.label]).mean())
-
-
-@pytest.mark.slow
-def test_known_curves_are_recovered():
-    truth = known_model()
-    learned = fit([drawn(truth, 3000, 1), drawn(truth, 1000, 2, ids=6)])
-    # A knot sees some 4000 / 8 samples: its log odds are good to 1 / sqrt(500 p (1 - p)) = .1.
-    for feature in range(len(FEATURES)):
-        assert apart(learned, truth, feature) < 0.25
-    held_out = drawn(truth, 4000, 3)
-    assert log_likelihood(learned, held_out) > log_likelihood(truth, held_out) - 0.02
-
-
-@pytest.mark.slow
-def test_memory_of_learning_is_little_more_than_the_samples():
-    """75 MB; with the hat functions of all 8,000 samples at once it is 188 MB."""
-    samples = drawn(known_model(), 8_000, 5, smear=0.2)
-    tracemalloc.start()
-    fit([samples], known_model())  # a prior that fits: few steps
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 100e6
-
-
-def test_samples_in_blocks_teach_what_they_teach_together(monkeypatch):
-    recordings = [drawn(known_model(), 700, 1), drawn(known_model(), 300, 2, smear=0.6)]
-    together = fit(recordings)
-    monkeypatch.setattr("sonarrec.learning.fit.AT_ONCE", 64)
-    in_blocks = fit(recordings)
-    np.testing.assert_allclose(in_blocks.bias, together.bias, atol=1e-6)
-    for one, other in zip(in_blocks.values, together.values, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_what_the_smear_changes_is_learned_from_smeared_pictures_alone():
-    """Without any, the curves of smeared pictures are those of sharp ones."""
-    truth = known_model()
-    bent, level = truth.values[0][0], np.zeros(8)
-    truth = replace(truth, values=(np.array([bent, level]), *truth.values[1:]))
-    learned = fit([drawn(truth, 300, 1)])
-    np.testing.assert_allclose(learned.bias[1], learned.bias[0])
-    for of_sharp, of_smeared in learned.values:
-        np.testing.assert_allclose(of_smeared, of_sharp, atol=1e-9)
-    learned = fit([drawn(truth, 3000, 1), drawn(truth, 3000, 2, smear=0.2)])
-    # As above: good to .1.
-    for feature in range(len(FEATURES)):
-        assert apart(learned, truth, feature) < 0.25
-        assert apart(learned, truth, feature, of=1) < 0.25
-
-
-@pytest.mark.slow
-def test_a_prior_is_left_as_far_as_the_samples_ask():
-    """Few samples that fit it leave it alone, many that do not make it give way.
-
-    Many: in proportion to how strongly curves are drawn to it.
-    """
-    truth = known_model()
-    other = replace(truth, values=(-truth.values[0], *truth.values[1:]))
-    few = fit([drawn(truth, 30, 4)], truth)
-    assert max(apart(few, truth, feature) for feature in range(len(FEATURES))) < 0.2
-    many = [drawn(other, int(PRIOR_WEIGHT), seed) for seed in range(10, 27)]
-    steps = [
-        apart(fit(samples, truth), other, 0)
-        for samples in ([drawn(other, 30, 5)], [drawn(other, 300, 5)], many)
-    ]
-    assert steps[0] > steps[1] > steps[2]
-    assert steps[2] < 0.25 * apart(truth, other, 0)
-    # The more it weighs, the nearer one stays to it.
-    samples = [drawn(other, 300, 6)]
-    kept = [apart(fit(samples, truth, weight), truth, 0) for weight in (1.0, 10.0, 1e6)]
-    assert kept[0] > kept[1] > kept[2]
-    assert kept[2] < 0.01
-
-
-def test_what_is_learned_fits_its_samples_no_worse_than_the_prior():
-    """Of features that tell next to nothing, far from which Newton's first steps overshoot."""
-    rng = np.random.default_rng(0)
-    count = 1500
-    labels = np.where(rng.random(count) < 0.9, rng.integers(0, 4, count), 4)
-    features = rng.normal(0, 1, (count, 4, len(FEATURES)))
-    on = np.flatnonzero(labels < 4)
-    features[on, labels[on]] += 0.5
-    samples = Samples(features, rng.uniform(0, 0.2, count), labels, np.arange(count))
-    prior = built_in_model()
-    assert log_likelihood(fit([samples], prior), samples) > log_likelihood(prior, samples)
-
-
-def in_two_frames(
-    row: list[int], number: list[int], position: np.ndarray, **looks: np.ndarray
-) -> Tracks:
-    """Tracks of a log of two frames. looks: what is seen of them, if it matters."""
-    nothing = {"features": np.zeros((len(row), 4, len(FEATURES))), "smear": np.zeros(len(row))}
-    return Tracks(
-        name="log",
-        landmarks=BASIN,
-        fan=None,
-        frame=np.arange(2),
-        timestamp_ns=np.arange(2),
-        row=np.array(row),
-        number=np.array(number),
-        position=position,
-        **nothing | looks,
-    )
-
-
-def test_tracks_are_labelled_by_where_they_lie():
-    """On a landmark to a quarter of a disc's diameter, off it from half of one, taught between."""
-    diameter = 2 * BASIN.radius_m
-    away = np.array([0.0, 0.2, 0.3, 0.6, 0.0])
-    tracks = in_two_frames(
-        [0, 0, 0, 0, 1],
-        [7, 8, 9, 10, 7],
-        np.column_stack([away * diameter, np.full(5, 2.0)]),
-        features=np.arange(5 * 4 * len(FEATURES), dtype=float).reshape(5, 4, -1),
-        smear=np.arange(5) / 10,
-    )
-    # Two landmarks in frame 0, the nearer counts; none in frame 1.
-    place = np.array([[0.0, 2.0], [-0.2 * diameter, 2.0]])
-    samples = label(tracks, np.array([0, 0]), np.array([2, 1]), place)
-    assert samples.track.tolist() == [7, 8, 10, 7]
-    assert samples.label.tolist() == [2, 2, 4, 4]
-    np.testing.assert_array_equal(samples.features, tracks.features[[0, 1, 3, 4]])
-    assert samples.smear.tolist() == [0.0, 0.1, 0.3, 0.4]
-
-
-def test_a_hidden_landmark_teaches_neither_its_id_nor_none():
-    """Tracks 7 and 8 each lie on a landmark in frame 0; nothing is seen of that of track 7."""
-    tracks = in_two_frames(
-        [0, 0, 0, 1, 1, 1],
-        [7, 8, 9, 7, 8, 9],
-        np.array([[0.0, 2], [1, 2], [2, 2]] * 2),
-    )
-    truth = Truth(
-        frame_index=np.array([0, 0]),
-        landmark_index=np.array([0, 1]),
-        visible=np.array([0.0, 0.3]),
-        position=np.array([[0.0, 2], [1, 2]]),
-        orientation=None,
-        rows=2,
-        unprocessed=0,
-        between=0,
-        tolerance_ns=None,
-    )
-    samples = _labelled(tracks, truth)
-    taught = list(zip(samples.track.tolist(), samples.label.tolist(), strict=True))
-    assert taught == [(8, 1), (9, 4), (9, 4)]
-
-
-def test_how_much_of_the_truth_a_track_lay_on_is_counted():
-    """Of frames 0 and 1: a landmark on a track twice, one beside it, one hidden, one just within
-    a quarter of a disc."""
-    diameter = 2 * BASIN.radius_m
-    tracks = in_two_frames(
-        [0, 0, 1],
-        [7, 8, 7],
-        np.array([[0.0, 2], [1, 2], [0, 2]]),
-    )
-    truth = Truth(
-        frame_index=np.array([0, 0, 0, 1, 1]),
-        landmark_index=np.array([0, 1, 3, 0, 2]),
-        visible=np.array([1.0, 0.0, 0.5, 1.0, 1.0]),
-        position=np.array([[0.0, 2], [1, 2], [1 + 0.24 * diameter, 2], [0, 2], [1, 2]]),
-        orientation=None,
-        rows=5,
-        unprocessed=0,
-        between=0,
-        tolerance_ns=None,
-    )
-    assert _counted(tracks, truth) == ((4, 3), (3, 2))
-
-
-def samples_of(tracks: list[tuple[int, int]]) -> Samples:
-    """One log, whose tracks have an ID's index or 4, and a number of frames."""
-    labels = np.concatenate([np.full(n, label) for label, n in tracks])
-    number = np.repeat(np.arange(len(tracks)), [n for _, n in tracks])
-    features = np.random.default_rng(0).normal(0, 1, (len(labels), 4, len(FEATURES)))
-    return Samples(features, np.zeros(len(labels)), labels, number)
-
-
-def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
-    """Some of its tracks were learned from while others of it were held out."""
-    logs = [
-        samples_of([(0, 3), (4, 2), (1, 3), (0, 5), (4, 4), (0, 2), (1, 1)]),
-        samples_of([(4, 2), (0, 3), (2, 4), (4, 1), (0, 3), (4, 6), (4, 1)]),
-    ]
-    # A track that is on a landmark and then beside it is that landmark's.
-    logs[0].label[np.flatnonzero(logs[0].track == 3)[-1]] = 4
-    built_in = built_in_model()
-    lessons = []
-
-    def seen(parts: list[Samples], _prior: object) -> AppearanceModel:
-        lessons.append(parts)
-        return built_in
-
-    monkeypatch.setattr("sonarrec.learning.left_out.fit", seen)
-    gain = gain_on_the_rest(logs, None)
-    assert gain is not None
-    assert gain[0] == gain[1]
-    assert gain[2] == 0
-    assert len(lessons) == FOLDS
-    left_out = [0, 0]
-    for parts in lessons:
-        for n, (log, taught) in enumerate(zip(logs, parts, strict=True)):
-            rest = ~np.isin(log.features[:, 0, 0], taught.features[:, 0, 0])
-            left_out[n] += rest.sum()
-            assert not set(log.track[rest]) & set(taught.track)
-            assert not (set(log.label[rest]) & set(taught.label)) - {4}
-    assert left_out == [len(log.label) for log in logs]
-    # Twice the same disc is nothing that a model could be tried on.
-    alone = [samples_of([(0, 3), (4, 2)] * 6)]
-    assert gain_on_the_rest(alone, None) is None
-
-
-@pytest.mark.slow
-def test_what_is_measured_is_what_landmarks_elsewhere_bring():
-    """Each landmark looks in its own way, the same in all its tracks. Of eight seeds the truth is
-    -.33 nats in the mean, and what was learned from is judged at -.09; measured is -.39. Between
-    seeds both scatter by .09, so three are taken."""
-
-    def logs(count: int) -> list[Samples]:
-        parts = []
-        for _ in range(count):
-            labels = np.repeat([0, 0, 0, 1, 1, 1, 4, 4, 4, 4], 8)
-            features = rng.normal(0, 1, (80, 4, len(FEATURES)))
-            for i in (0, 1):
-                features[labels == i, i] += rng.normal(0.5, 1.5, len(FEATURES))
-            parts.append(Samples(features, np.zeros(80), labels, np.repeat(np.arange(10), 8)))
-        return parts
-
-    told = []
-    for seed in (3, 4, 5):
-        rng = np.random.default_rng(seed)
-        here = logs(8)
-        gain = gain_on_the_rest(here, None)
-        assert gain is not None
-        learned = fit(here, None)
-        told.append(
-            [gain[1]]
-            + [np.mean([log_likelihood(learned, p) for p in of]) for of in (logs(30), here)]
-        )
-    after, elsewhere, own = np.mean(told, axis=0)
-    assert 1.8 * elsewhere < after < (elsewhere + own) / 2
-
-
-# Recordings
 
 
 @pytest.fixture(scope="module")
@@ -435,6 +144,20 @@ def test_what_was_learned_from_is_told(site):
     assert 0 < max(moved) < 3
 
 
+def part_of_sample(folder: Path, *names: str) -> Path:
+    """The first 12 frames of the sample log, with these of its files beside them."""
+    folder.mkdir(parents=True)
+    for name in (*names, *(f"{n:06d}.png" for n in range(12))):
+        (folder / name).write_bytes((SAMPLES / "pan" / name).read_bytes())
+    return folder
+
+
+def sample_rows(end: int) -> tuple[str, list[str]]:
+    """(header, rows of the first frames) of the sample log's gt.csv."""
+    head, *rows = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()
+    return head, [row for row in rows if int(row.partition(",")[0]) < end]
+
+
 def labelled(path: Path, text: str) -> Path:
     path.write_text(text)
     return path
@@ -450,18 +173,13 @@ HEAD = "frame,landmark,range_m,bearing_deg"
         (f"{HEAD}\n500,1,2,0\n", (), 1, "truth of another log?"),
         (f"log,{HEAD}\nother,1,1,2,0\n", (), 1, "names none of pan"),
         ("frame,landmark\n1,1\n", (), 1, "needs positions"),
-        (f"{HEAD}\n1,9,2,0\n", (), 1, "landmark 9 is not in the set"),
         (f"{HEAD}\n1,1,2,0\n", ("--set", "features.measurement=single"), 2, "learns nothing"),
-        (f"{HEAD}\n1,1,2,0\n", ("--preset", "default,offline"), 2, "one"),
         (f"{HEAD}\n1,1,2,0\n", ("TWO",), 2, "log column"),
         (f"log,{HEAD}\npan,1,1,2,0\n", ("SAME",), 2, "second log 'pan'"),
     ],
 )
 def test_what_cannot_teach_is_told_in_one_line(tmp_path, text, arguments, code, told):
-    log = tmp_path / "pan"
-    log.mkdir()
-    for name in ("000000.png", "000001.png", "sonar.toml"):
-        (log / name).write_bytes((SAMPLES / "pan" / name).read_bytes())
+    log = part_of_sample(tmp_path / "pan", "sonar.toml")
     more = {"TWO": SAMPLES / "polar", "SAME": log}
     arguments = tuple(more.get(a, a) for a in arguments)
     truth = labelled(tmp_path / "gt.csv", text)
@@ -474,15 +192,11 @@ def test_what_cannot_teach_is_told_in_one_line(tmp_path, text, arguments, code, 
 
 def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("pan").mkdir()
-    for n in range(12):
-        name = f"{n:06d}.png"
-        Path("pan", name).write_bytes((SAMPLES / "pan" / name).read_bytes())
+    part_of_sample(Path("pan"))
     basin = (BUILT_IN / "basin.toml").read_text()
     Path("mine.toml").write_text(basin.replace("id = 1\n", "id = 11\n"))
-    head, *lines = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()
-    right = [line.replace(",1,", ",11,", 1) for line in lines if int(line.partition(",")[0]) < 12]
-    Path("gt.csv").write_text("\n".join([head, *right, ""]))
+    head, rows = sample_rows(12)
+    Path("gt.csv").write_text("\n".join([head, *(r.replace(",1,", ",11,", 1) for r in rows), ""]))
     geometry = SAMPLES / "pan" / "sonar.toml"
     sonarrec("run", "pan", "--sonar", geometry, "--landmarks", "mine.toml", "-q")
     learning = ("calibrate", "pan", "--ground-truth", "gt.csv")
@@ -494,17 +208,10 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkey
 
 def test_logs_of_one_name_are_known_by_their_folders(tmp_path):
     """As their results are named: the second was refused, and one alone held no landmark."""
-    head, *rows = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()
-    rows = [row for row in rows if int(row.partition(",")[0]) < 12]
-    table = [f"log,{head}"]
-    for day in ("a", "b"):
-        log = tmp_path / day / "pan"
-        log.mkdir(parents=True)
-        for name in ("sonar.toml", *(f"{n:06d}.png" for n in range(12))):
-            (log / name).write_bytes((SAMPLES / "pan" / name).read_bytes())
-        table += [f"{day}-pan,{row}" for row in rows]
-    truth = labelled(tmp_path / "gt.csv", "\n".join([*table, ""]))
-    logs = [tmp_path / "a" / "pan", tmp_path / "b" / "pan"]
+    head, rows = sample_rows(12)
+    logs = [part_of_sample(tmp_path / day / "pan", "sonar.toml") for day in ("a", "b")]
+    table = [f"log,{head}", *(f"{day}-pan,{row}" for day in ("a", "b") for row in rows), ""]
+    truth = labelled(tmp_path / "gt.csv", "\n".join(table))
     report = learn(logs, truth, preset("default"), BASIN, LogOptions())
     assert (report.logs, report.frames) == (("a-pan", "b-pan"), 24)
     assert report.diagnostics.problems == []
@@ -514,10 +221,8 @@ def test_logs_of_one_name_are_known_by_their_folders(tmp_path):
 
 
 def test_truth_on_frames_that_are_not_there_is_told(tmp_path):
-    head, *rows = (SAMPLES / "pan.gt.csv").read_text().splitlines()
-    rows = [row for row in rows if int(row.partition(",")[0]) < 10]
-    table = [head, *rows, "9000,1,0,0,2.0,0,1,0", ""]
-    truth = labelled(tmp_path / "gt.csv", "\n".join(table))
+    head, rows = sample_rows(10)
+    truth = labelled(tmp_path / "gt.csv", "\n".join([head, *rows, "9000,1,0,0,2.0,0,1,0", ""]))
     log, out = SAMPLES / "pan" / "00000*.png", tmp_path / "model.toml"
     result = sonarrec("calibrate", log, "--ground-truth", truth, "-o", out, code=3)
     assert "1 of" in result.stderr
@@ -584,14 +289,11 @@ def test_a_proposal_that_nobody_checked_is_told(tmp_path):
         f"{header},source,Log",
         *(f"{row},{'tracked' * (k < 5)},a" for k, row in enumerate(rows)),
     ]
-    (tmp_path / "gt.csv").write_text("\n".join(proposed))
-    words = ("--ground-truth", tmp_path / "gt.csv", "-o", tmp_path / "m.toml")
+    truth = labelled(tmp_path / "gt.csv", "\n".join(proposed))
+    words = ("--ground-truth", truth, "-o", tmp_path / "m.toml")
     told = sonarrec("calibrate", SAMPLES / "pan" / "00000*.png", *words, code=3).stderr
     assert "gt.csv: columns Log are not read" in told
-    assert (
-        "by `source`, 5 of 29 rows for pan are unchecked proposals of `truth propose`; they teach"
-        in told
-    )
+    assert "5 of 29 rows for pan are unchecked proposals of `truth propose`; they teach" in told
 
 
 def test_names_of_logs_do_not_break_the_model_file():
@@ -609,21 +311,6 @@ def test_worse_is_told_only_where_the_printed_figures_differ():
 
     assert told(-0.0162, -0.0158, 0) == told(-0.0158, -0.0162, 0) == told() == []
     assert "judges the tracks left out better" in told(-0.015, -0.017, 0)[0]
-
-
-def test_the_standard_error_of_the_gain_is_that_of_drawing_whole_tracks():
-    rng = np.random.default_rng(4)
-    alone = rng.normal(0, 1, 400)
-    assert _standard_error(alone, np.arange(400)) == pytest.approx(alone.std(ddof=1) / 20)
-    size = rng.integers(5, 40, 80)  # tracks of many frames that share most of what they say
-    track = np.repeat(np.arange(80), size)
-    values = np.repeat(rng.normal(0, 1, 80), size) + rng.normal(0, 0.3, len(track))
-    order = rng.permutation(len(track))
-    sums = np.stack([np.bincount(track, values), size])
-    drawn = sums[:, rng.integers(0, 80, (4000, 80))].sum(axis=2)
-    error = _standard_error(values[order], track[order])
-    assert error == pytest.approx((drawn[0] / drawn[1]).std(), rel=0.1)
-    assert error > 3 * values.std() / np.sqrt(len(values))  # as if frames were independent
 
 
 def test_a_model_without_use_is_refused(tmp_path):

@@ -1,0 +1,230 @@
+"""What is drawn of results lies where the object is, and is told apart."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.drawing.pen import (
+    OKABE_ITO,
+    disc_outline,
+    draw_picture,
+    enlargement,
+    landmark_colours,
+)
+from sonarrec.drawing.results import (
+    STRIP_FRAMES,
+    TRAIL_FRAMES,
+    Mark,
+    Moment,
+    caption,
+    draw_frame,
+    draw_strip,
+    trails,
+)
+from sonarrec.nouns import Estimate
+from tests.support.drawn import draw_on_floor, make_fan
+from tests.support.estimates import (
+    BASIN,
+    FAN,
+    at,
+    estimate,
+)
+
+
+def painted(picture: np.ndarray, colour: tuple[int, int, int], within: int = 0) -> np.ndarray:
+    """(n, 2) column and row of the pixels of this colour; thin lines never quite reach it."""
+    away = np.abs(picture[:, :, ::-1].astype(int) - colour)
+    return np.argwhere(away.max(axis=2) <= within)[:, ::-1]
+
+
+@settings(max_examples=60)
+@given(
+    height=st.floats(0.2, 1.0),
+    range_m=st.floats(1.4, 3.5),
+    bearing=st.floats(-14, 14),
+    radius=st.floats(0.02, 0.3),
+)
+def test_outline_is_a_circle_on_the_floor(
+    height: float, range_m: float, bearing: float, radius: float
+) -> None:
+    """Every point, cast back to the floor of a three-dimensional scene, is a radius away."""
+    fan = make_fan(height_m=height)
+    outline = disc_outline(fan, radius, *at(fan, range_m, bearing))
+    across = (outline[:, 0] - fan.apex_column) * fan.metres_per_pixel
+    ahead = (fan.apex_row - outline[:, 1]) * fan.metres_per_pixel
+    slant = np.hypot(across, ahead)
+    ground = np.sqrt(slant**2 - height**2)
+    centre = math.sqrt(range_m**2 - height**2) * np.exp(1j * math.radians(bearing))
+    points = ground * np.exp(1j * np.arctan2(across, ahead))
+    np.testing.assert_allclose(np.abs(points - centre), radius, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("range_m", "bearing"), [(1.6, -8.0), (2.2, 0.0), (3.2, 5.0)])
+def test_outline_fits_a_rendered_disc(range_m: float, bearing: float) -> None:
+    disc, _ = draw_on_floor(FAN, range_m, bearing, 0.15, lambda x, y: np.hypot(x, y) <= 1)
+    outline = disc_outline(FAN, 0.15, *at(FAN, range_m, bearing))
+    filled = np.zeros(disc.shape, np.uint8)
+    cv2.fillPoly(filled, [np.round(outline * 16).astype(np.int32)], 1, shift=4)
+    both, either = (filled > 0) & (disc > 0.5), (filled > 0) | (disc > 0.5)
+    # fillPoly paints the edge pixels too: half a pixel of a radius of 29.
+    assert both.sum() / either.sum() > 0.95
+
+
+def test_outline_nearer_than_the_floor_stays_at_its_place() -> None:
+    fan = make_fan(range_min_m=0.3, height_m=0.68)
+    place = at(fan, 0.5, 3.0)
+    outline = disc_outline(fan, 0.15, *place)
+    assert np.isfinite(outline).all()
+    np.testing.assert_allclose(outline.mean(axis=0), place, atol=15)
+
+
+def test_declared_objects_are_outlined_in_their_colour() -> None:
+    place = at(FAN, 2.4, 4.0)
+    picture = draw_frame(
+        np.zeros((FAN.rows, FAN.columns), np.uint8), FAN, BASIN, [estimate(*place, 3)]
+    )
+    assert picture.shape == (FAN.rows, FAN.columns, 3)
+    outline = disc_outline(FAN, BASIN.radius_m, *place)
+    contour = outline.astype(np.float32)[:, None]
+    found = painted(picture, landmark_colours(BASIN.ids)[3])
+    found = found[found[:, 1] > outline[:, 1].min() - 2]  # below the caption
+    away = [abs(cv2.pointPolygonTest(contour, tuple(map(float, p)), True)) for p in found]
+    assert len(found) > 100
+    assert max(away) < 2
+    assert set(map(tuple, np.round(outline).astype(int))) & set(map(tuple, found.tolist()))
+
+
+def test_small_frames_are_enlarged_about_pixel_centres() -> None:
+    fan = make_fan(rows=128)
+    assert enlargement(fan) == 4
+    picture = draw_frame(
+        np.zeros((fan.rows, fan.columns), np.uint8),
+        fan,
+        BASIN,
+        [estimate(60.0, 70.0)],
+        paths={0: np.array([[20.0, 100.0], [30.0, 100.0]])},
+    )
+    assert picture.shape == (512, 4 * fan.columns, 3)
+    trail = painted(picture[380:], OKABE_ITO[0], within=90)
+    # Pixel 20 covers 80 to 83, its middle is at 81.5.
+    np.testing.assert_allclose(trail.mean(axis=0) + np.array([0, 380]), (101.5, 401.5), atol=1)
+
+
+def test_truth_is_drawn_around_the_estimate() -> None:
+    blank = np.zeros((FAN.rows, FAN.columns), np.uint8)
+    place = at(FAN, 2.4, 0.0)
+    picture = draw_frame(blank, FAN, BASIN, [], truth=[Mark(2, *place)])
+    white = painted(picture, (255, 255, 255), within=90)
+    above = white[white[:, 1] < place[1]]
+    distance = np.hypot(*(above - place).T)
+    assert len(above) > 30
+    assert distance.min() > 0.95 * BASIN.radius_m / FAN.metres_per_pixel
+    # Dashed: some directions are left out.
+    angles = np.degrees(np.arctan2(*(above - place).T[::-1]))
+    assert len(np.unique(np.round(angles))) < 160
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (estimate(0, 0, 3, p=0.97), "ID.3  0.97"),
+        (estimate(0, 0, 3, p=0.6, declared=False), "ID.3?  0.60"),
+        (estimate(0, 0, 3, p=0.1, declared=False), ""),
+    ],
+)
+def test_caption(given: Estimate, text: str) -> None:
+    assert caption(given, BASIN) == text
+
+
+@pytest.mark.parametrize("count", [7, 30])
+def test_one_colour_per_id(count: int) -> None:
+    colours = landmark_colours(range(100, 100 + count))
+    assert list(colours.values())[: len(OKABE_ITO)] == list(OKABE_ITO[:count])
+    assert len(set(colours.values())) == count
+    for colour in colours.values():
+        # Contrast to black as WCAG counts it; 3 is asked of graphics.
+        linear = [c / 12.92 if c <= 0.04 else ((c + 0.055) / 1.055) ** 2.4
+                  for c in np.array(colour) / 255]  # fmt: skip
+        assert (np.dot(linear, [0.2126, 0.7152, 0.0722]) + 0.05) / 0.05 > 3
+
+
+# Dichromats' colours by Machado, Oliveira and Fernandes (2009), severity 1, in linear RGB.
+DICHROMATS = {
+    "protan": [[0.1523, 1.0526, -0.2049], [0.1145, 0.7863, 0.0992], [-0.0039, -0.0481, 1.0520]],
+    "deutan": [[0.3673, 0.8606, -0.2280], [0.2801, 0.6725, 0.0474], [-0.0118, 0.0429, 0.9689]],
+    "tritan": [[1.2555, -0.0767, -0.1788], [-0.0784, 0.9308, 0.1476], [0.0047, 0.6914, 0.3039]],
+}
+
+
+@pytest.mark.parametrize("kind", DICHROMATS)
+def test_colours_are_told_apart_with_any_colour_vision(kind: str) -> None:
+    share = np.array(OKABE_ITO) / 255
+    linear = np.where(share < 0.04, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.array(DICHROMATS[kind]).T, 0, 1)
+    seen = np.where(seen < 0.003, seen * 12.92, 1.055 * seen ** (1 / 2.4) - 0.055)
+    lab = cv2.cvtColor(seen[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0]
+    # Side by side 2.3 is just noticeable; thin lines apart from each other need several times that.
+    assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(lab, 2)) > 12
+
+
+@settings(max_examples=40)
+@given(
+    rows=st.integers(2, 700),
+    x=st.floats(-1e4, 1e4) | st.floats(-1e15, 1e15),
+    y=st.floats(-1e4, 1e4) | st.floats(-1e15, 1e15),
+    declared=st.booleans(),
+)
+def test_any_size_and_place_can_be_drawn(rows: int, x: float, y: float, declared: bool) -> None:
+    fan = make_fan(rows=rows)
+    one = estimate(x, y, declared=declared)
+    frame = draw_frame(np.zeros((fan.rows, fan.columns), np.uint8), fan, BASIN, [one])
+    picture = draw_picture(frame, draw_strip([Moment(5, 10**9, (one,))], BASIN, 512))
+    assert max(frame.shape) >= 512
+    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
+
+
+def test_trails_are_cut_and_follow_tracks_only() -> None:
+    history = [
+        Moment(n, n, (estimate(n, 2 * n, number=7), estimate(n, 0, number=n)))
+        for n in range(TRAIL_FRAMES + 10)
+    ]
+    found = trails(history)
+    last = TRAIL_FRAMES + 9
+    assert set(found) == {7, last}
+    np.testing.assert_array_equal(found[7][:, 0], np.arange(last - TRAIL_FRAMES, last + 1))
+    np.testing.assert_array_equal(found[7][:, 1], 2 * found[7][:, 0])
+    assert not trails([Moment(0, 0, (estimate(0, 0, method="smi"),))])
+
+
+def test_strip_has_probability_upwards_and_time_to_the_right() -> None:
+    def middle(p: float, frames: int) -> tuple[float, int]:
+        history = [Moment(n, n, (estimate(0, 0, 3, p=p),)) for n in range(frames)]
+        found = painted(draw_strip(history, BASIN, 512)[22:], landmark_colours(BASIN.ids)[3])
+        return float(found[:, 1].mean()), int(np.ptp(found[:, 0]))
+
+    (low, _), (half, wide), (high, _) = (middle(p, 60) for p in (0.02, 0.51, 1.0))
+    assert low - half == pytest.approx(half - high, abs=1.5)
+    assert low - half > 40
+    assert middle(0.5, 30)[1] == pytest.approx(wide * 29 / 59, abs=4)
+    # What is older than the strip has left it.
+    assert middle(0.5, STRIP_FRAMES)[1] == pytest.approx(middle(0.5, 3 * STRIP_FRAMES)[1], abs=5)
+
+
+def test_strip_of_a_single_frame_method_joins_nothing() -> None:
+    colour = landmark_colours(BASIN.ids)[3]
+
+    def area(method: str) -> int:
+        history = [
+            Moment(n, n, (estimate(0, 0, 3, p=0.05 if n % 2 else 1.0, method=method),))
+            for n in range(60)
+        ]
+        return len(painted(draw_strip(history, BASIN, 512)[22:], colour))
+
+    assert area("smi") == area("smi:paper") < 0.5 * area("framework")

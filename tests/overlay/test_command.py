@@ -1,0 +1,266 @@
+"""`sonarrec overlay`: what it finds, what it refuses, and what it leaves."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tomli_w
+import zstandard
+from click.testing import CliRunner, Result
+from mcap.exceptions import McapError
+
+from sonarrec.cli import main
+from sonarrec.overlay.overlay import Targets, write_overlay
+from sonarrec.readers import open_log
+from sonarrec.sonar import Sonar
+from tests.support.estimates import (
+    BASIN,
+    csv_file,
+    moving,
+    noise,
+    write_results,
+)
+from tests.support.foxglove import messages
+from tests.support.logs import cdr_image, image_folder, mcap_file
+
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan.mcap"
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    assert (code == 0) == (result.stderr == "")
+    assert "Traceback" not in result.output
+    return result
+
+
+@pytest.fixture
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a log, `log`, and what `sonarrec run` would leave of it."""
+    monkeypatch.chdir(tmp_path)
+    image_folder(tmp_path / "log", noise(4))
+    with open_log("log") as log:
+        size, digest = log.digest_source()
+        sonar = log.sonar.as_table()
+    run = {
+        "input": {"name": "log", "bytes": size, "sha256": digest},
+        "sonar": sonar,
+        "landmarks": BASIN.as_table(),
+    }
+    write_results(tmp_path / "sonarrec_out" / "log", moving(4), run)
+    return tmp_path
+
+
+def test_the_command(work: Path) -> None:
+    (work / "log" / "sonar.toml").unlink()  # run.toml tells the geometry
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", "--video", "o.mp4", "--images", "shots")
+    assert told.stdout.splitlines() == [
+        "o.mcap: 4 frames, framework", "o.mp4: 4 frames, framework", "shots: 4 frames, framework",
+    ]  # fmt: skip
+    assert len(list(messages(work / "o.mcap"))) == 8
+    assert len(list((work / "shots").iterdir())) == 4
+    sonarrec("overlay", "log", "sonarrec_out/log", "--images", "one", "--frames", "2:3", "-q")
+    assert [p.name for p in (work / "one").iterdir()] == ["000002.png"]
+    two = [(work / d / "000002.png").read_bytes() for d in ("one", "shots")]
+    assert two[0] == two[1]  # what came before is in its strip all the same
+
+
+@pytest.mark.usefixtures("work")
+def test_a_video_may_be_called_by_its_time() -> None:
+    """What stands before a colon is no protocol; OpenCV dies of a name that is not UTF-8."""
+    sonarrec("overlay", "log", "--video", "12:30:00.mp4", "-q")
+    sonar = Sonar("fan", 1.0, 3.0, 30.0, 20.0)
+    with open_log("12:30:00.mp4", sonar=sonar) as video:
+        assert len(list(video)) == 4
+    told = sonarrec("overlay", "log", "--video", os.fsdecode(b"d\xe9.mp4"), code=1)
+    assert told.stderr.startswith(r"sonarrec: d\xe9.mp4: the name of a video must be UTF-8")
+
+
+@pytest.mark.slow
+def test_from_run_to_overlay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is named on the sample log lies on the landmark of that name."""
+    monkeypatch.chdir(tmp_path)
+    sonarrec("run", SAMPLE, "-q")
+    sonarrec("overlay", SAMPLE, "--mcap", "o.mcap", "--video", "o.mp4", "-q")
+    with SAMPLE.with_suffix(".gt.csv").open(newline="") as file:
+        truth = {(int(r["frame"]), int(r["landmark"])): r for r in csv.DictReader(file)}
+    shown = right = 0
+    for frame, (_, _, message) in enumerate(messages(tmp_path / "o.mcap")):
+        loops = [np.array([(q["x"], q["y"]) for q in p["points"]])
+                 for p in message["points"] if p["type"] == 2 and p["thickness"] == 2]  # fmt: skip
+        names = [t["text"] for t in message["texts"] if re.fullmatch(r"ID\.\d  .*", t["text"])]
+        for loop, name in zip(loops, names, strict=True):
+            middle = (loop.min(axis=0) + loop.max(axis=0)) / 2
+            row = truth.get((frame, int(name[3])), {"x_px": "nan", "y_px": "nan"})
+            place = np.array([float(row["x_px"]), float(row["y_px"])]) + 0.5
+            # Within a disc's radius, 15 px, as the strict protocol counts a claim as right.
+            right += bool(np.hypot(*(middle - place)) < 15)
+            shown += 1
+    assert right > 0.95 * shown
+    assert shown > 100
+    assert cv2.VideoCapture("o.mp4").get(cv2.CAP_PROP_FRAME_COUNT) == 128
+
+
+def test_results_of_a_packed_log_of_any_name_are_found(tmp_path: Path) -> None:
+    log = mcap_file(tmp_path / "l.mcap", [("/s", n, cdr_image(i)) for n, i in enumerate(noise(2))])
+    packed = tmp_path / os.fsdecode(b"d\xe9ve.mcap.zst")
+    packed.write_bytes(zstandard.compress(log.read_bytes()))
+    write_results(tmp_path / "out" / r"d\xe9ve", moving(2))
+    targets = Targets(images=tmp_path / "shots")
+    assert write_overlay(packed, targets, results=tmp_path / "out").frames == 2
+
+
+@pytest.mark.usefixtures("work")
+def test_results_named_with_the_folder_of_the_log_are_found() -> None:
+    """A run of several logs of one name names them so."""
+    for name in ("log", "log.part"):
+        Path("sonarrec_out", "log").rename(Path("sonarrec_out", f"{Path.cwd().name}-{name}"))
+        assert "4 frames" in sonarrec("overlay", "log", "--images", "shots").stdout
+        Path("sonarrec_out", f"{Path.cwd().name}-{name}").rename(Path("sonarrec_out", "log"))
+
+
+def test_the_frames_drawn_are_those_that_were_run(work: Path) -> None:
+    """Nobody looked at the others: an empty picture of them would say that nothing is there."""
+    run = work / "sonarrec_out" / "log" / "run.toml"
+    text = run.read_text().replace("[input]", '[input]\nframes = "1:3"')
+    assert "frames" in text
+    run.write_text(text)
+    sonarrec("overlay", "log", "--mcap", "o.mcap", "--images", "shots", "-q")
+    assert sorted(p.name for p in (work / "shots").iterdir()) == ["000001.png", "000002.png"]
+    assert len(list(messages(work / "o.mcap"))) == 4
+    sonarrec("overlay", "log", "--images", "all", "--frames", "0:", "-q")
+    assert len(list((work / "all").iterdir())) == 4
+
+
+def test_a_run_that_was_cut_short(work: Path) -> None:
+    run = work / "sonarrec_out" / "log" / "run.toml"
+    run.write_text(run.read_text().replace("finished = true", "finished = false"))
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=3)
+    assert "the run was cut short; frames after 3 have no results" in told.stderr
+    # As a run leaves it that was stopped.
+    run.parent.rename(run.parent.with_name("log.part"))
+    for results in ([], ["sonarrec_out/log"]):
+        told = sonarrec("overlay", "log", *results, "--mcap", "o.mcap", code=3)
+        assert "log.part: the run was cut short; frames after 3 have no results" in told.stderr
+    assert (
+        "no results of log here"
+        in sonarrec("overlay", "log", "none", "--mcap", "o.mcap", code=2).stderr
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "fault"),
+    [
+        ("", 2, "nothing to write: give --mcap OUT"),
+        ("--video o.gif", 2, "o.gif: a video is written as NAME.mp4"),
+        ("--video paper.csv/o.mp4", 2, "paper.csv/o.mp4: paper.csv is not a folder"),
+        ("--mcap paper.csv/o.mcap", 2, "paper.csv/o.mcap: paper.csv is not a folder"),
+        ("--images log", 2, "log/000000.png: it would become part of the recording"),
+        ("--images log/sonar.toml", 2, "log/sonar.toml: it would become part of the recording"),
+        ("--mcap o.mcap --frames 3", 2, "--frames: expected A:B"),
+        ("--mcap o.mcap --frames 3:3", 2, "no frame from 3 up to, not including, 3"),
+        ("--mcap o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
+        ("--mcap o.mp4 --video ../{0}/o.mp4", 2, "o.mp4: each output needs a name of its own"),
+        ("--mcap o.mcap --method x", 2, "no method 'x'; there is framework"),
+        ("elsewhere --mcap o.mcap", 2, "elsewhere: no results of log here"),
+        ("--mcap o.mcap --ground-truth paper.csv", 1, "paper.csv: no positions"),
+    ],
+)
+def test_faults_are_one_line(arguments: str, code: int, fault: str, work: Path) -> None:
+    csv_file(work / "paper.csv", "frame,landmark", "0,3")
+    told = sonarrec("overlay", "log", *arguments.format(work.name).split(), code=code)
+    assert fault in told.stderr
+    assert len(told.stderr.splitlines()) == 1
+    assert not told.stdout
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (("frame,landmark,x_px,y_px", "1003,3,43,60"), "truth of another log?"),
+        (("log,frame,landmark,x_px,y_px", "dive,3,3,43,60"), "its log column names none of log"),
+        (("frame,landmark,x_px,y_px",), "it has no row"),
+    ],
+)
+def test_truth_of_another_log_is_told(lines: tuple[str, ...], told: str, work: Path) -> None:
+    csv_file(work / "gt.csv", *lines)
+    done = sonarrec("overlay", "log", "--images", "o", "--ground-truth", "gt.csv", code=3)
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("sonarrec: gt.csv: ")
+    assert told in line
+    assert "no truth is drawn" in line
+
+
+def test_what_was_written_before_a_fault_is_kept(work: Path) -> None:
+    with (work / "sonarrec_out" / "log" / "estimates.csv").open("a") as file:
+        file.write("3,0,framework,x\n")
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
+    assert "estimates.csv line 8: landmark must be a whole number" in told.stderr
+    with pytest.raises(McapError):
+        list(messages(work / "o.mcap"))  # no footer: it is not whole
+    with open_log("o.mcap", sonar_file=work / "log" / "sonar.toml") as kept:
+        assert len(list(kept)) == 2  # frame 2 has no row: the next was read to know
+
+
+def test_an_older_overlay_stays_where_there_is_nothing_to_write(work: Path) -> None:
+    targets = ("--mcap", "o.mcap", "--foxglove-layout", "o.json")
+    sonarrec("overlay", "log", *targets, "-q")
+    (work / "o.json").write_bytes((work / "o.json").read_bytes().replace(b"65", b"50"))
+    before = [(work / name).read_bytes() for name in ("o.mcap", "o.json")]
+    sonarrec("overlay", "log", *targets, "--frames", "9:", code=2)
+    assert [(work / name).read_bytes() for name in ("o.mcap", "o.json")] == before
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full not found")
+@pytest.mark.parametrize(("target", "count"), [("--mcap", 3), ("--mcap", 200), ("--video", 3)])
+def test_full_disk(target: str, count: int, work: Path) -> None:
+    """Told in one line, at the close or in the middle of it."""
+    name = "full.mcap" if target == "--mcap" else "full.mp4"
+    (work / name).symlink_to("/dev/full")
+    image_folder(work / "many", noise(count))
+    write_results(work / "res", moving(3))
+    told = sonarrec("overlay", "many", "res", target, name, code=1)
+    assert len(told.stderr.splitlines()) == 1
+    assert told.stderr.startswith(f"sonarrec: {name}: ")
+
+
+def test_results_of_another_log(work: Path) -> None:
+    cv2.imwrite("log/frame0.png", noise(1)[0] + 1)
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
+    assert "results of another log, log with" in told.stderr
+    assert len(told.stderr.splitlines()) == 1
+    # Tables of another program tell of no input: their frame numbers do.
+    (work / "sonarrec_out" / "log" / "run.toml").unlink()
+    sonarrec("overlay", "log", "--mcap", "o.mcap")
+    (work / "log" / "frame3.png").unlink()
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
+    assert "frame 3 is listed, but log has only 3 frames" in told.stderr
+
+
+def test_a_topic_of_another_log_is_nothing_that_was_given(work: Path) -> None:
+    folder = work / "sonarrec_out" / "log"
+    run = tomllib.loads((folder / "run.toml").read_text())
+    run["input"].update(name="dive.mcap", sha256="0" * 64, topic="/sonar", time="header")
+    (folder / "run.toml").write_text(tomli_w.dumps(run))
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
+    assert "results of another log, dive.mcap with" in told.stderr
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", "--topic", "/sonar", code=2)
+    assert "--topic chooses a channel of an MCAP or a ROS bag; this log is neither" in told.stderr
+
+
+def test_the_recording_is_never_overwritten(work: Path) -> None:
+    log = mcap_file(work / "rec" / "r.mcap", [("/a", 0, cdr_image(noise(1)[0]))])
+    before = log.read_bytes()
+    write_results(work / "res", moving(1))
+    sonarrec("overlay", log, "res", "--mcap", "rec/../rec/r.mcap", code=2)
+    sonarrec("overlay", "log/*.png", "--images", "log", code=2)
+    assert log.read_bytes() == before

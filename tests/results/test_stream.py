@@ -1,0 +1,109 @@
+"""estimates.csv read frame by frame, of any program."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.results.stream import choose_method, read_estimates
+from tests.support.estimates import (
+    BASIN,
+    FAN,
+    at,
+    csv_file,
+    estimate,
+    write_results,
+)
+
+
+def test_estimates_come_back_as_written(tmp_path: Path) -> None:
+    rows = [(), (estimate(10.25, 20.5, 3), estimate(30, 40, 4, number=9)), (), (estimate(1, 2),)]
+    path = write_results(tmp_path / "r", rows) / "estimates.csv"
+    found = dict(read_estimates(path, "framework", BASIN, FAN))
+    assert sorted(found) == [1, 3]
+    for read, written in zip(
+        itertools.chain(found[1], found[3]), itertools.chain(rows[1], rows[3]), strict=True
+    ):
+        assert (read.object, read.landmark, read.declared, read.x_px, read.y_px) == (
+            written.object, written.landmark, written.declared, written.x_px, written.y_px,
+        )  # fmt: skip
+        np.testing.assert_allclose(read.probabilities, written.probabilities, atol=1e-6)
+
+
+def test_estimates_of_another_program(tmp_path: Path) -> None:
+    path = csv_file(
+        tmp_path / "e.csv",
+        "frame,method,range_m,bearing_deg,landmark,score,declared",
+        "4,yolo,2.0,5.0,3,0.8,True",
+    )
+    assert choose_method(path, None) == "yolo"
+    [(frame, [found])] = read_estimates(path, "yolo", BASIN, FAN)
+    assert frame == 4
+    assert (found.x_px, found.y_px) == pytest.approx(at(FAN, 2.0, 5.0))
+    np.testing.assert_allclose(found.probabilities, [0, 0, 0.8, 0, 0.2])
+    assert found.object < 0  # and so it has no trail
+
+
+HEAD = "frame,method,x_px,y_px,landmark,score,declared"
+
+
+def test_a_method_is_chosen_from_the_first_rows_that_have_it(tmp_path: Path) -> None:
+    """Of a long table the rest is read once, by who needs it: here it cannot be."""
+    rows = [f"{n},framework,1,1,1,0.5,0" for n in range(2000)]
+    path = csv_file(tmp_path / "e.csv", HEAD, *rows, "1,2,3,4,5,6,7,8,9")
+    assert choose_method(path, None) == "framework"
+    assert choose_method(path, "framework") == "framework"
+    with pytest.raises(SonarrecError, match="line 2002: 9 cells"):
+        choose_method(path, "smi")
+
+
+def test_choice_of_method(tmp_path: Path) -> None:
+    def chosen(*methods: str, wanted: str | None = None) -> str:
+        rows = [f"{n},{m},1,1,1,0.5,0" for n, m in enumerate(methods)]
+        return choose_method(csv_file(tmp_path / "e.csv", HEAD, *rows), wanted)
+
+    assert chosen("smi", "framework", "yolo") == "framework"
+    assert chosen("smi", "framework:paper") == "framework:paper"
+    assert chosen("smi", "framework", wanted="smi") == "smi"
+    assert chosen("yolo") == "yolo"
+    assert chosen() == "framework"
+    assert chosen(wanted="smi") == "smi"
+    with pytest.raises(UsageError, match="--method: framework:a, framework:b"):
+        chosen("smi", "framework:a", "framework:b")
+    with pytest.raises(UsageError, match="no method 'x'; there is smi"):
+        chosen("smi", wanted="x")
+
+
+@pytest.mark.parametrize(
+    ("row", "fault"),
+    [
+        ("0,m,1,1,9,0.5,0", "line 3: landmark 9 is not in the set 'basin'"),
+        ("0,m,1,1,x,0.5,0", "line 3: landmark must be a whole number, not 'x'"),
+        ("1.5,m,1,1,1,0.5,0", "line 3: frame must be a whole number"),
+        ("0,m,nan,1,1,0.5,0", "line 3: no position"),
+        ("0,m,,1,1,0.5,0", "line 3: no position"),
+        ("0,m,1e300,1,1,0.5,0", "line 3: .*_.* must be a finite number from -1e9 to 1e9"),
+        ("0,m,1,1,1,high,0", "line 3: score must be a finite number"),
+        ("0,m,1,1,1,0.5,yes", "line 3: declared must be 0 or 1"),
+        ("0,m", "line 3: landmark must be a whole number, not an empty cell"),
+        ("-1,m,1,1,1,0.5,0", "line 3: frame -1 after frame 0"),
+    ],
+)
+def test_bad_rows_are_told_by_line(row: str, fault: str, tmp_path: Path) -> None:
+    path = csv_file(tmp_path / "e.csv", HEAD, "0,m,1,1,1,0.5,0", row)
+    with pytest.raises(SonarrecError, match=fault):
+        list(read_estimates(path, "m", BASIN, FAN))
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [("", "empty; expected"), ("frame,method\n", "wrong columns"), ("\0\0", "wrong columns")],
+)
+def test_tables_of_another_kind(text: str, fault: str, tmp_path: Path) -> None:
+    (tmp_path / "e.csv").write_text(text)
+    with pytest.raises(SonarrecError, match=fault):
+        choose_method(tmp_path / "e.csv", None)
