@@ -132,7 +132,7 @@ def _completed(given: LogOptions, earlier: RunFile, source: Source) -> LogOption
 
 def _lines(site_result: Site, page: Path, layouts: int) -> Iterator[str]:
     """The lines to print: one for each contrast, then the answer."""
-    extent = f"{number_of(site_result.frames, 'frame')}, {number_of(layouts, 'layout')}"
+    extent = f"{number_of(site_result.about['frames'], 'frame')}, {number_of(layouts, 'layout')}"
     yield f"{name_as_text(page)}: {extent}"
     for one in site_result.contrasts:
         rate = one.rates.tpr

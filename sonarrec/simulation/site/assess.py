@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -97,15 +97,16 @@ def assess(
     frames = len(background.path)
     background.diagnostics.note(*without_room(drawn, count))
     return Site(
-        log=background.where,
-        frames=frames,
-        landmarks=landmarks.name,
-        radius_m=landmarks.radius_m,
-        plate_db=look.plate_db,
-        beam_width_deg=look.beam_width_deg,
-        dynamic_range_db=background.dynamic_range_db,
-        preset=config.preset,
-        seed=seed,
+        about={
+            "log": background.where,
+            "frames": frames,
+            "landmarks": landmarks.name,
+            "radius_m": landmarks.radius_m,
+            **asdict(look),
+            "dynamic_range_db": background.dynamic_range_db,
+            "preset": config.preset,
+            "seed": seed,
+        },
         layouts=tuple(drawn),
         contrasts=scored,
         empty=100 * claims / frames,

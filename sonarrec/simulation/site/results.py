@@ -64,19 +64,11 @@ class ContrastResults:
 class Site:
     """The results of `sonarrec site`.
 
-    contrasts: rising. empty: claims per 100 frames on the recording itself; they are false if it
-    holds no landmarks. sentences: the answer in words.
+    about: what was run, as in site.json. contrasts: rising. empty: claims per 100 frames on the
+    recording itself; they are false if it holds no landmarks. sentences: the answer in words.
     """
 
-    log: str
-    frames: int
-    landmarks: str
-    radius_m: float
-    plate_db: float
-    beam_width_deg: float
-    dynamic_range_db: float
-    preset: str
-    seed: int
+    about: dict[str, Any]
     layouts: tuple[Layout, ...]
     contrasts: tuple[ContrastResults, ...]
     empty: float
@@ -189,13 +181,9 @@ def _rounded(value: float) -> float | None:
 
 def write_site(out: Path, site: Site, page: str) -> None:
     """Write site.html, site.csv and site.json. Raises SonarrecError if that fails."""
-    stated = (
-        *("log", "frames", "landmarks", "radius_m", "plate_db", "beam_width_deg"),
-        *("dynamic_range_db", "preset", "seed"),
-    )
     rates = table(site)
     document = {
-        **{name: getattr(site, name) for name in stated},
+        **site.about,
         "layouts": [{"seed": one.seed, "landmarks": one.landmark_count} for one in site.layouts],
         "claims_per_100_as_it_is": round(site.empty, 4),
         "summary": list(site.sentences),
