@@ -12,7 +12,7 @@ from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.errors import UsageError, name_as_text, number_of
+from sonarrec.errors import UsageError, number_of
 
 
 @command(short_help="Render a recording with ground truth.")
@@ -142,7 +142,7 @@ def simulate(
             compression=compression or "zstd",
         )
     if not quiet:
-        say(f"{name_as_text(out)}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")
+        say(f"{out}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")
 
 
 def _number(frames: str) -> int:
@@ -187,12 +187,11 @@ def _lay(
     ):
         write_backgrounds(background, layout, laying.look(background), folders, step)
     told = background.diagnostics
-    told.note(*without_room([layout], laying.count))
-    tell(told.problems, told.notes)
+    tell(told.problems, [*told.notes, *without_room([layout], laying.count)])
     if not quiet:
         frames = number_of(len(background.path), "frame")
         count = number_of(layout.landmark_count, "landmark")
         fakes = number_of(len(layout.discs) - layout.landmark_count, "fake")
         for db, folder in folders.items():
-            say(f"{name_as_text(folder)}: {frames}, {count} and {fakes} at {db:g} dB")
+            say(f"{folder}: {frames}, {count} and {fakes} at {db:g} dB")
     end(told.problems)

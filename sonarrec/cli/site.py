@@ -22,7 +22,7 @@ from sonarrec.cli.options import (
 )
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.errors import name_as_text, number_of
+from sonarrec.errors import number_of
 
 if TYPE_CHECKING:
     from sonarrec.readers.open import Source
@@ -133,7 +133,7 @@ def _completed(given: LogOptions, earlier: RunFile, source: Source) -> LogOption
 def _lines(site_result: Site, page: Path, layouts: int) -> Iterator[str]:
     """The lines to print: one for each contrast, then the answer."""
     extent = f"{number_of(site_result.about['frames'], 'frame')}, {number_of(layouts, 'layout')}"
-    yield f"{name_as_text(page)}: {extent}"
+    yield f"{page}: {extent}"
     for one in site_result.contrasts:
         rate = one.rates.tpr
         false = one.rates.false_per_100.value

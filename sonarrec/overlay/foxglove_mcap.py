@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
 from sonarrec.drawing.results import AROUND, Mark, caption
-from sonarrec.errors import Diagnostics, SonarrecError, name_as_text, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
@@ -100,7 +100,7 @@ class FoxgloveFile:
         if self._untimed:
             frames = number_of(self._untimed, "frame")
             self._told.problem(
-                f"{name_as_text(self._path)}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has "
+                f"{self._path}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has "
                 "times from 1901 to 2038 only; all else is there"
             )
         try:

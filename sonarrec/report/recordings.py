@@ -107,7 +107,7 @@ def _same(
             with open_recording(path, log, sonar, topic) as recording:
                 check_same_log(recording, log.folder, log.run)
         except SonarrecError as error:
-            problem = f"{name_as_text(path)} is not the log of {log.results.name} ({error})"
+            problem = f"{path} is not the log of {log.results.name} ({error})"
         else:
             return path, ""
     return None, problem

@@ -95,7 +95,7 @@ def assess(
             pairs[db].append(Pair(results, folder / "gt.csv"))
     scored = tuple(_scored(background.fan, db, runs) for db, runs in pairs.items())
     frames = len(background.path)
-    background.diagnostics.note(*without_room(drawn, count))
+    background.diagnostics.notes += without_room(drawn, count)
     return Site(
         about={
             "log": background.where,
