@@ -1,0 +1,223 @@
+"""Fish, multipath and beams against levels and places worked out one by one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sonarrec.simulation.fish import Shoal
+from sonarrec.simulation.grid import PolarGrid
+from sonarrec.simulation.receiver import Receiver
+from sonarrec.simulation.render import render
+from sonarrec.simulation.scene import (
+    FishSection,
+    MotionSection,
+    MultipathSection,
+    Scene,
+    SonarSection,
+    scene_bearings,
+)
+from tests.support.bare import POLAR, mean_power, power
+
+BIN_M = 2.5 / 512
+RANGE_M = 1.25 + (np.arange(512) + 0.5) * BIN_M
+AREA = np.array([-1.5, 0.5]), np.array([1.5, 3.5])
+SEEN = (5, 17, 27)  # seeds whose fish swims through the fan
+AZIMUTHS = np.arange(-18.0, 18.05, 0.1)
+
+
+def shoal_scene(seed: int, **fish: float) -> Scene:
+    usual = {"number": 1, "length_m": 0.12, "bright_db": 30.0, "speed_m_s": 0.15}
+    floor = replace(POLAR.floor, coherence=0.0)
+    section = FishSection(**(usual | fish))
+    return replace(POLAR, seed=seed, frames=24, rate_hz=4.0, floor=floor, fish=section)
+
+
+@pytest.mark.parametrize("seed", SEEN)
+def test_the_echo_moves_as_the_truth_says(seed: int) -> None:
+    scene, seen = shoal_scene(seed), 0
+    for frame in render(scene):
+        (row,) = frame.distractors or (None,)
+        if row is None or abs(row.bearing_deg) > 11 or not 1.5 < row.range_m < 3.4:
+            continue
+        assert row.kind == "fish"
+        image = power(frame.image, scene)
+        weight = np.where(image > 60, image, 0)
+        range_m = np.average(RANGE_M, weights=weight.sum(axis=1))
+        bearing = np.average((np.arange(96) - 47.5) * 0.3, weights=weight.sum(axis=0))
+        assert range_m == pytest.approx(row.range_m, abs=0.02)
+        assert bearing == pytest.approx(row.bearing_deg, abs=0.7)
+        seen += 1
+    assert seen > 6
+
+
+def test_fish_swim_as_fast_as_stated_in_the_mean() -> None:
+    shoal = Shoal(shoal_scene(1, number=400), *AREA)
+    before, after = shoal.at(7.0), shoal.at(7.1)
+    steps = np.hypot(after.x_m - before.x_m, after.y_m - before.y_m) / 0.1
+    # Those that came in again at the other side went nowhere near as far.
+    assert np.mean(steps[steps < 2]) == pytest.approx(0.15, rel=0.15)
+    # A way of 2 m is swum in 1 / 0.15 s a metre, weaving aside.
+    ahead = np.radians(before.heading_deg)
+    along = (after.x_m - before.x_m) * np.sin(ahead) + (after.y_m - before.y_m) * np.cos(ahead)
+    np.testing.assert_allclose((along / 0.1)[steps < 2], steps[steps < 2], rtol=0.02, atol=0.01)
+
+
+def test_a_shadow_lies_where_the_ray_past_the_fish_meets_the_floor() -> None:
+    for seed in range(1, 60):
+        scene = replace(shoal_scene(seed, length_m=0.2, height_m=0.2), frames=1)
+        (frame,) = render(scene)
+        if not frame.distractors:
+            continue
+        row = frame.distractors[0]
+        now = Shoal(scene, *AREA).at(0.0)
+        floor_m = row.range_m * 0.68 / (0.68 - float(now.up_m[0]))
+        if abs(row.bearing_deg) < 10 and floor_m < 3.4:
+            image = power(frame.image, scene)
+            beam, bin_ = round(row.bearing_deg / 0.3 + 47.5), round((floor_m - 1.25) / BIN_M)
+            assert image[bin_, beam] < 0.1
+            assert np.median(image) == pytest.approx(1.0, abs=0.1)
+            return
+    raise AssertionError("no fish came into view")
+
+
+def test_a_school_stays_together_and_single_fish_do_not() -> None:
+    scene = shoal_scene(3, number=24, schools=2, schooling=0.5, speed_m_s=0.3)
+    shoal = Shoal(scene, *AREA)
+    for school in (slice(0, 12, 2), slice(1, 12, 2)):
+        for time in (0.0, 3.0, 20.0):
+            now = shoal.at(time)
+            spread = np.hypot(np.ptp(now.x_m[school]), np.ptp(now.y_m[school]))
+            assert spread < 2.5
+    apart = shoal.at(20.0)
+    assert np.hypot(np.ptp(apart.x_m[12:]), np.ptp(apart.y_m[12:])) > 2.5
+    assert (apart.up_m > 0).all()
+    assert (apart.up_m <= scene.fish.height_m).all()
+
+
+def test_the_floor_keeps_its_speckle_where_no_fish_is() -> None:
+    floor = replace(POLAR.floor, coherence=1.0)
+    bare = next(render(replace(POLAR, floor=floor))).image
+    scene = replace(shoal_scene(5, number=6), frames=1, floor=floor)
+    (frame,) = render(scene)
+    same = frame.image == next(render(replace(scene, fish=FishSection()))).image
+    assert bare.shape == same.shape
+    assert 0.5 < same.mean() < 1
+
+
+def with_late(**late: float) -> Scene:
+    """A patchy floor, so that a copy can be told from what it copies."""
+    floor = replace(POLAR.floor, texture_db=4.0, texture_m=0.06)
+    return replace(POLAR, floor=floor, multipath=MultipathSection(**late))
+
+
+def delay_of(seen: np.ndarray) -> float:
+    """Where, beyond its middle, the autocorrelation along range is largest (m)."""
+    even = seen - seen.mean(axis=0)
+    spectrum = np.abs(np.fft.rfft(even, 1024, axis=0)) ** 2
+    correlation = np.fft.irfft(spectrum, axis=0).sum(axis=1)
+    first, last = round(0.2 / BIN_M), round(0.9 / BIN_M)
+    return float((first + np.argmax(correlation[first:last])) * BIN_M)
+
+
+@pytest.mark.parametrize("delay", [0.3, 0.55])
+def test_the_copy_comes_as_late_as_stated(delay: float) -> None:
+    scene = with_late(copy_db=-3.0, delay_m=delay, blur_m=0.01)
+    assert delay_of(mean_power(scene, 20)) == pytest.approx(delay, abs=0.02)
+
+
+def test_the_copy_is_as_weak_as_stated_and_behind_the_delay() -> None:
+    scene = replace(POLAR, multipath=MultipathSection(copy_db=-6.0, delay_m=0.5))
+    late = mean_power(scene, 20).mean(axis=1) - mean_power(POLAR, 20).mean(axis=1)
+    begins = round(0.5 / BIN_M)
+    assert late[begins + 15 :].mean() == pytest.approx(10**-0.6, rel=0.08)
+    assert abs(late[: begins - 15].mean()) < 0.03
+
+
+def test_delays_drift() -> None:
+    scene = with_late(copy_db=-1.0, delay_m=0.45, blur_m=0.01, drift_m=0.1, drift_s=4.0)
+    scene = replace(scene, frames=8, rate_hz=2.0)
+    # Half a period apart the drift has its sign turned.
+    delays = [delay_of(power(f.image, scene)) for f in render(scene)]
+    assert np.ptp(delays) == pytest.approx(0.2, abs=0.06)
+    assert np.mean(delays) == pytest.approx(0.45, abs=0.03)
+    for n in range(4):
+        assert delays[n] + delays[n + 4] == pytest.approx(0.9, abs=0.08)
+
+
+def test_bands_lie_across_at_their_ranges() -> None:
+    late = MultipathSection(band_db=6.0, band_m=1.9, band_step_m=0.8, band_width_m=0.04)
+    seen = mean_power(replace(POLAR, multipath=late), 30)
+    for range_m, level in ((1.9, 1 + 10**0.6), (2.7, 1 + 10**0.3), (2.3, 1.0), (3.5, 2.0)):
+        row = round((range_m - 1.25) / BIN_M - 0.5)
+        across = seen[row - 2 : row + 3]
+        assert across.mean() == pytest.approx(level, rel=0.12)
+        assert across[:, :48].mean() == pytest.approx(across[:, 48:].mean(), rel=0.2)
+
+
+def test_its_speckle_is_new_in_every_frame() -> None:
+    still = replace(POLAR, frames=2, multipath=MultipathSection(band_db=20.0, band_width_m=5.0))
+    first, second = (power(f.image, still) for f in render(still))
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.05
+    assert np.mean(first**2) / first.mean() ** 2 == pytest.approx(2.0, rel=0.05)
+
+
+def of_sonar(**changed: float) -> Scene:
+    return replace(POLAR, sonar=replace(SonarSection(layout="polar", beams=24), **changed))
+
+
+def amplitudes(scene: Scene, pan_deg: float = 3.21) -> np.ndarray:
+    receiver = Receiver(scene, np.random.default_rng(0))
+    return receiver.patterns(AZIMUTHS + pan_deg, pan_deg)
+
+
+def lobe(sonar: SonarSection, off_deg: float) -> float:
+    """Amplitude: half the power at half the beam's width from the axis, and side lobes beyond."""
+    scaled = off_deg / sonar.beam_width_deg
+    main = 0.5 ** (2 * scaled**2)
+    side = 10 ** (sonar.side_lobe_db / 20) * math.cos(math.pi * scaled)
+    return main + (1 - main) * side / math.sqrt(1 + (scaled / 6) ** 2)
+
+
+def test_a_beam_receives_an_azimuth_by_its_distance_from_the_axis() -> None:
+    scene = of_sonar(cross_talk_db=-200.0, stray_db=-200.0)
+    expected = np.array(
+        [[lobe(scene.sonar, b - a) for b in scene_bearings(scene)] for a in AZIMUTHS]
+    )
+    # Scaled so that in the mean beam unit scatterers sum to unit power.
+    expected /= np.sqrt((expected**2).sum(axis=0).mean())
+    found = amplitudes(scene)
+    assert found.shape == (len(AZIMUTHS), 24)
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("pan_deg", [0.0, 3.2, -31.9])
+def test_of_beams_that_leak_each_gets_the_others_at_the_level_stated(pan_deg: float) -> None:
+    alone = amplitudes(of_sonar(cross_talk_db=-200.0, stray_db=-200.0), pan_deg)
+    leaking = amplitudes(of_sonar(cross_talk_db=-30.0, stray_db=-26.0), pan_deg)
+    # What each beam adds to each other: one matrix, from all azimuths at once.
+    mixed, *_ = np.linalg.lstsq(alone, leaking, rcond=None)
+    apart = np.abs(np.subtract.outer(np.arange(24), np.arange(24)))
+    np.testing.assert_allclose(np.diag(mixed), 1, atol=1e-3)
+    others = np.abs(mixed)[(apart > 0) & (apart % 8 != 0)]
+    np.testing.assert_allclose(others, 10 ** (-30 / 20), rtol=0.02)
+    for beams, times in ((8, 1), (16, 2)):
+        level = 10 ** (-30 / 20) + 10 ** (-26 / 20) / times
+        np.testing.assert_allclose(np.abs(mixed)[apart == beams], level, rtol=0.02)
+
+
+@pytest.mark.parametrize("pan_deg", [-40.0, -3.3, 25.0, 44.0])
+def test_from_the_origin_cells_are_those_at_the_places(pan_deg: float) -> None:
+    """Runs of rows, and beyond the grid's edge (at 44 deg, for the pan ends at 40) the nearest."""
+    grid = PolarGrid(replace(POLAR, motion=MotionSection(pan_min_deg=-40.0, pan_max_deg=40.0)))
+    azimuth, ground = grid.azimuths(pan_deg), np.linspace(0.9, 3.7, 300)[:, None]
+    radians = np.radians(azimuth)
+    places = grid.index(ground * np.sin(radians), ground * np.cos(radians))
+    found = grid.index_from_origin(ground, azimuth)
+    assert isinstance(found, tuple) == (pan_deg < 44)
+    if isinstance(found, tuple):
+        found = np.arange(math.prod(grid.shape)).reshape(grid.shape)[found]
+    np.testing.assert_array_equal(found, places)
