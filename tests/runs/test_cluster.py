@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -23,20 +22,11 @@ from sonarrec.runs.cluster import run_on_cluster
 from sonarrec.runs.many import Watch
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.runs.task import Outcome, Task, run_task
-from tests.support.batch import SAMPLE, command, environment, made, rows, tables
+from tests.support.batch import SAMPLE, answers, command, environment, made, rows, tables, until
 from tests.support.command import sonarrec
 
 if TYPE_CHECKING:
     from distributed import LocalCluster  # by those who need it: to load it takes long
-
-
-def wait_for(port: int) -> None:
-    limit = time.monotonic() + 30
-    while time.monotonic() < limit:
-        with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-            return
-        time.sleep(0.1)
-    raise TimeoutError
 
 
 @pytest.fixture
@@ -61,7 +51,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
 
     try:
         start("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")
-        wait_for(port)
+        until(lambda: answers(port))
         for _ in range(2):
             start("worker", address, "--nthreads", "1", "--no-dashboard")
         yield address, running
@@ -81,11 +71,10 @@ def test_a_worker_is_killed_and_no_log_is_lost(
     out = tmp_path / "out"
     call = command("run", *(log.name for log in logs), "--scheduler", address, "-o", "out")
     with subprocess.Popen(call, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as running:
-        while not any((out / name).is_dir() for name in "abcd"):
-            assert running.poll() is None, running.communicate()
-            time.sleep(0.05)
+        until(lambda: any((out / name).is_dir() for name in "abcd"), running)
         os.killpg(first.pid, signal.SIGKILL)
-        _, said = running.communicate(timeout=120)
+        (tmp_path / "slow.go").touch()
+        _, said = running.communicate(timeout=300)
     assert running.returncode == 3, said
     states = {name: row["status"] for name, row in rows(out).items()}
     assert states == {**dict.fromkeys(["a", "b", "slow", "c", "d"], "done"), "dies": "failed"}
@@ -104,12 +93,9 @@ def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
     out = tmp_path / "out"
     call = command("run", *logs, "--scheduler", address, "-o", out, "-q")
     with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
-        while not (out / "a").is_dir():
-            assert running.poll() is None, running.communicate()
-            time.sleep(0.05)
-        time.sleep(0.5)  # until the call knows
+        until(lambda: (out / "logs.csv").is_file() and rows(out)["a"]["status"] == "done", running)
         os.killpg(scheduler.pid, signal.SIGKILL)
-        said = running.communicate(timeout=60)[1].decode().splitlines()
+        said = running.communicate(timeout=300)[1].decode().splitlines()
     assert running.returncode == 3
     *lost, count = [line for line in said if ": note: " not in line]
     assert f"sonarrec: {logs[1]}: the scheduler gave up on it (cancelled)" in lost

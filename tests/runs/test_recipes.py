@@ -12,7 +12,6 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -21,7 +20,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from tests.support.batch import rows
+from tests.support.batch import answers, rows, until
 from tests.support.logs import cdr_image, frames, mcap_file
 from tests.support.one_core import one_core_for_others
 from tests.test_docs import PAGES, code_lines
@@ -159,11 +158,7 @@ def test_a_dask_cluster(shared: Path) -> None:
                     start_new_session=True,  # so that workers end with what started them
                 )
             )
-            limit = time.monotonic() + 30
-            while time.monotonic() < limit:
-                with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-                    break
-                time.sleep(0.1)
+            until(lambda: answers(port))
         assert_once([printed(["sh", "-c", run], shared)], shared / "results")
     finally:
         for process in running:

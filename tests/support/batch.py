@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import os
 import shutil
+import socket
+import subprocess
 import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
@@ -27,11 +33,12 @@ if "sonarrec" in "".join(sys.orig_argv):
             yield frame
             if self.name == "hangs":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
-                held = (self.path.parent / "hanging").open("w")
+            if self.name in ("hangs", "slow"):
+                held = (self.path.parent / self.name).with_suffix(".held").open("w")
                 fcntl.flock(held, fcntl.LOCK_EX)  # as long as the process lives
-                time.sleep(1000)
-            if self.name == "slow":
-                time.sleep(0.2)
+            waits = self.name == "hangs" or self.name == "slow" and frame.index >= 5
+            while waits and not self.path.with_suffix(".go").exists():
+                time.sleep(0.05)
             if self.name == "dies":
                 os.kill(os.getpid(), signal.SIGKILL)
             if self.name == "raises":
@@ -58,6 +65,32 @@ def environment(folder: Path) -> dict[str, str]:
     (home / "sitecustomize.py").write_text(BEHAVIOUR.replace("{grace}", str(GRACE_S)))
     path = [str(home), *filter(None, [os.environ.get("PYTHONPATH")])]
     return os.environ | {"PYTHONPATH": os.pathsep.join(path)}
+
+
+def until(true: Callable[[], bool], running: subprocess.Popen[bytes] | None = None) -> None:
+    """Wait for what must come true, while a process runs if one is given."""
+    limit = time.monotonic() + 300
+    while not true():
+        assert time.monotonic() < limit, "never came true"
+        assert running is None or running.poll() is None, "ended before it came true"
+        time.sleep(0.02)
+
+
+def answers(port: int) -> bool:
+    """Whether a server listens on this machine."""
+    with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+        return True
+    return False
+
+
+def ended(log: Path) -> bool:
+    """Whether the process has that read a log which hangs or is slow."""
+    with log.with_suffix(".held").open() as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+    return True
 
 
 def command(*words: str | Path) -> list[str]:
