@@ -35,7 +35,7 @@ MAY_IMPORT = {
     "lz4": ("readers.containers.mcap", "readers.containers.ros_bag"),
     "zstandard": ("readers.containers.mcap", "readers.containers.packed", "readers.messages.ros"),
     "rosbags": (
-        *("readers.messages.ros", "readers.containers.db3", "readers.containers.ros_bag"),
+        *("readers.messages.ros", "readers.containers.ros_bag"),
         *("simulation.mcap_writer", "overlay.detections"),
     ),
     "ruamel": ("readers.containers.bag_folder",),

@@ -48,7 +48,7 @@ def _mcap(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
 
 
 def _db3(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
-    from sonarrec.readers.containers.db3 import Db3Recording  # with rosbags, where needed
+    from sonarrec.readers.containers.db3 import Db3Recording
 
     return Db3Recording(path, at, diagnostics)
 

@@ -430,3 +430,28 @@ def test_odd_names_of_databases(name: str, tmp_path: Path) -> None:
     bag(tmp_path / "dive", messages(IMAGES))
     file = (tmp_path / "dive" / "dive.db3").rename(tmp_path / "dive" / name)
     assert len(read(file)[0]) == 10
+
+
+def test_rows_of_a_database_that_are_left_unread_are_told(tmp_path: Path) -> None:
+    bag(tmp_path / "dive", messages(IMAGES))
+    file = tmp_path / "dive" / "dive.db3"
+    with sqlite3.connect(file) as database:
+        database.execute("UPDATE messages SET topic_id = 77 WHERE rowid > 6")
+    file.with_name("dive.db3-journal").write_bytes(b"hot")
+    found, problems = read(file)
+    assert len(found) == 6
+    assert "dive.db3: 4 messages of topics that it does not list, not read" in problems
+    assert any("what its recorder left in dive.db3-journal is not read" in p for p in problems)
+
+
+def test_a_view_without_end_is_no_database_of_a_bag(tmp_path: Path) -> None:
+    bag(tmp_path / "dive", messages(IMAGES[:2]))
+    file = tmp_path / "dive" / "dive.db3"
+    with sqlite3.connect(file) as database:
+        database.execute("ALTER TABLE messages RENAME TO others")
+        database.execute(
+            "CREATE VIEW messages AS WITH RECURSIVE c(id) AS (SELECT 1 UNION ALL SELECT id FROM c)"
+            "SELECT id, 1 AS topic_id, 1 AS timestamp, x'00' AS data FROM c"
+        )
+    with pytest.raises(SonarrecError, match="it has no table messages"):
+        read(file)

@@ -117,7 +117,7 @@ def test_cut_lz4_frames(options: dict[str, int], tmp_path: Path) -> None:
     gained = 0
     for cut in [*random.Random(1).sample(range(len(data)), 40), len(data)]:
         path.write_bytes(data[:cut])
-        head = chunks.ChunkHead(0, 0, 0, len(plain), 0, "lz4", 0, len(data), cut)
+        head = chunks.ChunkHead(0, 0, 0, 0, len(plain), 0, "lz4", 0, len(data), cut)
         with path.open("rb") as file:
             contents = chunks.ChunkStore(file).open(head)
             contents.file.seek(0)

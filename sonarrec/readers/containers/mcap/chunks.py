@@ -39,12 +39,13 @@ class DamagedError(Exception):
 class ChunkHead:
     """The head of a chunk record, and where the chunk's data are in the file.
 
-    position: byte at which the record begins. start_time, end_time: log times, ns. size: bytes
-    after inflation. stored: bytes in the file, as declared. present: how many of those the file
-    really has; fewer if it is cut.
+    position, end: bytes at which the record begins and ends. start_time, end_time: log times, ns.
+    size: bytes after inflation. stored: bytes in the file, as declared. present: how many of those
+    the file really has; fewer if it is cut.
     """
 
     position: int
+    end: int
     start_time: int
     end_time: int
     size: int
@@ -77,12 +78,15 @@ def read_chunk_head(file: BinaryIO, position: int, file_size: int) -> ChunkHead 
     if len(field) < 8:
         return None
     stored = struct.unpack("<Q", field)[0]
-    if stored != length - _CHUNK_HEAD.size - name_length - 8:
+    if stored > length - _CHUNK_HEAD.size - name_length - 8:  # a later version may append fields
         raise DamagedError("contradicts its own length")
     data_start = position + len(head) + name_length + 8
     present = min(stored, file_size - data_start)
     compression = name.decode(errors="replace")
-    return ChunkHead(position, start, end, size, crc, compression, data_start, stored, present)
+    record_end = position + RECORD_HEAD.size + length
+    return ChunkHead(
+        position, record_end, start, end, size, crc, compression, data_start, stored, present
+    )
 
 
 @dataclass(frozen=True, slots=True)

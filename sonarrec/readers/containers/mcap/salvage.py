@@ -128,8 +128,8 @@ class McapFile:
                 self.fault(self._cut_text(stop))
                 break
             self.fault(
-                f"damaged at byte {stop}; all from there to byte {resume}, where the index knows "
-                "what follows, is lost"
+                f"damaged at byte {stop}; read on from byte {resume}, where the index knows what "
+                "follows"
             )
             stop = self._scan_from(resume)
         self._report_what_follows()
