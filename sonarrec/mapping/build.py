@@ -24,7 +24,7 @@ from sonarrec.poses import PoseTable
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
-from sonarrec.results.run_file import RunFile, cut_short, read_run
+from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.results.same_log import Recording, counted_once, recording
 from sonarrec.results.sightings import check_follows
 from sonarrec.results.stream import choose_method
@@ -163,6 +163,8 @@ def _read_log(
     )
     if not run.finished:
         diagnostics.problem(cut_short(str(folder), len(path.frame), "used"))
+    elif lost := rows_lost(folder, run.table.get("input", {})):
+        diagnostics.problem(*(f"{folder}: {line}" for line in lost))
     _tell_left_out(folder, log, declared)
     return log, len(declared.row)
 

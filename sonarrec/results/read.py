@@ -29,7 +29,7 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import aside_of, estimates_of, log_of, part_of
-from sonarrec.results.run_file import RunFile, cut_short, read_run
+from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
 
 METHODS = ("smi", "framework")
@@ -127,6 +127,8 @@ def not_whole(log: LogResults, action: str) -> list[str]:
     action: what a command does with the rest, such as "scored".
     """
     lines = [] if log.finished else [cut_short(log.name, len(log.frame), action)]
+    lost = rows_lost(log.run.path.parent, log.run.table.get("input", {})) if log.finished else []
+    lines += [f"{log.name}: {line}; only these are {action}" for line in lost]
     if log.strays:
         lines.append(
             f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "

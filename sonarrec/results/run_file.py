@@ -93,11 +93,45 @@ class ExistingResults:
     reason: str = ""  # to run anew: how the run differs from them; empty if there are none
 
 
+_ROWS = {
+    "frames.csv": "frames_processed",
+    "estimates.csv": "estimates",
+    "sightings.csv": "sightings",
+}
+"""The keys of [input] that state how many rows the tables have."""
 _OF_THE_END: dict[str, Any] = {
-    **dict.fromkeys(("frames_processed", "frames_unusable", "candidates"), Count),
+    **dict.fromkeys((*_ROWS.values(), "frames_unusable", "candidates"), Count),
     "problems": tuple[str, ...],
 }
 """Keys of [input] that only a finished run has, with their types."""
+
+
+def csv_rows(path: Path) -> int:
+    """The number of rows of a table that a run wrote: no cell of it holds a line end."""
+    lines, last = 0, b"\n"
+    with path.open("rb") as file:
+        while block := file.read(2**20):
+            lines, last = lines + block.count(b"\n"), block[-1:]
+    return max(lines + (last != b"\n") - 1, 0)
+
+
+def rows_written(folder: Path) -> dict[str, int]:
+    """The keys of [input] with the rows of the tables. Estimates in Parquet cannot lose any."""
+    return {key: csv_rows(folder / name) for name, key in _ROWS.items() if is_file(folder / name)}
+
+
+def rows_lost(folder: Path, stated: Mapping[str, Any]) -> list[str]:
+    """A line for each table with fewer rows than run.toml states: it was cut since the run.
+
+    stated: [input] of run.toml; earlier versions state fewer rows, or none. Raises SonarrecError if
+    one is invalid.
+    """
+    held, lines = rows_written(folder), []
+    for name, key in _ROWS.items():
+        wrote = checked(stated.get(key, 0), Count, f"{folder / 'run.toml'}: input.{key}")
+        if held.get(key, wrote) < wrote:
+            lines.append(f"{name} holds {held[key]} of the {wrote} rows that the run wrote")
+    return lines
 
 
 def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
@@ -129,7 +163,9 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
     before["input"] = {k: v for k, v in old_input.items() if k not in _OF_THE_END}
     before["input"] |= {key: new_input[key] for key in ("path", "place")}
     if before == coming:
-        return _finished_results(path, old_input)
+        found = _finished_results(path, old_input)
+        lost = rows_lost(folder, old_input)
+        return ExistingResults(reason=lost[0]) if lost else found
     if old_input.get("sha256") != new_input["sha256"]:
         return ExistingResults(reason="the log has changed")
     return ExistingResults(reason=_other_settings(before, coming))

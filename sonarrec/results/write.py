@@ -20,6 +20,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import NO_STAMPS, FrameResult, Stamps
 from sonarrec.results.columns import FRAME_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
+from sonarrec.results.run_file import rows_written
 from sonarrec.results.sightings import SIGHTING_COLUMNS, Sighting, Sightings
 
 
@@ -154,7 +155,6 @@ class ResultsWriter:
         problems: a line for each part of the log that could not be used. unusable: how many frames.
         Raises SonarrecError if the disk is full.
         """
-        self._run["input"]["frames_processed"] = self.frames
         self._run["input"]["frames_unusable"] = unusable
         self._run["input"]["candidates"] = self.candidates
         self._run["input"]["problems"] = [name_as_text(problem) for problem in problems]
@@ -163,6 +163,7 @@ class ResultsWriter:
             self._sightings.close(sync=True)
             self._estimates.close(sync=True)
             self._frames.close(sync=True)
+            self._run["input"] |= rows_written(self._part)
             if self._parquet:
                 convert(self._part / "estimates.csv", self._part / "estimates.parquet")
             self._write_run(finished=True)

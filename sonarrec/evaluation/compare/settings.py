@@ -16,7 +16,8 @@ _LONGEST = 60
 _PASSED_OVER = {
     *("finished", "program.name", "program.methods", "input.name", "input.path", "input.bytes"),
     *("input.sha256", "input.frames_processed", "input.frames_unusable", "input.candidates"),
-    *("input.problems", "ran_on.processor", "ran_on.numpy", "ran_on.opencv"),
+    *("input.estimates", "input.sightings", "input.problems"),
+    *("ran_on.processor", "ran_on.numpy", "ran_on.opencv"),
 }
 
 
