@@ -2,11 +2,40 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from functools import partial
+from heapq import nlargest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import click
 
-from sonarrec.cli.truth_check import check
-from sonarrec.cli.truth_convert import convert
-from sonarrec.cli.truth_propose import propose
+from sonarrec.cli.endings import end, say, tell
+from sonarrec.cli.groups import (
+    ANY,
+    FILE,
+    INPUT,
+    NEW_FILE,
+    OUTPUT,
+    SCORING,
+    Decorator,
+    FiniteRange,
+    GroupedCommand,
+    file_names,
+    option,
+)
+from sonarrec.cli.options import landmarks_option, out_option, quiet_option
+from sonarrec.cli.options_log import LogChoice, log_options
+from sonarrec.errors import UsageError, number_of
+
+if TYPE_CHECKING:
+    from sonarrec.truth.propose import ProposedTrack
+
+MOST_FAULTS = 20
+"""Printed of one kind."""
+MOST_TRACKS = 40
+"""At most so many are printed; the file has all."""
 
 
 @click.group(short_help="Make ground truth: convert, check, propose.")
@@ -21,5 +50,246 @@ def truth() -> None:
     """
 
 
-for command in (convert, check, propose):
-    truth.add_command(command)
+def _new_file_option(default: str) -> Decorator:
+    text = "A new file; an existing one is not overwritten."
+    return out_option(NEW_FILE, text, default=Path(default), show_default=True)
+
+
+def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> Any:
+    labels: dict[str, int | None] = {}
+    for assignment in texts:
+        label, equals, landmark = assignment.rpartition("=")
+        if not equals or not label or not (landmark == "none" or landmark.isdecimal()):
+            raise UsageError(f"--map {assignment}: expected LABEL=ID, or LABEL=none")
+        labels[label] = None if landmark == "none" else int(landmark)
+    return labels
+
+
+@truth.command(short_help="Write annotations as a gt.csv.", cls=GroupedCommand)
+@click.argument("annotations", type=ANY)
+@option(INPUT, "--log", shell_complete=file_names, help="The log that was annotated.")
+@option(
+    INPUT,
+    "--map",
+    "labels",
+    multiple=True,
+    metavar="LABEL=ID",
+    callback=_label_map,
+    help="ID of a label, or none to leave it out; repeatable. Labels 1, ID.1 and landmark_1 need "
+    "no --map.",
+)
+@option(
+    INPUT,
+    "--first-frame",
+    type=int,
+    metavar="N",
+    help="Number of the log's first frame in the annotations.  [default: 0; mot 1]",
+)
+@option(
+    INPUT,
+    "--format",
+    "format_name",
+    type=click.Choice(["cvat", "coco", "mot", "labelme"]),
+    help="Format of ANNOTATIONS.  [default: detected from the content]",
+)
+@log_options()
+@landmarks_option
+@_new_file_option("gt.csv")
+@quiet_option
+def convert(
+    annotations: Path,
+    log: str | None,
+    labels: dict[str, int | None],
+    first_frame: int | None,
+    format_name: str | None,
+    log_choice: LogChoice,
+    landmarks: str | None,
+    out: Path,
+    quiet: bool,
+) -> None:
+    """Write ANNOTATIONS as a gt.csv.
+
+    ANNOTATIONS is a CVAT XML 1.1 (video or images), a COCO JSON, a MOTChallenge gt.txt, or a
+    LabelMe JSON or a folder of them. With --log, frames are found by image name, shapes drawn on
+    polar images are converted to the fan, and `visible` is at most the share of the disc inside the
+    fan. Exit code 3: labels or images that could not be used were left out, or frames lie beyond
+    the log.
+
+    \b
+    Examples:
+      sonarrec truth convert annotations.xml --log pings/
+      sonarrec truth convert coco.json --map "half ring=none" --map north=3 -o gt.csv
+    """
+    from sonarrec.landmarks import load_landmarks
+    from sonarrec.readers import open_log
+    from sonarrec.truth.convert import convert as convert_annotations
+    from sonarrec.truth.convert import look_at
+
+    landmark_set, images = load_landmarks(landmarks or "basin"), None
+    if log is not None:
+        with open_log(log, **log_choice.arguments()) as opened:
+            images = look_at(opened)
+    report = convert_annotations(
+        annotations,
+        out,
+        landmark_set,
+        format_name=format_name,
+        labels=labels,
+        first_frame=first_frame,
+        log=images,
+    )
+    tell(report.diagnostics.problems)
+    counts = ", ".join(f"ID.{i} {count}" for i, count in report.counts.items()) or "no landmark"
+    if not quiet:
+        rows = sum(report.counts.values())
+        say(f"{out}: {number_of(rows, 'row')} from {report.format} ({counts})")
+    for line in report.diagnostics.notes:
+        say(f"note: {line}")
+    end(report.diagnostics.problems)
+
+
+@truth.command(short_help="Find errors in a gt.csv.", cls=GroupedCommand)
+@click.argument("ground_truth", type=FILE, metavar="GT.CSV")
+@click.argument("log", shell_complete=file_names)
+@log_options(time=True)
+@landmarks_option
+@option(
+    SCORING,
+    "--max-pan",
+    "max_pan_deg",
+    type=FiniteRange(min=0, min_open=True),
+    default=5.0,
+    show_default=True,
+    metavar="DEG",
+    help="Largest turn of the sonar from one frame to the next that counts as possible.",
+)
+@option(
+    OUTPUT,
+    "-o",
+    "--sheet",
+    type=NEW_FILE,
+    default=Path("truth_check.png"),
+    show_default=True,
+    help="File for the contact sheet.",
+)
+@quiet_option
+def check(
+    ground_truth: Path,
+    log: str,
+    log_choice: LogChoice,
+    landmarks: str | None,
+    max_pan_deg: float,
+    sheet: Path,
+    quiet: bool,
+) -> None:
+    """Find errors in GT.CSV, and draw its landmarks on frames of LOG.
+
+    It reports, with the line: IDs not in the set, frames not in the log, discs wholly outside the
+    fan, `visible` outside 0 to 1 or above the share of the disc in the fan image, repeated rows,
+    landmarks that overlap or change their ID, pixels that contradict range and bearing, and jumps
+    that no turn of the sonar explains. The contact sheet shows every pass of a landmark at a few
+    frames, outlined. Exit code 3: something was found.
+
+    \b
+    Examples:
+      sonarrec truth check sample_data/pan.gt.csv sample_data/pan.mcap
+      sonarrec truth check gt_proposed.csv pings/ --sheet look.png --max-pan 10
+    """
+    from sonarrec.files.outputs import check_output
+    from sonarrec.landmarks import load_landmarks
+    from sonarrec.readers import open_log
+    from sonarrec.truth.check import check_truth
+    from sonarrec.truth.contact_sheet import draw_contact_sheet
+
+    check_output(sheet, "picture", [ground_truth, log])
+    landmark_set = load_landmarks(landmarks or "basin")
+    reopen = partial(open_log, log, **log_choice.arguments())
+    with reopen() as opened:
+        checked = check_truth(ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg)
+    with reopen() as opened:
+        strips = draw_contact_sheet(checked, opened, sheet)
+    counts = Counter[str]()
+    for fault in checked.faults:
+        counts[fault.kind] += 1
+        if counts[fault.kind] <= MOST_FAULTS:
+            say(f"{ground_truth} line {fault.line}: {fault.text}")
+    for kind, count in counts.items():
+        if count > MOST_FAULTS:
+            say(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
+    tell(checked.diagnostics.problems)
+    if not quiet:
+        say(f"{ground_truth}: {checked.summary()}")
+    for line in checked.diagnostics.notes:
+        say(f"note: {line}")
+    if checked.others:
+        say(f"note: {number_of(checked.others, 'row')} of other logs not checked")
+    if strips and not quiet:
+        say(f"{sheet}: contact sheet")
+    elif not strips:
+        say("note: no row has a position on a frame of the log, so there is no sheet")
+    end(checked.faults or checked.diagnostics.problems)
+
+
+@truth.command(short_help="Propose a gt.csv from confident tracks.", cls=GroupedCommand)
+@click.argument("results", type=ANY, default=Path("sonarrec_out"))
+@option(
+    INPUT, "--method", default="framework", show_default=True, help="Method whose tracks are taken."
+)
+@option(
+    SCORING,
+    "--min-score",
+    type=float,
+    default=0.9,
+    show_default=True,
+    help="A track is proposed only if its best score reaches this.",
+)
+@option(
+    SCORING,
+    "--max-gap",
+    type=click.IntRange(min=0),
+    default=8,
+    show_default=True,
+    help="Longest gap in a track that is filled in, frames.",
+)
+@_new_file_option("gt_proposed.csv")
+@quiet_option
+def propose(
+    results: Path, method: str, min_score: float, max_gap: int, out: Path, quiet: bool
+) -> None:
+    """Propose a gt.csv from the confident tracks of RESULTS.
+
+    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). A person
+    must correct the proposal: look at it with `sonarrec truth check`, add what is missing and
+    remove what is wrong. Scoring the same results against an uncorrected proposal is meaningless.
+
+    \b
+    Examples:
+      sonarrec truth propose sonarrec_out/pan
+      sonarrec truth propose --min-score 0.95 --max-gap 0 -o gt.csv
+    """
+    from sonarrec.truth.propose import propose as propose_truth
+
+    tracks, diagnostics = propose_truth(
+        results, out, method=method, min_score=min_score, max_gap=max_gap
+    )
+    tell(diagnostics.problems)
+    if not quiet:
+        _print(tracks, out)
+    end(diagnostics.problems)
+
+
+def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
+    rows, proposed = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
+    say(f"{out}: {number_of(rows, 'row')} from {number_of(proposed, 'track')}")
+    longest = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
+    wide = max((len(t.log) for t in longest), default=0)
+    ids = max((len(f"ID.{t.landmark}") for t in longest), default=0)
+    for t in sorted(longest, key=lambda t: (t.log, t.frames)):
+        span = f"frames {t.frames[0]}-{t.frames[1]}"
+        rest = t.left_out and f"left out: {t.left_out}"
+        rest = rest or f"{number_of(t.rows, 'row')}, {t.interpolated} of them filled in"
+        score = f"best score {t.best_score:.3f}"
+        named = f"{t.log:<{wide}}  {f'ID.{t.landmark}':<{ids}}"
+        say(f"  {named}  track {t.track:<4} {span:<15} {score}  {rest}")
+    if more := len(tracks) - len(longest):
+        say(f"  these have the most rows; {number_of(more, 'more track')}")
