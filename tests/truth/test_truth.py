@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +14,12 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pixel_from_polar
+from sonarrec.landmarks import load_landmarks
 from sonarrec.results.read import read_log
+from sonarrec.truth.fits import notes_on_fit
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
+from tests.support.drawn import make_fan
 from tests.truth.test_propose import RUN
 
 FRAMES = "frame,timestamp_ns\n0,1000000000\n1,1250000000\n3,1750000000\n"
@@ -396,3 +402,48 @@ def test_options_that_cannot_be_meant(case: Path, option: tuple[str, str]) -> No
 def test_library_raises_what_the_command_line_shows(case: Path) -> None:
     with pytest.raises(SonarrecError, match="no such file"):
         read_truth(case / "missing.csv")
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "said"),
+    [
+        ("frame,landmark", [f"{n},1" for n in range(0, 60, 10)], "about one frame in 10 has a row"),
+        ("frame,landmark", [f"{n},1" for n in (0, 1, 10, 20, 30, 40)], None),
+        (
+            "frame,timestamp_ns,landmark",
+            [f"{n},{(n + 20) * 10**8},1" for n in range(9)],
+            "9 of 9 rows for log have the timestamp_ns of another frame",
+        ),
+        ("frame,timestamp_ns,landmark", [f"{n},{n * 10**8 + 7},1" for n in range(9)], None),
+        ("frame,timestamp_ns,landmark", [f"{n},{n + 10**18},1" for n in range(9)], None),
+        (
+            "frame,landmark,range_m,bearing_deg",
+            [f"{n},1,2.0,{math.radians(n)}" for n in range(9)],
+            "no bearing for log is beyond 0.14 deg, of 14.4 in view; are they in radians?",
+        ),
+        ("frame,landmark,range_m,bearing_deg", [f"{n},1,2.0,{n}" for n in range(9)], None),
+    ],
+)
+def test_a_truth_that_fits_badly_is_doubted(
+    tmp_path: Path, header: str, rows: list[str], said: str | None
+) -> None:
+    """Every tenth frame labelled, frames and times that differ, radians: scored without a word."""
+    path = tmp_path / "gt.csv"
+    path.write_text("\n".join([f"{header},visible", *(f"{row},1" for row in rows)]))
+    frame = np.arange(60)
+    log: Any = SimpleNamespace(
+        name="log",
+        landmarks=load_landmarks("basin"),
+        fan=make_fan(),
+        frame=frame,
+        timestamp_ns=frame * 10**8,
+    )
+    table = read_truth(path)
+    notes = notes_on_fit(table, log, match_truth(table, log), "are scored", "")
+    assert [said in note for note in notes] == [True] if said else notes == []
+
+
+def test_a_row_with_nothing_in_view_is_no_row(tmp_path: Path) -> None:
+    path = tmp_path / "gt.csv"
+    path.write_text("frame,landmark,visible\n0,1,0\n1,1,0.001\n2,1,\n")
+    assert read_truth(path).rows_of("log").tolist() == [1, 2]
