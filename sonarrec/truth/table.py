@@ -68,9 +68,10 @@ class TruthTable:
     """(R,) times beside frame numbers; None without."""
 
     def rows_of(self, name: str) -> IntArray:
-        """(n,) the rows on a log, rising. A row with `visible` 0 is none: nothing is in view."""
-        rows = self.visible != 0
-        return np.flatnonzero(rows if self.log is None else rows & (self.log == name))
+        """(n,) the rows on a log, rising."""
+        if self.log is None:
+            return np.arange(len(self.at))
+        return np.flatnonzero(self.log == name)
 
     def name_of(self, names: Sequence[str]) -> str:
         """The name by which the log column calls a log; the first if it names none.

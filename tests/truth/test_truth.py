@@ -441,9 +441,3 @@ def test_a_truth_that_fits_badly_is_doubted(
     table = read_truth(path)
     notes = notes_on_fit(table, log, match_truth(table, log), "are scored", "")
     assert [said in note for note in notes] == [True] if said else notes == []
-
-
-def test_a_row_with_nothing_in_view_is_no_row(tmp_path: Path) -> None:
-    path = tmp_path / "gt.csv"
-    path.write_text("frame,landmark,visible\n0,1,0\n1,1,0.001\n2,1,\n")
-    assert read_truth(path).rows_of("log").tolist() == [1, 2]
