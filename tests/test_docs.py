@@ -146,7 +146,7 @@ def fresh(once: Once) -> Iterator[Once]:
 @pytest.mark.parametrize(
     "document",
     [
-        pytest.param(path, marks=[] if path.stem in ("formats", "status") else pytest.mark.slow)
+        pytest.param(path, marks=[] if path.stem == "formats" else pytest.mark.slow)
         for path in DOCUMENTS
     ],
     ids=lambda path: path.stem,

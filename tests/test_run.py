@@ -198,6 +198,7 @@ EIGHT = {
 }
 
 
+@pytest.mark.slow
 def test_another_landmark_set(work: Path) -> None:
     sectors = "".join(f"[[landmark]]\nid = {i}\nsectors = {list(s)}\n" for i, s in EIGHT.items())
     head = 'name = "six"\nradius_m = 0.16\nring = [0.78, 1.0]\nsymbol = [0.1, 0.6]\n'
@@ -567,6 +568,7 @@ def test_another_programs_results(work: Path) -> None:
 # The least it must show
 
 
+@pytest.mark.slow
 @needs_field_data
 @pytest.mark.parametrize("name", ["basin_a", "basin_b"])
 def test_basin(work: Path, name: str) -> None:
@@ -582,6 +584,7 @@ def test_basin(work: Path, name: str) -> None:
     assert fpr < single_fpr
 
 
+@pytest.mark.slow
 @needs_field_data
 def test_nothing_is_declared_in_rivers(work: Path) -> None:
     videos = sorted((FIELD / "river").glob("*.avi"))

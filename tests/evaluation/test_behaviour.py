@@ -272,6 +272,7 @@ def test_brier_and_reliability_by_hand() -> None:
     assert top.mean[8] == pytest.approx(0.8)
 
 
+@pytest.mark.slow
 def test_brier_equals_scikit_learns_and_honest_probabilities_are_calibrated() -> None:
     metrics = pytest.importorskip("sklearn.metrics")
     rng = np.random.default_rng(0)

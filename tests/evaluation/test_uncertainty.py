@@ -363,6 +363,7 @@ def test_a_true_difference_is_found() -> None:
     assert back.p < 0.01
 
 
+@pytest.mark.slow
 def test_a_tally_is_told_over_the_same_numbers_again() -> None:
     """The same input gives the same intervals and p-values."""
     case = evaluated(random_case(np.random.default_rng(7), 8))

@@ -69,6 +69,11 @@ HOSTILE = {
 }
 
 
+EACH = ("scene's landmark", "sonar's list")
+"""A number in a table of a list, and a list of numbers. Readers in whose files there is no other
+shape show by few cases that they read by the same function."""
+
+
 def one_line(read: Callable[[], object], path: Path) -> str:
     with pytest.raises(SonarrecError) as caught:
         read()
@@ -79,24 +84,29 @@ def one_line(read: Callable[[], object], path: Path) -> str:
     return text
 
 
-@pytest.mark.parametrize("value", HOSTILE.values(), ids=HOSTILE.keys())
-@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    ("reader", "value"),
+    [(r, v) for r in READERS for v in HOSTILE if r in EACH or v in ("nan", "text", "NUL")],
+)
 def test_a_value_that_cannot_be_meant(reader: str, value: str, tmp_path: Path) -> None:
-    read, sound, key = READERS[reader]
+    (read, sound, key), value = READERS[reader], HOSTILE[value]
     path = tmp_path / "x.toml"
     path.write_text(f"{sound}{key.split('.')[-1]} = {value}\n")
     text = one_line(lambda: read(path), path)
     assert key in text or "not a readable TOML file" in text
 
 
+KEYS = ['"a\\nb"', '"\\u001b[31m"', '""', "k" * 5000, ".".join("a" * 5000)]
+
+
 @pytest.mark.parametrize(
-    "key", ['"a\\nb"', '"\\u001b[31m"', '""', "k" * 5000, ".".join("a" * 5000)]
+    ("reader", "key"),
+    [(r, k) for r in READERS for k in range(len(KEYS)) if r == EACH[0] or k == 0],
 )
-@pytest.mark.parametrize("reader", READERS)
-def test_a_key_that_cannot_be_meant(reader: str, key: str, tmp_path: Path) -> None:
+def test_a_key_that_cannot_be_meant(reader: str, key: int, tmp_path: Path) -> None:
     read, sound, _ = READERS[reader]
     path = tmp_path / "x.toml"
-    path.write_text(f"{sound}{key} = 1\n")
+    path.write_text(f"{sound}{KEYS[key]} = 1\n")
     text = one_line(lambda: read(path), path)
     assert any(says in text for says in ("unknown key", "or unknown: ", "nested too deep"))
 

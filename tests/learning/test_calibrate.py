@@ -230,6 +230,7 @@ def test_truth_on_frames_that_are_not_there_is_told(tmp_path):
     assert np.isfinite(read_model(out).model.bias).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("described_once")
 def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
     """Its landmarks would be learned as "none of these"."""
@@ -275,6 +276,7 @@ def test_rows_that_teach_nothing_are_told(tmp_path):
     assert "of pan" in told.stdout
 
 
+@pytest.mark.slow
 def test_truth_whose_pixels_are_of_another_fan_is_told(tmp_path):
     """Ranges and bearings alone may well be those of another landmark here."""
     truth = SAMPLES / "polar" / "gt.csv"

@@ -236,6 +236,7 @@ def test_info_and_digest_of_a_bag(tmp_path: Path) -> None:
     assert log["size_bytes"] == size
 
 
+@pytest.mark.slow
 def test_other_commands_see_one_log(tmp_path: Path) -> None:
     images = [cv2.imread(str(SAMPLE / "pan" / f"{k:06d}.png"), 0) for k in range(12)]
     split_bag(tmp_path / "dive", parts_of(messages(images), [5, 7]))
@@ -299,7 +300,7 @@ def test_every_message_type_from_every_container(name: str, tmp_path: Path) -> N
         "rosbag2_bagfile_information: 3",
         "rosbag2_bagfile_information: !!python/object/apply:os.system ['touch ran']",
         "rosbag2_bagfile_information: {relative_file_paths: 7, files: 3}",
-        "[" * 100_000,
+        pytest.param("[" * 100_000, marks=pytest.mark.slow),
         "a: &a [x, x]\nb: &b [*a, *a]\nrosbag2_bagfile_information: *b",
     ],
 )

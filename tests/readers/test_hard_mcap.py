@@ -382,6 +382,7 @@ def test_counts_that_lie_are_only_counts(tmp_path: Path) -> None:
 # Overlap, order, memory
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(data=st.data())
 def test_any_spread_over_chunks_gives_log_time_order(

@@ -268,7 +268,7 @@ def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:
     return rows(path, "\n".join(["timestamp,yaw", *lines]) + "\n")
 
 
-@pytest.mark.parametrize("name", ["default", "paper"])
+@pytest.mark.parametrize("name", ["default", pytest.param("paper", marks=pytest.mark.slow)])
 def test_the_same_table_gives_the_same_bytes_again(pings, name):
     table = pan_table(Path("odometry.csv"))
     told = sonarrec("run", pings, "--odometry", table, "--preset", name)
@@ -417,8 +417,11 @@ def pose_log(
     return path
 
 
-@pytest.mark.parametrize("schema", ["nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"])
-@pytest.mark.parametrize("told", [True, False], ids=["defined in the file", "known"])
+@pytest.mark.parametrize(
+    ("schema", "told"),
+    [("nav_msgs/msg/Odometry", True), ("geometry_msgs/msg/PoseStamped", False)],
+    ids=["defined in the file", "known"],
+)
 def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     yaw = [p.pan_deg for p in poses(replace(load_scene("sample_pan"), frames=16))]
     log = pose_log(Path("dive.mcap"), pings, schema, told, yaw)

@@ -378,6 +378,7 @@ def test_polar_becomes_a_fan(tmp_path: Path) -> None:
         read(log, sonar=Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
 
 
+@pytest.mark.slow
 def test_many_images_take_little_room_and_lie_in_order() -> None:
     """A list of paths would hold some 370 bytes each; sorting them by lists of text and numbers
     took 270 bytes each in all."""

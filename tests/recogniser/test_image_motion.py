@@ -206,6 +206,7 @@ def test_where_the_floor_shows_nothing_in_common_it_says_so() -> None:
             assert motion.pan_sigma_deg >= 4
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_loses_the_floor_goes_on_as_it_went_and_finds_it_again() -> None:
     run, images = run_of(8702)
     fan, rng = scene_fan(run.scene), np.random.default_rng(2)
@@ -226,6 +227,7 @@ def test_a_vehicle_that_loses_the_floor_goes_on_as_it_went_and_finds_it_again() 
     assert motions[24].ahead_sigma_m < 0.02
 
 
+@pytest.mark.slow
 def test_what_is_measured_carries_a_landmark_s_place_along() -> None:
     """To a sixth of a disc radius, where the groups of stage 2 follow by a third."""
     run, images = run_of(8703)

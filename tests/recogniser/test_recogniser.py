@@ -77,7 +77,10 @@ def check(result: FrameResult, landmarks=BASIN) -> None:
 
 
 @needs_recording
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize(
+    "name",
+    ["default", *(pytest.param(n, marks=pytest.mark.slow) for n in PRESETS if n != "default")],
+)
 def test_two_runs_of_a_recording_give_the_same_bytes(name, tmp_path):
     log = recording(range(20, 40))
     for folder in ("one", "two"):
@@ -160,7 +163,9 @@ def drawn_log(
     return tuple(log)
 
 
-@pytest.mark.parametrize("landmark", sorted(SECTORS))
+@pytest.mark.parametrize(
+    "landmark", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3, 4))]
+)
 def test_a_drawn_landmark_is_declared_and_followed_as_one_object(landmark):
     log = drawn_log(SECTORS[landmark])
     results = run(log, config.preset("default"))
@@ -182,7 +187,10 @@ def test_a_drawn_fake_is_never_declared(fake):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize("landmark", [0, 1, 2])
+@pytest.mark.parametrize(
+    "landmark",
+    [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)],
+)
 def test_a_set_of_other_landmarks_is_data_only(name, landmark):
     sectors = ((1, 0, 0, 0, 0, 0), (1, 1, 0, 1, 0, 0), (1, 1, 1, 0, 0, 0))
     other = LandmarkSet("six", 0.2, (0.8, 1.0), (0.0, 0.62), (7, 9, 12), sectors)
@@ -392,7 +400,7 @@ def alike(one: FrameResult, other: FrameResult, method: str = FRAMEWORK) -> None
         np.testing.assert_allclose(np.array(a[4:], float), np.array(b[4:], float), atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["default", "paper"])
+@pytest.mark.parametrize("name", ["default", pytest.param("paper", marks=pytest.mark.slow)])
 def test_a_single_preset_is_the_recogniser_itself(name):
     log = still_log(2, 2 * FRAMES_AT_ONCE + 3)
     recognise_together = side_by_side(log, name)
@@ -405,7 +413,13 @@ def test_a_single_preset_is_the_recogniser_itself(name):
 # Shown for as long as it was hidden an ID is named; ID.3 one or two frames later, as the particles
 # happen to walk (seeds 0 to 7: 16 to 18).
 @pytest.mark.parametrize(
-    ("landmark", "frames", "named_from"), [(1, 30, 16), (2, 30, 16), (3, 32, 18), (4, 30, 16)]
+    ("landmark", "frames", "named_from"),
+    [
+        pytest.param(1, 30, 16, marks=pytest.mark.slow),
+        pytest.param(2, 30, 16, marks=pytest.mark.slow),
+        (3, 32, 18),
+        pytest.param(4, 30, 16, marks=pytest.mark.slow),
+    ],
 )
 def test_hindsight_tells_from_the_start_what_the_log_shows_later(landmark, frames, named_from):
     log = still_log(landmark, frames, hidden=range(8))
@@ -423,6 +437,7 @@ def test_hindsight_tells_from_the_start_what_the_log_shows_later(landmark, frame
         check(other)
 
 
+@pytest.mark.slow
 def test_a_lag_shorter_than_the_log_uses_so_many_frames_and_no_more():
     log = still_log(3, 24, hidden=range(12))
     settings = config.with_assignments(config.preset("offline"), ["features.lag_frames=4"])
@@ -444,6 +459,7 @@ def with_lag(frames: int) -> config.Config:
     return dataclasses.replace(lagging, preset=f"lag{frames}")
 
 
+@pytest.mark.slow
 def test_lags_side_by_side_give_what_each_gives_alone():
     log = still_log(3, 24, hidden=range(12))
     lags = (3, 10)

@@ -45,6 +45,7 @@ def identified(
     return identify(grey, seen, sampler.bands, TURNED)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(landmark=st.sampled_from(sorted(SECTORS)), turn=st.floats(0, 2 * np.pi))
 def test_an_ideal_disc_gives_the_ideal_row_at_any_rotation(landmark, turn):

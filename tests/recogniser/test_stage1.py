@@ -113,6 +113,7 @@ def test_of_many_discs_on_a_large_floor_all_are_found():
         assert miss(plane, found, *place) < 0.2 * plane.axes[0]
 
 
+@pytest.mark.slow
 def test_noise_on_the_largest_floors_gives_no_more_than_eight_times_as_many_candidates():
     wide = make_fan(1024, 0.5, 40.0, 130.0, tilt_deg=15.0, height_m=1.5)
     settings = dataclasses.replace(RING, threshold=0.1)

@@ -177,6 +177,7 @@ def test_large_images_are_not_hoarded(shape: tuple[int, int], ahead: int) -> Non
     assert read == AHEAD + 5
 
 
+@pytest.mark.slow
 def test_landmarks_are_recognised_under_a_grid_and_the_note_tells(tmp_path: Path) -> None:
     """A white grid over the sample log: the same landmarks as on record, in all but few frames."""
     log = tmp_path / "pan"

@@ -163,6 +163,7 @@ def test_results_go_to_a_server_and_are_up_to_date_there(
     assert "s3://dives/out/a: holds the results of another log" in other.stderr
 
 
+@pytest.mark.slow
 def test_what_was_made_from_replaced_results_goes_and_the_users_files_stay(
     sonarrec: Sonarrec, s3: Any, day: Path
 ) -> None:
@@ -178,6 +179,7 @@ def test_what_was_made_from_replaced_results_goes_and_the_users_files_stay(
     assert there == {*TABLES, *mine}
 
 
+@pytest.mark.slow
 def test_a_partial_upload_is_no_result_and_is_finished_by_the_next_run(
     sonarrec: Sonarrec, s3: Any, day: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -276,6 +278,7 @@ def test_evaluate_finds_the_truth_beside_a_log_on_a_server(
         assert Path("each", name).read_bytes() == Path("g", name).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("day")
 def test_of_a_log_on_a_server_without_truth_or_that_changed_a_line_says_so(
     sonarrec: Sonarrec, s3: Any, tmp_path: Path
@@ -299,6 +302,7 @@ def test_of_a_log_on_a_server_without_truth_or_that_changed_a_line_says_so(
     assert "s3://dives/day/a.mcap: does not exist" in sonarrec("evaluate", "sonarrec_out/a").stderr
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("day")
 def test_compare_finds_the_truth_beside_a_log_on_a_server(
     sonarrec: Sonarrec, s3: Any, tmp_path: Path
@@ -358,6 +362,7 @@ def test_json_has_the_sightings_that_were_uploaded(
     assert far == near
 
 
+@pytest.mark.slow
 def test_a_dry_run_uploads_nothing(sonarrec: Sonarrec, s3: Any, day: Path) -> None:
     run = ["run", str(day / "a.mcap"), "s3://dives/day/b.mcap", "-o", "s3://dives/out"]
     before = keys(s3)

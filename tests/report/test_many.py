@@ -66,6 +66,7 @@ def section(text: str, name: str) -> str:
     return text[text.index(f'<section id="{name}"') :].partition("</section>")[0]
 
 
+@pytest.mark.slow
 def test_it_opens_with_what_differs(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     first = text[text.index("<main>") :]
@@ -86,6 +87,7 @@ def test_it_opens_with_what_differs(page: Path) -> None:
     assert f"{MOST_LOGS} of {MANY} logs have panels below" in stands
 
 
+@pytest.mark.slow
 def test_only_some_have_panels_and_the_figures_are_of_all(page: Path, made: Path) -> None:
     text = page.read_text(encoding="utf-8")
     shown = re.findall(r"<h3>(log\d{4})</h3>", section(text, "seen"))
@@ -109,6 +111,7 @@ def test_the_page_stays_small(page: Path, made: Path) -> None:
     assert "failed: " in stands
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 400])
 def test_it_opens_in_a_browser(browser: Any, page: Path, width: int) -> None:
     found = look(browser, page, width, "light")
@@ -131,6 +134,7 @@ def plain_logs(root: Path, estimates: dict[str, list[str]], truth: list[str]) ->
     return root / "out"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("named", [True, False])
 def test_panels_of_logs_without_truth(tmp_path: Path, named: bool) -> None:
     """Nothing stands out, so the first eight have panels; the truth speaks of the last alone, and

@@ -91,6 +91,7 @@ def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch)
         many.run_apart(tasks, 2, many.Watch())
 
 
+@pytest.mark.slow
 def test_a_name_too_long_costs_that_log_only(tmp_path: Path) -> None:
     """With -j 1 it ended the call; in a process of its own it was a traceback."""
     logs = made(tmp_path, "n" * 250, "a", frames=1)
@@ -106,6 +107,7 @@ def test_a_name_too_long_costs_that_log_only(tmp_path: Path) -> None:
     assert planned.endswith("a: up to date\n")
 
 
+@pytest.mark.slow
 def test_one_after_the_other_gives_the_same_as_side_by_side(tmp_path: Path) -> None:
     logs = made(tmp_path, "a", "b", "c")
     for jobs in (1, 2):
@@ -348,6 +350,7 @@ def test_what_failed_is_one_line_without_the_example(sonar: Sonar) -> None:
     assert not re.search(r"\n|:$", message)
 
 
+@pytest.mark.slow
 def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
     logs = made(tmp_path, "a", "cut", "dies", frames=3)
     (logs[1] / "000001.png").write_bytes(b"not an image")

@@ -208,6 +208,7 @@ def test_told_poses_carry_the_discs(recording: Path, tmp_path: Path) -> None:
         assert float(list(csv.DictReader(file))[-1]["y"]) == pytest.approx(0.22)
 
 
+@pytest.mark.slow
 def test_what_is_written_is_a_log_of_the_same_geometry(
     background: Background, tmp_path: Path
 ) -> None:
@@ -330,6 +331,7 @@ def test_amplitudes_have_the_range_that_the_reader_gave_them(
         assert ("grey is taken as 50 dB" in told) == noted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "expected"),
     [

@@ -98,6 +98,7 @@ def test_the_document_says_the_same(site: Path) -> None:
     assert len(list(site.glob("recordings/*/*/*.png"))) == 2 * 2 * 24
 
 
+@pytest.mark.slow
 def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path: Path) -> None:
     scene = replace(random_scene(5, "no_landmark"), frames=6, objects=())
     write_recording(scene, tmp_path / "floor")

@@ -79,6 +79,7 @@ def test_truth_and_echo_follow_the_vehicle() -> None:
     assert seen > 5
 
 
+@pytest.mark.slow
 def test_the_floor_is_even_though_cells_are_shared_nearby() -> None:
     scene = on_vehicle(30, surge_m_s=0.3)
     seen = np.mean([power(f.image, scene) for f in render(scene)], axis=0)
@@ -87,6 +88,7 @@ def test_the_floor_is_even_though_cells_are_shared_nearby() -> None:
     assert np.mean(power(next(render(scene)).image, scene) ** 2) == pytest.approx(2.0, rel=0.25)
 
 
+@pytest.mark.slow
 def test_shadows_fall_away_from_where_the_vehicle_is_now() -> None:
     stone = PlacedObject("stone", 3.0, 0.0, size_m=0.06)
     # It sets out to the right of the stone, and turns to see it from there.

@@ -29,13 +29,13 @@ if "sonarrec" in "".join(sys.orig_argv):
     within = log.Log.within
 
     def misbehave(self, span):
+        if self.name == "hangs":
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        if self.name in ("hangs", "slow"):
+            held = self.path.with_suffix(".held").open("w")
+            fcntl.flock(held, fcntl.LOCK_EX)  # as long as the process lives
         for frame in within(self, span):
             yield frame
-            if self.name == "hangs":
-                signal.signal(signal.SIGTERM, signal.SIG_IGN)
-            if self.name in ("hangs", "slow"):
-                held = (self.path.parent / self.name).with_suffix(".held").open("w")
-                fcntl.flock(held, fcntl.LOCK_EX)  # as long as the process lives
             waits = self.name == "hangs" or self.name == "slow" and frame.index >= 5
             while waits and not self.path.with_suffix(".go").exists():
                 time.sleep(0.05)

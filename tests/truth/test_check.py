@@ -361,6 +361,7 @@ def test_any_name_of_a_table_is_drawn(tmp_path: Path, log: Path) -> None:
         assert draw_contact_sheet(found, opened, tmp_path / "s.png") == 1
 
 
+@pytest.mark.slow
 def test_passes_are_parted_and_limited(tmp_path: Path) -> None:
     """Every twentieth frame only, as a person may annotate, is one pass; long gaps part passes."""
     images = [np.zeros((30, 56), np.uint8) for _ in range(200)]
