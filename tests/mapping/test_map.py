@@ -19,13 +19,11 @@ from typing import Any
 import gtsam
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 from matplotlib.axes import Axes
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.arrays import FloatArray
-from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError
@@ -42,6 +40,7 @@ from sonarrec.readers.poses_csv import read_poses
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar
+from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 
 BASIN = load_landmarks("basin")
@@ -146,13 +145,6 @@ def write_poses(path: Path, poses: FloatArray) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(["timestamp,yaw,x,y", *lines, ""]))
     return path
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    done = CliRunner().invoke(main, [str(a) for a in arguments])
-    assert done.exit_code == code, done.output
-    assert done.exception is None or isinstance(done.exception, SystemExit)
-    return done
 
 
 def table(path: Path) -> list[dict[str, str]]:

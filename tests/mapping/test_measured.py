@@ -11,27 +11,20 @@ import cv2
 import numpy as np
 import pytest
 import tomli_w
-from click.testing import CliRunner, Result
 
 from sonarrec.arrays import FloatArray
-from sonarrec.cli import main
 from sonarrec.mapping.axes import CHI2_95
 from sonarrec.mapping.build import make_map
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
+from tests.support.command import sonarrec
 from tests.support.vehicle import RATE_HZ, VehicleRun, truth_of, vehicle_run
 
 pytestmark = pytest.mark.slow
 
 FRAMES = 90
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    assert result.exit_code == code, result.output
-    return result
 
 
 @pytest.fixture(scope="module", params=[8720, 8721])

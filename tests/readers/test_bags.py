@@ -15,7 +15,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
@@ -27,6 +27,7 @@ from sonarrec.readers.messages import ros
 from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.open import find_log
 from tests.support.bags import IMAGE, bag, messages, ros1_bag, ros1_messages, split_bag
+from tests.support.command import sonarrec
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
 from tests.support.messages import FIELDS, by_rosbags, image_fields, polar_frames, serialised
 
@@ -48,12 +49,6 @@ def read(path: Path) -> tuple[list[Frame], list[str]]:
 def cut(path: Path, share: float) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
-
-
-def sonarrec(*words: str | Path, code: int = 0) -> Result:
-    told = CliRunner().invoke(main, [*map(str, words)])
-    assert told.exit_code == code, told.output
-    return told
 
 
 def rows(results: Path, name: str) -> list[list[str]]:

@@ -14,9 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.nouns import Frame
@@ -24,6 +22,7 @@ from sonarrec.readers import open_log
 from sonarrec.readers.containers.ddf.aris import BEAMS, FILE_HEADER, FRAME_HEADER, PINGS_PER_FRAME
 from sonarrec.readers.containers.ddf.aris_beams import BEARINGS_DEG
 from sonarrec.readers.containers.ddf.didson import lens_bearings_deg
+from tests.support.command import sonarrec
 from tests.support.logs import frames
 from tests.support.sonar_files import (
     ARIS_FRAME,
@@ -38,12 +37,6 @@ from tests.support.sonar_files import (
 SAMPLE = Path(__file__).parent / "aris_sample" / "sample.aris"
 SDK = Path(__file__).parents[3] / "shared" / "data" / "vendor" / "aris-sdk"
 NUMBER = {"uint32_t": "<u4", "int32_t": "<i4", "uint64_t": "<u8", "float": "<f4", "double": "<f8"}
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    assert result.exit_code == code, result.output
-    return result
 
 
 def info(path: Path, *arguments: str, code: int = 0) -> dict[str, Any]:

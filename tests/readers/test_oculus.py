@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.oculus.log import OculusPings
 from tests.readers.test_ddf import as_fan
+from tests.support.command import sonarrec
 from tests.support.logs import frames
 from tests.support.sonar_files import oculus_log, oculus_message, oculus_ping
 
@@ -26,12 +25,6 @@ THREE = VENDOR / "oculus_three_pings_8bit.raw"
 TILT = {"tilt_deg": 20.0}
 IMAGES = frames(6, 64, 40)
 PINGS = [oculus_ping(k, image) for k, image in enumerate(IMAGES)]
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    assert result.exit_code == code, result.output
-    return result
 
 
 def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:

@@ -13,10 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 from sonarrec import config
-from sonarrec.cli import main
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError
 from sonarrec.geometry import PolarToFan, polar_from_pixel
 from sonarrec.readers import open_log
@@ -30,6 +28,7 @@ from sonarrec.runs.prepare import RunOptions
 from sonarrec.simulation.mcap_writer import SCHEMAS, is_polar
 from sonarrec.sonar import Sonar
 from tests.support import messages
+from tests.support.command import sonarrec
 from tests.support.logs import PERIOD_NS, frames, image_folder, mcap_file
 from tests.support.messages import (
     BEAMS,
@@ -581,12 +580,6 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
 
 
 # What a user types
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    assert result.exit_code == code, result.output
-    return result
 
 
 @pytest.mark.parametrize("schema", [s for s in SCHEMAS if is_polar(s)])

@@ -119,9 +119,9 @@ def test_one_after_the_other_gives_the_same_as_side_by_side(tmp_path: Path) -> N
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[bytes]]:
-    """The tables of a log of some frames, and of one of 20."""
+    """The tables of a log of some frames, and of one longer than a run looks ahead."""
     place = tmp_path_factory.mktemp("undisturbed")
-    logs = [*made(place, "short"), *made(place, "slow", frames=20)]
+    logs = [*made(place, "short"), *made(place, "slow", frames=60)]
     sonarrec("run", *logs, "-o", place / "out", "-q")
     return {log.name: tables(place / "out" / log.name) for log in logs}
 
@@ -133,7 +133,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[byte
 def test_a_call_that_is_stopped_goes_on(
     sent: signal.Signals, code: int, undisturbed: dict[str, list[bytes]], tmp_path: Path
 ) -> None:
-    logs = [*made(tmp_path, "a"), *made(tmp_path, "slow", frames=20), *made(tmp_path, "b", "c")]
+    logs = [*made(tmp_path, "a"), *made(tmp_path, "slow", frames=60), *made(tmp_path, "b", "c")]
     out = tmp_path / "out"
     call = command("run", *logs, "-j", 2, "-o", out)
     with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
@@ -143,7 +143,7 @@ def test_a_call_that_is_stopped_goes_on(
         assert running.wait(120) == code, running.stderr.read().decode()
     until(lambda: ended(tmp_path / "slow"))  # of SIGKILL: as nobody waits for it any more
     kept = part.read_text().splitlines()
-    assert 2 < len(kept) <= 7
+    assert 2 < len(kept) < 60
     if code > 0:
         told = rows(out)["slow"]
         assert (told["status"], told["message"]) == ("waiting", "stopped")

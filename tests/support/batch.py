@@ -19,7 +19,10 @@ FRAMES = 6
 GRACE_S = 3.0
 """So long a process that is to end has in the tests, in place of `task.GRACE_S`."""
 BEHAVIOUR = '''
-"""Read by every process at its start: logs of these names misbehave while they are read."""
+"""Read by every process at its start: logs of these names misbehave while they are read.
+
+A slow one waits before its last frame until there is a file slow.go beside it.
+"""
 import fcntl, os, signal, sys, time
 if "sonarrec" in "".join(sys.orig_argv):
     from sonarrec.runs import task
@@ -36,8 +39,8 @@ if "sonarrec" in "".join(sys.orig_argv):
             fcntl.flock(held, fcntl.LOCK_EX)  # as long as the process lives
         for frame in within(self, span):
             yield frame
-            waits = self.name == "hangs" or self.name == "slow" and frame.index >= 5
-            while waits and not self.path.with_suffix(".go").exists():
+            last = self.name == "slow" and frame.index + 2 >= len([*self.path.glob("*.png")])
+            while (self.name == "hangs" or last) and not self.path.with_suffix(".go").exists():
                 time.sleep(0.05)
             if self.name == "dies":
                 os.kill(os.getpid(), signal.SIGKILL)
