@@ -199,20 +199,3 @@ def test_a_run_toml_is_a_settings_file_too(tmp_path):
         )
     )
     assert printed("--config", str(file)) == dataclasses.asdict(settings)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--preset", "best"],
-        ["--set", "candidates.plane=sea"],
-        ["--set", "nothing"],
-        ["--config", "missing.toml"],
-        ["--seed", "-1"],
-    ],
-)
-def test_bad_usage_is_exit_code_2_and_no_traceback(arguments):
-    result = CliRunner().invoke(main, ["config", *arguments])
-    assert result.exit_code == 2
-    assert "Traceback" not in result.output
-    assert arguments[1].split("=")[0] in result.output

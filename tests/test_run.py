@@ -161,15 +161,6 @@ def test_settings_change_results(pings: Path) -> None:
     assert estimates("--height-m", "0.6") != usual
 
 
-def test_config_prints_what_config_reads(pings: Path) -> None:
-    for preset in ("default", "paper"):
-        Path("my.toml").write_text(sonarrec("config", "--preset", preset).stdout)
-        sonarrec("run", pings, "--preset", preset, "--out", "a")
-        sonarrec("run", pings, "--config", "my.toml", "--out", "b")
-        written = [Path(out, "pings", "estimates.csv").read_bytes() for out in "ab"]
-        assert written[0] == written[1]
-
-
 def test_folder_glob_and_mcap_agree(pings: Path, mcap: Path) -> None:
     sonarrec("run", pings, "--out", "folder")
     sonarrec("run", mcap, "--out", "mcap")
@@ -308,11 +299,6 @@ def test_of_polar_images_no_fan_image_is_kept(tmp_path: Path) -> None:
     # The floor's table has 6 bytes a pixel. It and the fan have as many pixels here, so that the
     # fan's would double that.
     assert 6 * 110_000 < min(held) <= max(held) < 7 * 110_000
-
-
-def test_every_command_has_an_example() -> None:
-    for name in main.commands:
-        assert "Example" in sonarrec(name, "--help").stdout, name
 
 
 # What cannot be used: one clear line and the right exit code
@@ -469,19 +455,6 @@ def test_mcap_with_several_image_channels(work: Path) -> None:
     assert "/left" in result.stderr
     assert "/right" in result.stderr
     assert "--topic" in result.stderr
-
-
-def test_truncated_mcap(mcap: Path) -> None:
-    sonarrec("run", mcap, "--out", "whole")
-    data = mcap.read_bytes()
-    mcap.write_bytes(data[: len(data) // 2])
-    told = sonarrec("run", mcap, "--out", "cut", code=3)
-    assert "log.mcap" in told.stderr
-    whole, cut = (Path(out, "log", "estimates.csv").read_text() for out in ("whole", "cut"))
-    frames = len(table(Path("cut/log/frames.csv")))
-    # A whole frame is 4 to 6 per cent of the file: what lies before the cut is processed.
-    assert 3 <= frames < 10
-    assert whole.startswith(cut)
 
 
 def test_died_in_the_middle_is_not_passed_off_as_whole(

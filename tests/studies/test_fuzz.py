@@ -10,11 +10,11 @@ pytestmark = pytest.mark.slow
 
 
 def test_damaged_files_end_with_an_exit_code() -> None:
-    failures, summary = run_all(50)
+    failures, summary = run_all(100)
     assert not failures, summary
 
 
 @pytest.mark.parametrize("form", SONARS)
 def test_damaged_files_of_sonars_end_with_an_exit_code(form: str) -> None:
-    failures, summary = run_all(16, form=form)
+    failures, summary = run_all(20, form=form)
     assert not failures, summary

@@ -15,7 +15,7 @@ from sonarrec.recogniser.stage3.published import TABLE_3
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import load_scene, scene_fan, scene_table
-from tests.studies import scenes, study
+from tests.studies import baseline, bench, scenes, study
 from tests.studies.paper import choices, prediction, world
 from tests.studies.paper.parts import BAYES, CONTINUITY, LEARNED, Parts
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, PRESENT, TABLE_4, TABLE_5
@@ -28,6 +28,8 @@ SEEDS = {
     "settings": scenes.TUNING,
     "make scenes": scenes.REPORTED,
     "make study": study.STUDIED,
+    "the rival's tuning": [seed for seed, _ in baseline.TUNING_SCENES],
+    "make bench": [which[0] for which in bench.REPORTED if not isinstance(which, str)],
     "the worlds": world.SEEDS,
     "their stable frames": world.STABLE_SEEDS,
     "the choices": choices.SEEDS,
@@ -38,6 +40,7 @@ SEEDS = {
 def test_no_seed_is_used_twice() -> None:
     for (a, seeds), (b, others) in combinations(SEEDS.items(), 2):
         assert not set(seeds) & set(others), f"{a} and {b} share seeds"
+    assert len(study.STUDIED) >= 30
 
 
 def test_the_search_has_seeds_enough() -> None:
