@@ -76,6 +76,7 @@ def landmark_tables(draw: st.DrawFn) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 @given(landmark_tables(), st.floats(-50, 50))
 def test_codes_of_any_number_of_ids_and_sectors(table: dict[str, Any], angle: float) -> None:
     found = landmarks_from_table(table, "here")

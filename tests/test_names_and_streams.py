@@ -20,6 +20,7 @@ from click.shell_completion import BashComplete
 from click.testing import CliRunner
 
 from sonarrec.cli import main
+from tests.support.slow import but_first
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "sample_data" / "pan"
@@ -149,7 +150,7 @@ LATIN, UTF = b"d\xe9\x1b[31m\nve", "d\u00e9v\u00e9".encode()
 
 @pytest.mark.parametrize(
     ("work", "name", "environment"),
-    [(LATIN, LATIN, {}), pytest.param(UTF, UTF, ASCII, marks=pytest.mark.slow)],
+    but_first([(LATIN, LATIN, {}), (UTF, UTF, ASCII)]),
     indirect=["work"],
 )
 def test_names_of_any_bytes(work: Path, name: bytes, done: Callable[..., str]) -> None:
@@ -183,13 +184,8 @@ def test_help_prints_where_the_terminal_has_ascii_only() -> None:
             assert printed.startswith(f"# {page}: ")
 
 
-@pytest.mark.parametrize(
-    "after",
-    [
-        ">&- 2>&-",
-        *(pytest.param(a, marks=pytest.mark.slow) for a in ("2>&-", ">&-", "2>/dev/full")),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("after", ["2>&-", ">&-", ">&- 2>&-", "2>/dev/full"])
 def test_closed_streams_cost_no_result(tmp_path: Path, after: str) -> None:
     log = str(SAMPLE / "00000[0-2].png")
     assert sonarrec(tmp_path, "run", log, "-o", "o", after=after).returncode == 0

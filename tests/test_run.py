@@ -234,6 +234,7 @@ def test_silent_where_stderr_is_no_terminal(pings: Path) -> None:
     assert subprocess.run([*command, "-q"], capture_output=True, check=True).stdout == b""
 
 
+@pytest.mark.slow
 def test_progress_on_a_terminal(pings: Path) -> None:
     termios = pytest.importorskip("termios")
     ours, theirs = os.openpty()
@@ -265,6 +266,7 @@ def as_main(*arguments: str) -> str:
     )
 
 
+@pytest.mark.slow
 def test_heavy_imports_are_late(pings: Path) -> None:
     assert modules_after("import pandas") == {"pandas", "numpy"}
     assert modules_after(as_main("--help")) == set()
@@ -272,6 +274,7 @@ def test_heavy_imports_are_late(pings: Path) -> None:
     assert modules_after(as_main("run", str(pings), "-q")) == {"numpy", "cv2"}
 
 
+@pytest.mark.slow
 def test_of_polar_images_no_fan_image_is_kept(tmp_path: Path) -> None:
     """The fan images in which the beams are measured, and the table they are made by, are freed:
     of a wide sonar they are far larger than the polar images.

@@ -35,6 +35,7 @@ from sonarrec.evaluation.write import write_evaluation
 from sonarrec.recogniser.own_process import CAN_FORK
 from tests.evaluation.test_evaluation import write_case
 from tests.support.made_up import make_logs, make_sides
+from tests.support.slow import but_first
 
 FLOATS = st.lists(
     st.lists(st.floats(0, 5, width=16) | st.just(float("inf")), max_size=30), min_size=1, max_size=5
@@ -154,7 +155,7 @@ def four(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.usefixtures("few_draws", "copied")
 @pytest.mark.parametrize(
     ("name", "jobs"),
-    [("estimates.csv", "1"), ("frames.csv", "1"), ("run.toml", "1"), ("run.toml", "2")],
+    but_first([("estimates.csv", "1"), ("frames.csv", "1"), ("run.toml", "1"), ("run.toml", "2")]),
 )
 def test_a_log_that_cannot_be_read_is_left_out(
     tmp_path: Path, four: Path, name: str, jobs: str
@@ -203,6 +204,7 @@ def without_the_first(old: Path, new: Path, pairs: Path) -> dict[str, bytes]:
     return files(out)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_draws", "copied")
 @pytest.mark.parametrize(
     ("name", "side", "jobs"),
@@ -348,6 +350,7 @@ def test_no_more_processes_than_the_cores_it_may_use(
     assert len(evaluate_many(read_pairs(pairs)).logs) == 12
 
 
+@pytest.mark.slow
 def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> None:
     pairs = make_logs(tmp_path / "made", 3, 200)
     for n, order in enumerate(((1, 2, 3, 4), (4, 2, 1, 3), (2, 1, 3, 4))):

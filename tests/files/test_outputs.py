@@ -19,6 +19,7 @@ from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.plots import draw_roc
 from sonarrec.files.outputs import replaced, with_mark, write_csv, write_text, writing
 from sonarrec.mapping.picture import draw_map
+from tests.support.slow import but_first
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 
@@ -151,19 +152,22 @@ def test_a_log_that_is_not_there_is_what_is_told(line: str) -> None:
 
 @pytest.mark.parametrize(
     ("line", "where"),
-    [
-        (f"report {TABLES} -o", "page.html"),
-        (f"evaluate {TABLES} --ground-truth gt.csv -o", "folder"),
-        (f"map {TABLES} -o", "folder"),
-        (f"truth propose {TABLES} -o", "gt.csv"),
-        ("truth check gt.csv log --sheet", "sheet.png"),
-        ("info log --preview", "picture.png"),
-        (f"overlay log {TABLES} --mcap", "o.mcap"),
-        (f"overlay log {TABLES} --video", "o.mp4"),
-        ("calibrate log --ground-truth gt.csv -o", "model.toml"),
-        ("run log --overwrite --odometry-out", "path.csv"),
-        ("simulate --frames 2 --scene basin --format mcap -o", "s.mcap"),
-    ],
+    but_first(
+        [
+            (f"report {TABLES} -o", "page.html"),
+            (f"evaluate {TABLES} --ground-truth gt.csv -o", "folder"),
+            (f"map {TABLES} -o", "folder"),
+            (f"truth propose {TABLES} -o", "gt.csv"),
+            ("truth check gt.csv log --sheet", "sheet.png"),
+            ("info log --preview", "picture.png"),
+            (f"overlay log {TABLES} --mcap", "o.mcap"),
+            (f"overlay log {TABLES} --video", "o.mp4"),
+            ("calibrate log --ground-truth gt.csv -o", "model.toml"),
+            ("run log --overwrite --odometry-out", "path.csv"),
+            ("simulate --frames 2 --scene basin --format mcap -o", "s.mcap"),
+        ],
+        4,
+    ),
 )
 def test_folders_are_made_for_what_is_written(work: Path, line: str, where: str) -> None:
     done = sonarrec(f"{line} new/er/{where} -q")
@@ -229,19 +233,22 @@ def test_one_foreign_file_and_nothing_is_written(work: Path, line: str, name: st
 
 @pytest.mark.parametrize(
     "line",
-    [
-        f"report {TABLES} -o r.html -q",
-        f"report {COMPARE} -o c.html -q",
-        f"overlay log {TABLES} --mcap o.mcap --video o.mp4 --images shots -q",
-        f"overlay log {TABLES} --mcap o.mcap --foxglove-layout o.json -q",
-        "calibrate log --ground-truth gt.csv -o model.toml -q",
-        "truth check gt.csv log --sheet sheet.png -q",
-        "info log --preview p.png",
-        f"{EVALUATE} -q",
-        f"evaluate {COMPARE} -q",
-        f"map {TABLES} --origin 54,10,0 -q",
-        "run log -q --overwrite",
-    ],
+    but_first(
+        [
+            f"{EVALUATE} -q",
+            f"report {TABLES} -o r.html -q",
+            "info log --preview p.png",
+            f"report {COMPARE} -o c.html -q",
+            f"overlay log {TABLES} --mcap o.mcap --video o.mp4 --images shots -q",
+            f"overlay log {TABLES} --mcap o.mcap --foxglove-layout o.json -q",
+            "calibrate log --ground-truth gt.csv -o model.toml -q",
+            "truth check gt.csv log --sheet sheet.png -q",
+            f"evaluate {COMPARE} -q",
+            f"map {TABLES} --origin 54,10,0 -q",
+            "run log -q --overwrite",
+        ],
+        3,
+    ),
 )
 @pytest.mark.usefixtures("work")
 def test_what_a_command_wrote_it_writes_again(line: str) -> None:
@@ -327,6 +334,7 @@ def test_what_cannot_be_replaced_is_written_in_place(
     assert path.stat().st_ino == file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "names"),
     [(EVALUATE, ["evaluation/roc.png"]), (f"map {TABLES}", ["map/map.png", "map/map.geojson"])],

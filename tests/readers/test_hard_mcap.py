@@ -29,6 +29,7 @@ from sonarrec.sonar import Sonar
 from tests.studies.memory import peak_of_reading, shapes
 from tests.support.hard_logs import HardLog, built, record
 from tests.support.logs import PERIOD_NS, cdr_image, frames
+from tests.support.slow import but_first
 
 IMAGES = frames(12, 20, 20)
 TIMED = [(k * PERIOD_NS, cdr_image(image)) for k, image in enumerate(IMAGES)]
@@ -467,19 +468,16 @@ def least(tmp_path_factory: pytest.TempPathFactory) -> float:
 
 @pytest.mark.parametrize(
     "shape",
-    [
-        "one chunk, uncompressed",
-        *(
-            pytest.param(shape, marks=pytest.mark.slow)
-            for shape in [
-                "no index, no footer, lz4",
-                "one chunk, zstd, backwards",
-                "10 overlapping chunks, lz4",
-                "1000 overlapping chunks, zstd",
-                "one chunk, lz4, cut",
-            ]
-        ),
-    ],
+    but_first(
+        [
+            "one chunk, uncompressed",
+            "no index, no footer, lz4",
+            "one chunk, zstd, backwards",
+            "10 overlapping chunks, lz4",
+            "1000 overlapping chunks, zstd",
+            "one chunk, lz4, cut",
+        ]
+    ),
 )
 def test_memory_does_not_grow_with_the_log(shape: str, least: float, tmp_path: Path) -> None:
     """The shapes of tests/studies/memory.py, small, with a still smaller bound on held chunks.

@@ -187,6 +187,7 @@ def test_a_list_and_a_geometry_of_notepad(campaign: Path) -> None:
     assert "2 done" in told.stdout
 
 
+@pytest.mark.slow
 def test_poses_beside_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("pan.mcap", "pan.sonar.toml"):

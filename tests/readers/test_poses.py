@@ -30,6 +30,7 @@ from sonarrec.simulation.scene import Scene, load_scene
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image
+from tests.support.slow import but_first
 
 HEIGHT = 0.68
 
@@ -268,7 +269,7 @@ def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:
     return rows(path, "\n".join(["timestamp,yaw", *lines]) + "\n")
 
 
-@pytest.mark.parametrize("name", ["default", pytest.param("paper", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", but_first(["default", "paper"]))
 def test_the_same_table_gives_the_same_bytes_again(pings, name):
     table = pan_table(Path("odometry.csv"))
     told = sonarrec("run", pings, "--odometry", table, "--preset", name)

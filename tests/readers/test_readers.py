@@ -682,6 +682,7 @@ def test_a_topic_is_for_mcap(tmp_path: Path) -> None:
         open_log(image_folder(tmp_path / "log", frames(1)), topic="/a")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["png", "mcap, sensor_msgs/msg/Image, zstd"])
 def test_memory_is_flat(name: str, tmp_path: Path) -> None:
     """Four times the frames take no more memory: within two chunks of 1 MiB, a few frames."""

@@ -29,6 +29,7 @@ from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import survey
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
+from tests.support.slow import but_first
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"
 
@@ -41,21 +42,18 @@ def scene_of(seed: int, view_deg: float, beams: int, width_deg: float) -> Scene:
 
 @pytest.mark.parametrize(
     ("view_deg", "beams", "width_deg"),
-    [
-        (28.8, 96, 0.4),
-        *(
-            pytest.param(*sonar, marks=pytest.mark.slow)
-            for sonar in [
-                (28.8, 96, 0.3),
-                (28.8, 96, 0.6),
-                (28.8, 48, 0.8),
-                (28.8, 96, 1.0),
-                (60.0, 256, 0.6),
-                (120.0, 256, 1.0),
-                (120.0, 512, 1.5),
-            ]
-        ),
-    ],
+    but_first(
+        [
+            (28.8, 96, 0.4),
+            (28.8, 96, 0.3),
+            (28.8, 96, 0.6),
+            (28.8, 48, 0.8),
+            (28.8, 96, 1.0),
+            (60.0, 256, 0.6),
+            (120.0, 256, 1.0),
+            (120.0, 512, 1.5),
+        ]
+    ),
 )
 def test_the_beams_of_simulated_sonars_are_measured(
     view_deg: float, beams: int, width_deg: float

@@ -19,6 +19,7 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan
+from tests.support.slow import but_first
 from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run
 
 FRAMES = 60
@@ -88,10 +89,7 @@ def standing(seed: int, kind: str, frames: int = 40) -> tuple[list[Motion | None
 
 @pytest.mark.parametrize(
     "kind",
-    [
-        "plain",
-        *(pytest.param(k, marks=pytest.mark.slow) for k in ("fading", "low_contrast", "fast_pan")),
-    ],
+    but_first(["plain", "fading", "low_contrast", "fast_pan"]),
 )
 def test_a_tripod_is_told_to_stand(kind: str) -> None:
     motions, _ = standing(8710, kind)
@@ -111,9 +109,7 @@ def test_pictures_that_come_again_to_the_bit_show_no_motion() -> None:
     assert all(m is not None and (m.right_m, m.ahead_m) == (0, 0) for m in motions[1:])
 
 
-@pytest.mark.parametrize(
-    ("view_deg", "beams"), [(28.8, 96), pytest.param(130.0, 256, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("view_deg", "beams"), but_first([(28.8, 96), (130.0, 256)]))
 @pytest.mark.parametrize("pan_deg", [0.1, 0.25])
 def test_slow_pans_do_not_add_up_short(view_deg: float, beams: int, pan_deg: float) -> None:
     """From frame to frame each comes short by a fifth and more, for beams leak into their
@@ -187,6 +183,7 @@ def test_small_steps_add_up(speed_m_s: float, rate_hz: float) -> None:
     assert (found[-4:, :2] == 0).all()
 
 
+@pytest.mark.slow
 def test_where_the_floor_shows_nothing_in_common_it_says_so() -> None:
     """Frames a lap apart, and noise: any motion that a slow vehicle can make lies within sigma."""
     run, images = run_of(8700)

@@ -28,6 +28,7 @@ from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
+from tests.support.slow import but_first
 
 BASIN = load_landmarks("basin")
 BASIN_A = Path(__file__).parents[3] / "shared" / "data" / "basin_a"
@@ -79,7 +80,7 @@ def check(result: FrameResult, landmarks=BASIN) -> None:
 @needs_recording
 @pytest.mark.parametrize(
     "name",
-    ["default", *(pytest.param(n, marks=pytest.mark.slow) for n in PRESETS if n != "default")],
+    but_first(PRESETS),
 )
 def test_two_runs_of_a_recording_give_the_same_bytes(name, tmp_path):
     log = recording(range(20, 40))
@@ -163,9 +164,7 @@ def drawn_log(
     return tuple(log)
 
 
-@pytest.mark.parametrize(
-    "landmark", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3, 4))]
-)
+@pytest.mark.parametrize("landmark", but_first(sorted(SECTORS)))
 def test_a_drawn_landmark_is_declared_and_followed_as_one_object(landmark):
     log = drawn_log(SECTORS[landmark])
     results = run(log, config.preset("default"))
@@ -189,7 +188,7 @@ def test_a_drawn_fake_is_never_declared(fake):
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize(
     "landmark",
-    [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)],
+    but_first([0, 1, 2]),
 )
 def test_a_set_of_other_landmarks_is_data_only(name, landmark):
     sectors = ((1, 0, 0, 0, 0, 0), (1, 1, 0, 1, 0, 0), (1, 1, 1, 0, 0, 0))
@@ -211,11 +210,9 @@ NUMBERS = [
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param("default", marks=pytest.mark.slow), "paper"]
+    "name", but_first(["paper", "default"])
 )  # offline is default with another lag
-@pytest.mark.parametrize(
-    "value", [pytest.param(0, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.slow), 2]
-)
+@pytest.mark.parametrize("value", but_first([2, 0, 1]))
 def test_extreme_settings_are_refused_or_run(name, value):
     log = drawn_log(SECTORS[1], 3, rows=160)
     black = np.zeros_like(log[-1].image)
@@ -238,7 +235,7 @@ def tiny_sonar(**changed) -> Sonar:
     return Sonar(layout="fan", **(values | {"height_m": 0.68} | changed))
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", but_first(PRESETS))
 @pytest.mark.parametrize(
     ("sonar", "shape"),
     [
@@ -303,6 +300,7 @@ def noted(log: Sequence[Frame], drawn: list[Frame]) -> Iterator[Frame]:
         yield frame
 
 
+@pytest.mark.slow
 def test_all_at_once_says_what_frame_by_frame_does():
     log = still_log(2, 2 * FRAMES_AT_ONCE + 3)
     recogniser = ThreeStages(config.preset("default"), log[0].fan, BASIN)
@@ -400,7 +398,7 @@ def alike(one: FrameResult, other: FrameResult, method: str = FRAMEWORK) -> None
         np.testing.assert_allclose(np.array(a[4:], float), np.array(b[4:], float), atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["default", pytest.param("paper", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", but_first(["default", "paper"]))
 def test_a_single_preset_is_the_recogniser_itself(name):
     log = still_log(2, 2 * FRAMES_AT_ONCE + 3)
     recognise_together = side_by_side(log, name)
@@ -414,12 +412,7 @@ def test_a_single_preset_is_the_recogniser_itself(name):
 # happen to walk (seeds 0 to 7: 16 to 18).
 @pytest.mark.parametrize(
     ("landmark", "frames", "named_from"),
-    [
-        pytest.param(1, 30, 16, marks=pytest.mark.slow),
-        pytest.param(2, 30, 16, marks=pytest.mark.slow),
-        (3, 32, 18),
-        pytest.param(4, 30, 16, marks=pytest.mark.slow),
-    ],
+    but_first([(3, 32, 18), (1, 30, 16), (2, 30, 16), (4, 30, 16)]),
 )
 def test_hindsight_tells_from_the_start_what_the_log_shows_later(landmark, frames, named_from):
     log = still_log(landmark, frames, hidden=range(8))

@@ -18,6 +18,7 @@ from sonarrec.recogniser.restore.saturation import LIFTS, MEAN, OF_GAUSSIAN, SPR
 from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record
+from tests.support.slow import but_first
 
 FAN = Fan(
     rows=256,
@@ -163,16 +164,13 @@ def saturate(pictures: list[np.ndarray]) -> list[np.ndarray]:
 
 @pytest.mark.parametrize(
     ("sample", "change", "note"),
-    [
-        ("pan", saturate, "% of the frames are saturated"),
-        pytest.param("polar", saturate, "% of the frames are saturated", marks=pytest.mark.slow),
-        pytest.param(
-            "pan",
-            lambda pictures: [cv2.equalizeHist(p) for p in pictures],
-            "equally frequent",
-            marks=pytest.mark.slow,
-        ),
-    ],
+    but_first(
+        [
+            ("pan", saturate, "% of the frames are saturated"),
+            ("polar", saturate, "% of the frames are saturated"),
+            ("pan", lambda pictures: [cv2.equalizeHist(p) for p in pictures], "equally frequent"),
+        ]
+    ),
 )
 def test_landmarks_are_recognised_and_a_note_tells(
     tmp_path: Path,

@@ -232,7 +232,8 @@ def test_the_gap_counts_by_how_many_beams_wide_it_is():
     assert gap_share(dataclasses.replace(BASIN, radius_m=0.09), FAN, 0.4) == 0.5
 
 
-@pytest.mark.parametrize("seed", [8730, pytest.param(8731, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [8730, 8731])
 def test_discs_whose_gap_the_beams_fill_are_candidates(seed):
     """Against where the simulator put them; by a gap that counts .75, one in eight is missed."""
     scene = random_scene(seed, "tiny_discs", frames=60)

@@ -14,6 +14,7 @@ from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.truth.in_view import share_in_image
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
+from tests.support.slow import but_first
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)
@@ -178,7 +179,7 @@ def test_p_hit_is_the_map_s_power_or_its_share_of_the_group():
         np.testing.assert_allclose(found[0], weight / weight.sum(), rtol=1e-5)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", but_first([0, 1]))
 def test_a_group_on_a_landmark_lives_with_a_spread_of_some_pixels(seed):
     """The trap: 4 to 8 px per axis after weighting, with the paper's edge map."""
     preset = config.preset("paper")

@@ -254,7 +254,8 @@ def positives(evaluation: Path) -> int:
     return int(json.loads((evaluation / "evaluation.json").read_text())["positives"])
 
 
-@pytest.mark.parametrize("out", ["here", pytest.param("s3://dives/out", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("out", ["here", "s3://dives/out"])
 @pytest.mark.usefixtures("day")
 def test_evaluate_finds_the_truth_beside_a_log_on_a_server(
     sonarrec: Sonarrec, s3: Any, tmp_path: Path, out: str
@@ -457,6 +458,7 @@ def test_without_the_extra_a_line_says_what_to_install(
     )
 
 
+@pytest.mark.slow
 def test_no_network_library_is_loaded_for_local_logs(tmp_path: Path) -> None:
     log = small_mcap(tmp_path / "a.mcap", 3)
     program = (

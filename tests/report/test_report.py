@@ -223,6 +223,7 @@ def test_a_landmark_set_of_nine_ids(tmp_path: Path) -> None:
     assert "Never" not in page.text
 
 
+@pytest.mark.slow
 def test_several_logs(results: Path, tmp_path: Path) -> None:
     root = tmp_path / "out"
     for name in ("first", "pan"):
@@ -347,6 +348,7 @@ def test_no_results_is_one_line(tmp_path: Path) -> None:
     assert "no results here" in sonarrec("report", tmp_path, code=1).stderr
 
 
+@pytest.mark.slow
 def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
     """Under an ID that lies nowhere: the picture says so. Of alike scores the true one is shown."""
     shutil.copytree(results, tmp_path / "pan")

@@ -35,6 +35,7 @@ from tests.support.kills import assert_readable, command, finished, frames, held
 from tests.support.locked import locked
 from tests.support.logs import cdr_image, mcap_file
 from tests.support.logs import frames as images
+from tests.support.slow import but_first
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 40
@@ -235,11 +236,7 @@ def test_another_logs_results_are_replaced_only_when_told(log: Path, tmp_path: P
 
 @pytest.mark.parametrize(
     ("number", "code"),
-    [
-        (signal.SIGTERM, 143),
-        pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow),
-        pytest.param(signal.SIGKILL, -9, marks=pytest.mark.slow),
-    ],
+    but_first([(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGKILL, -9)]),
 )
 def test_a_stopped_run_leaves_its_part_and_the_old_results(
     log: Path, tmp_path: Path, number: int, code: int
@@ -298,9 +295,7 @@ def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) ->
     assert finished_runs < 12
 
 
-@pytest.mark.parametrize(
-    "size", [15_000, *(pytest.param(size, marks=pytest.mark.slow) for size in (100, 6_000))]
-)
+@pytest.mark.parametrize("size", but_first([15_000, 100, 6_000]))
 def test_a_full_disk_is_one_line_and_costs_no_frame(log: Path, tmp_path: Path, size: int) -> None:
     """No file may grow beyond a size, as on a disk that has no more room."""
     out = tmp_path / "out"
@@ -347,9 +342,7 @@ def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
         subprocess.run(["umount", str(one)], check=True)
 
 
-@pytest.mark.parametrize(
-    "pages", [14, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 12, 16))]
-)
+@pytest.mark.parametrize("pages", but_first([14, 10, 12, 16]))
 def test_a_full_file_system_is_one_line_and_costs_no_frame(
     log: Path, tmp_path: Path, small_disk: Callable[[int], Path], pages: int
 ) -> None:
@@ -407,6 +400,7 @@ def test_a_file_in_the_place_of_results_is_refused(log: Path, tmp_path: Path) ->
     assert [*tmp_path.iterdir()] == [mine]
 
 
+@pytest.mark.slow
 def test_a_second_run_into_the_same_folder_is_refused(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = subprocess.Popen(command("run", "-q", log, "-o", out))

@@ -334,11 +334,7 @@ def test_amplitudes_have_the_range_that_the_reader_gave_them(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [
-        pytest.param((), 80.0, marks=pytest.mark.slow),
-        (("--full-scale", "159"), 49.88),
-        pytest.param(("--dynamic-range-db", "60"), 60.0, marks=pytest.mark.slow),
-    ],
+    [((), 80.0), (("--full-scale", "159"), 49.88), (("--dynamic-range-db", "60"), 60.0)],
 )
 def test_an_aris_file_tells_its_range(
     words: tuple[str, ...], expected: float, tmp_path: Path

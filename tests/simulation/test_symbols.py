@@ -9,13 +9,14 @@ from learning.random_scenes import random_scene
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS, symbol
 from tests.support.drawn import SECTORS, disc_pattern
+from tests.support.slow import but_first
 
 BASIN = load_landmarks("basin")
 Y, X = np.mgrid[1:-1:61j, -1:1:61j]
 WITHIN = np.hypot(X, Y) <= 0.98
 
 
-@pytest.mark.parametrize("kind", [*LEARNED_SYMBOLS, *OTHER_SYMBOLS])
+@pytest.mark.parametrize("kind", but_first([*LEARNED_SYMBOLS, *OTHER_SYMBOLS]))
 def test_a_symbol_is_unlike_every_id_at_every_turn(kind: str) -> None:
     scale = BASIN.symbol[1]
     for number in range(12):

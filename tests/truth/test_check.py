@@ -26,6 +26,7 @@ from sonarrec.sonar import load_sonar
 from sonarrec.truth.check import CheckedTruth, Fault, check_truth
 from sonarrec.truth.contact_sheet import MOST_STRIPS, SIDE, _strips, draw_contact_sheet
 from tests.support.logs import image_folder
+from tests.support.slow import but_first
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -90,7 +91,7 @@ def test_the_samples_are_sound(name: str) -> None:
     assert faults(SAMPLES / name / "gt.csv", SAMPLES / name) == []
 
 
-@pytest.mark.parametrize("name", ["basin_a", "basin_b", "basin_c"])
+@pytest.mark.parametrize("name", but_first(["basin_a", "basin_b", "basin_c"]))
 def test_recordings_of_another_simulator_are_sound(name: str) -> None:
     if not (SHARED / name).is_dir():
         pytest.skip("the shared recordings are not here")
