@@ -32,7 +32,7 @@ def run(folder: Path, make: str, stubs: dict[str, str]) -> subprocess.CompletedP
         env=os.environ | {"PATH": str(tools)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
 
 

@@ -38,7 +38,7 @@ def sonarrec(
         cwd=folder,
         env=os.environ | environment,
         capture_output=True,
-        timeout=120,
+        timeout=600,
     )
 
 
@@ -117,7 +117,7 @@ def another_locale(**environment: str) -> Iterator[Callable[..., tuple[int, str]
 
         yield run
         asked.close()
-        assert process.wait(60) == 0
+        assert process.wait(300) == 0
         said.seek(0)
         assert b"Traceback" not in said.read()
 

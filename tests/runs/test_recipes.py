@@ -82,7 +82,7 @@ def printed(words: Sequence[str], cwd: Path, **environment: object) -> str:
         [*(f"{at}/bin" for at in (cwd, cwd.parent)), str(BIN), os.environ["PATH"]]
     )
     env = os.environ | {"PATH": path} | {name: str(v) for name, v in environment.items()}
-    done = subprocess.run(words, cwd=cwd, env=env, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(words, cwd=cwd, env=env, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -21,7 +21,7 @@ GRACE_S = 3.0
 BEHAVIOUR = '''
 """Read by every process at its start: logs of these names misbehave while they are read.
 
-A slow one waits before its last frame until there is a file slow.go beside it.
+A slow one waits before its last frame until there is a file slow.go beside it; it makes slow.waits.
 """
 import fcntl, os, signal, sys, time
 if "sonarrec" in "".join(sys.orig_argv):
@@ -40,6 +40,8 @@ if "sonarrec" in "".join(sys.orig_argv):
         for frame in within(self, span):
             yield frame
             last = self.name == "slow" and frame.index + 2 >= len([*self.path.glob("*.png")])
+            if last:
+                self.path.with_suffix(".waits").touch()
             while (self.name == "hangs" or last) and not self.path.with_suffix(".go").exists():
                 time.sleep(0.05)
             if self.name == "dies":
