@@ -139,6 +139,7 @@ def test_a_table_of_pairs(results: Path, tmp_path: Path) -> None:
     assert "leave out RESULTS" in both.stderr
 
 
+@pytest.mark.slow
 def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
     """By name, and of equal names by SHA-256; what is missing is told."""
     shutil.copytree(results, tmp_path / "out" / "pan")
@@ -156,6 +157,7 @@ def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
     assert (log["name"], log["in_all"]) == ("pan", 128)
 
 
+@pytest.mark.slow
 def test_logs_in_several_folders_are_each_found_in_one(tmp_path: Path) -> None:
     """What is not in the first folder, but in the second, is not told as missing."""
     for name in ("a", "b"):

@@ -263,6 +263,7 @@ def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Pa
     assert "logs a and b were run with different landmark IDs" in fault
 
 
+@pytest.mark.slow
 def test_several_presets(tmp_path: Path) -> None:
     half = ("--frames", "20:70")
     sonarrec("run", SAMPLE, *half, "--preset", "paper,default", "--out", tmp_path, "-q")

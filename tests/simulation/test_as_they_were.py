@@ -21,6 +21,7 @@ from sonarrec.simulation.scene import (
     scene_from_table,
     scene_table,
 )
+from tests.support.slow import but_first
 
 NEW = ("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle")
 # Mean grey of the middle eight of four by four parts of the second frame, before there were slopes,
@@ -56,7 +57,7 @@ def test_kinds_keep_their_numbers() -> None:
     assert set(NEW) - set(LEARNED_WORLDS) == {"slope", "silted", "multipath"}
 
 
-@pytest.mark.parametrize("kind", [*KINDS_OF_SCENE, *NEW])
+@pytest.mark.parametrize("kind", but_first([*KINDS_OF_SCENE, *NEW], 3))
 def test_every_kind_has_its_nuisance_and_renders(kind: str) -> None:
     scenes = [random_scene(seed, kind, frames=2) for seed in (3, 4)]
     for scene in scenes:
