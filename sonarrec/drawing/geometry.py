@@ -86,8 +86,8 @@ def draw_preview(
         pen.note("floor", edge[len(edge) // 2], FLOOR, centred=True)
     for share, aside in ((1 / 6, 0.5), (1 / 2, 0.25), (5 / 6, 0.75)):
         bearing = fan.bearing_min_deg + aside * (fan.bearing_max_deg - fan.bearing_min_deg)
-        place = pixel_from_polar(fan, fan.range_min_m + share * fan.window_m, bearing)
-        outline = disc_outline(fan, landmarks.radius_m, float(place[0]), float(place[1]))
+        column, row = pixel_from_polar(fan, fan.range_min_m + share * fan.window_m, bearing)
+        outline = disc_outline(fan, landmarks.radius_m, float(column), float(row))
         pen.line(outline, TRUTH, 1, closed=True)
     return draw_picture(
         pen.canvas, _legend(fan, landmarks, max(pen.canvas.shape[1], 512), height_stated)

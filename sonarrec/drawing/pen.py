@@ -131,11 +131,15 @@ class Pen:
         self.text(text, (x, y), colour)
 
     def note(
-        self, text: str, at: FloatArray | tuple[float, float], colour: Colour, centred: bool = False
+        self,
+        text: str,
+        point: FloatArray | tuple[float, float],
+        colour: Colour,
+        centred: bool = False,
     ) -> None:
         """Write at a point of the image (its bottom left, or middle), inside the picture."""
         (width, height), _ = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
-        x, y = self._enlarged(np.asarray(at, float))
+        x, y = self._enlarged(np.asarray(point, float))
         x, y = x + 3 * self._unit, y - 3 * self._unit
         x = min(max(x - (width / 2 if centred else 0), 2), self.canvas.shape[1] - width - 2)
         y = min(max(y, height + 2), self.canvas.shape[0] - 3)
@@ -144,13 +148,13 @@ class Pen:
         self.text(text, (x, y), colour)
 
     def text(
-        self, text: str, at: tuple[float, float], colour: Colour, align_right: bool = False
+        self, text: str, corner: tuple[float, float], colour: Colour, align_right: bool = False
     ) -> None:
         """Write from the bottom-left (or right) corner of the text, in pixels of the canvas."""
         width = int(cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)[0][0])
-        corner = (round(at[0]) - (width if align_right else 0), round(at[1]))
+        left = round(corner[0]) - (width if align_right else 0)
         look = (_FONT, self._unit / 2, colour[::-1], self._thickness, cv2.LINE_AA)
-        cv2.putText(self.canvas, text, corner, *look)
+        cv2.putText(self.canvas, text, (left, round(corner[1])), *look)
 
 
 def pen_on(image: ByteImage, fan: Fan) -> Pen:

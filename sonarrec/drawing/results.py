@@ -143,8 +143,8 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     bottom = top + 92 * unit
     pen = Pen(np.zeros((round(bottom + 24 * unit), width, 3), np.uint8), unit)
     for n, (landmark, colour) in enumerate(colours.items()):
-        at = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
-        pen.text(f"ID.{landmark}", at, colour)
+        corner = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
+        pen.text(f"ID.{landmark}", corner, colour)
     axes = _StripAxes(left, right, top, bottom, unit)
     latest = [m for m in history if history[-1].index - m.index < STRIP_FRAMES]
     _draw_axes(pen, axes, latest)

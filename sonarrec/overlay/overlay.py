@@ -139,9 +139,9 @@ def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> N
         "picture": targets.images,
         "JSON": targets.layout,
     }
-    places = [target.resolve() for target in outputs.values() if target is not None]
-    for place in places:
-        if places.count(place) > 1 and (place.is_file() or not place.exists()):
+    paths = [target.resolve() for target in outputs.values() if target is not None]
+    for place in paths:
+        if paths.count(place) > 1 and (place.is_file() or not place.exists()):
             raise UsageError(f"{place.name}: each output needs a name of its own")
     for kind, target in outputs.items():
         # A folder of pictures is checked picture by picture.

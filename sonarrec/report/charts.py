@@ -107,16 +107,19 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
     results = log.results
     lanes = []
     for track in silent:
-        followed = np.full(len(track.at), FOLLOWED)
+        followed = np.full(len(track.estimates), FOLLOWED)
         start = log.time[track.frame_index]
         shapes = [Shape(bars(axis, start, period, followed, SILENT_POINTS), None, "bar")]
-        for k in np.unique(results.landmark_index[track.at]).tolist():
-            height = np.where(results.landmark_index[track.at] == k, results.score[track.at], 0.0)
+        for k in np.unique(results.landmark_index[track.estimates]).tolist():
+            height = np.where(
+                results.landmark_index[track.estimates] == k, results.score[track.estimates], 0.0
+            )
             path = bars(axis, start, period, height, SILENT_POINTS)
             shapes.append(Shape(path, k, "bar", f"ID.{results.landmarks.ids[k]}"))
         truth = true_landmark(log, track)
-        best = float(results.score[track.at].max())
-        text = f"track {track.number}, {number_of(len(track.at), 'frame')}, best score {best:.2f}"
+        best = float(results.score[track.estimates].max())
+        frames = number_of(len(track.estimates), "frame")
+        text = f"track {track.number}, {frames}, best score {best:.2f}"
         name = f"{track.number}" + ("" if truth is None else f" (on ID.{truth})")
         lanes.append(Lane(name, Chart(text, shapes), truth is not None))
     return lanes
@@ -196,29 +199,31 @@ def track_panels(log: ReportedLog, track: Track) -> list[TrackPanel]:
     """Probability over time for each method (the paper's Figure 14), the single-frame one first."""
     panels = []
     for method in log.results.methods:
-        at = track.at if method == log.tracker else alongside(log, track, method)
-        if (at >= 0).any():
-            panels.append(_panel(log, track, method, at))
+        estimates = track.estimates if method == log.tracker else alongside(log, track, method)
+        if (estimates >= 0).any():
+            panels.append(_panel(log, track, method, estimates))
     return panels
 
 
-def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPanel:
-    """The panel of a method. at: (n,) its estimate in each frame of the track, -1 for none."""
+def _panel(log: ReportedLog, track: Track, method: str, estimates: IntArray) -> TrackPanel:
+    """The panel of a method. estimates: (n,) its one in each frame of the track, -1 for none."""
     results = log.results
     assert results.probability is not None
     axis = track_axis(log, track)
     _, period = time_axis(log)
     # One element per frame of the log, so that lines break where the object was not seen.
     rows = np.arange(track.frame_index[0], track.frame_index[-1] + 1)
-    seen = at >= 0
+    seen = estimates >= 0
     belief = np.full((len(rows), results.probability.shape[1]), np.nan)
-    belief[track.frame_index[seen] - rows[0]] = results.probability[at[seen]]
+    belief[track.frame_index[seen] - rows[0]] = results.probability[estimates[seen]]
     shapes, text = _probabilities(log, axis.share(log.time[rows]), belief)
     declared = []
     for k in range(len(log.ids)):
         claims = np.zeros(len(rows))
         mine = seen.copy()
-        mine[seen] = results.declared[at[seen]] & (results.landmark_index[at[seen]] == k)
+        mine[seen] = results.declared[estimates[seen]] & (
+            results.landmark_index[estimates[seen]] == k
+        )
         claims[track.frame_index[mine] - rows[0]] = 1
         if mine.any():
             path = bars(axis, log.time[rows] - period / 2, period, claims)
@@ -235,7 +240,7 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
 def _probabilities(log: ReportedLog, x: FloatArray, belief: FloatArray) -> tuple[list[Shape], str]:
     """A line per ID and for "none", and their means as text.
 
-    x: (n,) places on the time axis. belief: (n, K + 1), NaN where the object was not seen.
+    x: (n,) positions on the time axis. belief: (n, K + 1), NaN where the object was not seen.
     """
     shapes, text = [], []
     for k in [len(log.ids), *range(len(log.ids))]:  # "none" first, so that IDs lie over it
@@ -256,7 +261,7 @@ def truth_strip(log: ReportedLog, track: Track) -> Chart | None:
         return None
     axis = track_axis(log, track)
     _, period = time_axis(log)
-    beneath = log.truth_near[track.at]
+    beneath = log.truth_near[track.estimates]
     shapes = [
         Shape(
             bars(axis, log.time[track.frame_index] - period / 2, period, (beneath == k) * 1.0),

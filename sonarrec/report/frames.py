@@ -151,11 +151,13 @@ def _estimates(
 def _marks(reported: ReportedLog, frame: Frame) -> list[Mark]:
     """The landmarks that are at least partly in view in the frame, if truth has positions."""
     truth, results = reported.truth, reported.results
-    place = None if truth is None else truth.pixels(frame.fan)
-    if truth is None or place is None:
+    positions = None if truth is None else truth.pixels(frame.fan)
+    if truth is None or positions is None:
         return []
     here = np.flatnonzero(results.frame[truth.frame_index] == frame.index)
-    return [Mark(results.landmarks.ids[truth.landmark_index[n]], *place[n].tolist()) for n in here]
+    return [
+        Mark(results.landmarks.ids[truth.landmark_index[n]], *positions[n].tolist()) for n in here
+    ]
 
 
 def _shown_frame(
@@ -172,11 +174,11 @@ def _shown_frame(
 
     def outlines(marked: Sequence[tuple[Estimate | Mark, str, bool]], size: float) -> list[Outline]:
         found_outlines = []
-        for place, label, declared in marked:
-            edge = disc_outline(frame.fan, size * log.landmarks.radius_m, place.x_px, place.y_px)
+        for one, label, declared in marked:
+            edge = disc_outline(frame.fan, size * log.landmarks.radius_m, one.x_px, one.y_px)
             around = ellipse((edge + 0.5) * scale)
             if around is not None:
-                colour = log.landmarks.ids.index(place.landmark)
+                colour = log.landmarks.ids.index(one.landmark)
                 found_outlines.append(Outline(around, label, colour, declared))
         return found_outlines
 

@@ -74,8 +74,8 @@ class Track:
 
     number: int
     """Its number in estimates.csv."""
-    at: IntArray
-    """(n,) its estimates, in frame order."""
+    estimates: IntArray
+    """(n,) indices of its estimates, in frame order."""
     frame_index: IntArray
     """(n,) into the log's frames, rising."""
 
@@ -189,7 +189,7 @@ class JudgedSighting:
     """A sighting and whether it is true. n declarations, indices into the estimates."""
 
     sighting: Sighting
-    at: IntArray
+    estimates: IntArray
     """(n,) in frame order."""
     surest: int
     """The declaration of the best score. Of equal printed scores a true claim, then that nearest to
@@ -211,30 +211,31 @@ def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
         if s.landmark not in log.ids:
             continue
         first, end = np.searchsorted(frame, [s.first_frame, s.last_frame + 1])
-        at = declared[first:end]
-        of_landmark = results.landmark_index[at] == log.ids.index(s.landmark)
+        rows = declared[first:end]
+        of_landmark = results.landmark_index[rows] == log.ids.index(s.landmark)
         if s.track is not None:
-            of_landmark &= results.object[at] == s.track
+            of_landmark &= results.object[rows] == s.track
         if of_landmark.any():
-            at = at[of_landmark]
-            judged.append(_judged(log, s, at, None if false is None else false[at]))
+            rows = rows[of_landmark]
+            judged.append(_judged(log, s, rows, None if false is None else false[rows]))
     return judged
 
 
 def _judged(
-    log: ReportedLog, sighting: Sighting, at: IntArray, wrong: BoolArray | None
+    log: ReportedLog, sighting: Sighting, estimates: IntArray, wrong: BoolArray | None
 ) -> JudgedSighting:
     """A sighting with its surest declaration and how many are true.
 
-    at: (n,) its declarations. wrong: (n,) which are false claims, None if not known.
+    estimates: (n,) its declarations. wrong: (n,) which are false claims, None if not known.
     """
-    rows = log.results.frame_index[at]
-    place = log.results.position
-    aside = rows - (rows[0] + rows[-1]) / 2 if place is None else np.arctan2(*place[at].T)
-    true_last = np.zeros(len(at), dtype=bool) if wrong is None else wrong
-    best = np.lexsort((np.abs(aside), true_last, -log.results.score[at].round(2)))[0]
+    frames, position = log.results.frame_index[estimates], log.results.position
+    offset = frames - (frames[0] + frames[-1]) / 2
+    if position is not None:
+        offset = np.arctan2(*position[estimates].T)
+    true_last = np.zeros(len(estimates), dtype=bool) if wrong is None else wrong
+    best = np.lexsort((np.abs(offset), true_last, -log.results.score[estimates].round(2)))[0]
     right = None if wrong is None else int((~wrong).sum())
-    return JudgedSighting(sighting, at, int(at[best]), right, bool(true_last[best]))
+    return JudgedSighting(sighting, estimates, int(estimates[best]), right, bool(true_last[best]))
 
 
 def _false(log: ReportedLog) -> BoolArray | None:
@@ -292,9 +293,9 @@ def tracks(log: ReportedLog, most: int, most_silent: int) -> Tracks:
     def tracks_of(of: IntArray) -> list[Track]:
         tracks = []
         for n in of.tolist():
-            at = of_tracker[track_index == n]
-            at = at[np.unique(results.frame_index[at], return_index=True)[1]]
-            tracks.append(Track(int(numbers[n]), at, results.frame_index[at]))
+            rows = of_tracker[track_index == n]
+            rows = rows[np.unique(results.frame_index[rows], return_index=True)[1]]
+            tracks.append(Track(int(numbers[n]), rows, results.frame_index[rows]))
         return sorted(tracks, key=lambda track: (int(track.frame_index[0]), track.number))
 
     return Tracks(
@@ -307,15 +308,16 @@ def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
     half a disc diameter. All -1 without positions.
     """
     results = log.results
-    nearest = np.full(len(track.at), -1, dtype=np.int64)
+    nearest = np.full(len(track.estimates), -1, dtype=np.int64)
     if results.position is None:
         return nearest
     rows = np.flatnonzero(log.of_method(method) & np.isin(results.frame_index, track.frame_index))
-    beside = np.searchsorted(track.frame_index, results.frame_index[rows])
-    away = np.linalg.norm(results.position[rows] - results.position[track.at[beside]], axis=1)
-    order = np.argsort(-away, kind="stable")
-    order = order[away[order] <= results.landmarks.radius_m]
-    nearest[beside[order]] = rows[order]
+    frame = np.searchsorted(track.frame_index, results.frame_index[rows])
+    at_track = results.position[track.estimates[frame]]
+    distance = np.linalg.norm(results.position[rows] - at_track, axis=1)
+    order = np.argsort(-distance, kind="stable")
+    order = order[distance[order] <= results.landmarks.radius_m]
+    nearest[frame[order]] = rows[order]
     return nearest
 
 
@@ -323,7 +325,7 @@ def true_landmark(log: ReportedLog, track: Track) -> int | None:
     """The true ID beneath the track in most of its frames; None if there is none."""
     if log.truth_near is None:
         return None
-    beneath = log.truth_near[track.at]
+    beneath = log.truth_near[track.estimates]
     if not (beneath >= 0).any():
         return None
     return log.results.landmarks.ids[int(np.bincount(beneath[beneath >= 0]).argmax())]

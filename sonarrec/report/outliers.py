@@ -36,13 +36,13 @@ class Outlier:
 def outliers(
     folders: Sequence[Path],
     pooled: Pooled | None,
-    place: Path | None,
+    folder: Path | None,
     options: ScoringOptions,
     method: str | None,
 ) -> list[Outlier]:
     """Logs that differ from the rest: failed and partial ones first.
 
-    place: the folder that holds the results; its logs.csv names the logs without results.
+    folder: that which holds the results; its logs.csv names the logs without results.
     options: its landmarks and sonar replace those in run.toml. method: whose mistakes count, by
     default as in `logs.read_logs`.
     Raises UsageError if no scored log has the method.
@@ -51,13 +51,13 @@ def outliers(
     folder_of = {log_of(folder): folder for folder in folders}
     if pooled is not None:
         folder_of = dict(zip(pooled.logs, pooled.folders, strict=True))
-        remarks = [*_unfinished(folder_of, place), *_most_mistaken(pooled, method)]
+        remarks = [*_unfinished(folder_of, folder), *_most_mistaken(pooled, method)]
     else:
         sightings, unread = _sightings(folder_of, options)
         folders_read = {name: folder_of[name] for name in sightings}
         remarks = [
             *unread,
-            *_unfinished(folders_read, place),
+            *_unfinished(folders_read, folder),
             *_unusual(sightings, method),
         ]
     for name, reason in remarks:
@@ -65,12 +65,12 @@ def outliers(
     return [Outlier(name, folder_of.get(name), tuple(why)) for name, why in reasons.items()]
 
 
-def failed_logs(place: Path | None) -> list[Outlier]:
-    """The logs that failed, by logs.csv in `place`, if there is one."""
+def failed_logs(folder: Path | None) -> list[Outlier]:
+    """The logs that failed, by logs.csv in the folder, if there is one."""
     rows = []
-    if place is not None:
+    if folder is not None:
         try:
-            rows = logs_table.read_logs(place / logs_table.NAME)
+            rows = logs_table.read_logs(folder / logs_table.NAME)
         except SonarrecError:  # not a logs.csv of sonarrec
             rows = []
     usable = {row.log for row in rows if row.status in logs_table.USABLE}
@@ -90,9 +90,9 @@ def outliers_first(folders: Sequence[Path], outlying: Sequence[Outlier]) -> list
     return list(dict.fromkeys([*first, *folders]))
 
 
-def _unfinished(folder_of: dict[str, Path], place: Path | None) -> Iterator[tuple[str, str]]:
+def _unfinished(folder_of: dict[str, Path], results: Path | None) -> Iterator[tuple[str, str]]:
     """(log, reason) of logs that failed or could not be used completely."""
-    failed = failed_logs(place)
+    failed = failed_logs(results)
     for log in failed:
         yield log.name, log.reasons[0]
     failed_names = {log.name for log in failed}

@@ -315,9 +315,13 @@ def _track_view(log: ReportedLog, track: Track) -> View:
     ids = results.landmarks.ids
     claims = []
     for k in range(len(ids)):
-        count = int((results.declared[track.at] & (results.landmark_index[track.at] == k)).sum())
+        count = int(
+            (
+                results.declared[track.estimates] & (results.landmark_index[track.estimates] == k)
+            ).sum()
+        )
         if count:
-            claims.append(f"ID.{ids[k]} in {count} of {number_of(len(track.at), 'frame')}")
+            claims.append(f"ID.{ids[k]} in {count} of {number_of(len(track.estimates), 'frame')}")
     first, last = int(track.frame_index[0]), int(track.frame_index[-1])
     return {
         "track": track,

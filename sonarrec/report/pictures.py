@@ -79,8 +79,8 @@ def ellipse(outline: FloatArray) -> tuple[float, ...] | None:
     """Centre, half axes and rotation (deg) of an ellipse fitted to (n, 2) points; None if none."""
     if not np.isfinite(outline).all():
         return None
-    (x, y), (a, b), turn = cv2.fitEllipse(outline.astype(np.float32))
-    found = tuple(round(v, 1) for v in (x, y, a / 2, b / 2, turn))
+    (x, y), (a, b), rotation = cv2.fitEllipse(outline.astype(np.float32))
+    found = tuple(round(v, 1) for v in (x, y, a / 2, b / 2, rotation))
     return found if np.isfinite(found).all() else None
 
 

@@ -84,9 +84,9 @@ def _possible_names(path: Path) -> set[str]:
 def _inside(folder: Path) -> dict[str, list[Path]]:
     """Folders and log files below a folder, by their possible names."""
     by_name: dict[str, list[Path]] = defaultdict(list)
-    for place in _below(folder):
-        for name in _possible_names(place):
-            by_name[name].append(place)
+    for path in _below(folder):
+        for name in _possible_names(path):
+            by_name[name].append(path)
     return by_name
 
 

@@ -28,7 +28,7 @@ MOST_POINTS = 400
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """A label on an axis; at: its place, % of the axis."""
+    """A label on an axis; at: its position, % of the axis."""
 
     at: float
     text: str
@@ -85,8 +85,8 @@ class Axis:
         shares = self.share(np.asarray(values))
         inside = (shares > -1e-9) & (shares < 1 + 1e-9)
         return [
-            Tick(round(100 * float(at), 2), f"{value:.12g}")
-            for at, value in zip(shares[inside], np.asarray(values)[inside], strict=True)
+            Tick(round(100 * float(share), 2), f"{value:.12g}")
+            for share, value in zip(shares[inside], np.asarray(values)[inside], strict=True)
         ]
 
 
@@ -97,13 +97,13 @@ def polyline(x: FloatArray, y: FloatArray) -> str:
     """A path through points given as shares of the sheet from the bottom left; NaN breaks it."""
     drawn = np.isfinite(x) & np.isfinite(y)
     points = np.stack([np.where(drawn, x, 0), np.where(drawn, 1 - y, 0)], axis=1)
-    at = np.rint(points * (WIDTH, HEIGHT)).astype(int)
+    pixels = np.rint(points * (WIDTH, HEIGHT)).astype(int)
     runs = np.split(np.arange(len(y)), np.flatnonzero(np.diff(drawn)) + 1)
     parts = []
     for run in runs:
         if len(run) and drawn[run[0]]:
             # A point alone is a line of no length: round caps make a dot of it.
-            corners = at[run] if len(run) > 1 else at[[run[0], run[0]]]
+            corners = pixels[run] if len(run) > 1 else pixels[[run[0], run[0]]]
             parts.append("M" + "L".join(f"{a} {b}" for a, b in corners.tolist()))
     return "".join(parts)
 
@@ -191,8 +191,8 @@ def _circle(share: float) -> str:
 
 def _wedge(begin: float, angle: float, inner: float, outer: float) -> str:
     """Counter-clockwise from `begin` (rad from the right), between two shares of the radius."""
-    turn = np.array([begin, begin + angle])
-    x, y = np.cos(turn), np.sin(turn)
+    angles = np.array([begin, begin + angle])
+    x, y = np.cos(angles), np.sin(angles)
     (ax, bx), (ay, by) = 50 + 49 * outer * x, 50 - 49 * outer * y
     (cx, dx), (cy, dy) = 50 + 49 * inner * x, 50 - 49 * inner * y
     big, small = 49 * outer, 49 * inner

@@ -121,9 +121,9 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
     smi = np.flatnonzero(log.of_method("smi"))
     for track in shown:
         assert (np.diff(track.frame_index) > 0).all()
-        assert (found.object[track.at] == track.number).all()
+        assert (found.object[track.estimates] == track.number).all()
         for at, row, matched in zip(
-            track.at, track.frame_index, alongside(log, track, "smi"), strict=True
+            track.estimates, track.frame_index, alongside(log, track, "smi"), strict=True
         ):
             here = smi[found.frame_index[smi] == row]
             away = np.linalg.norm(found.position[here] - found.position[at], axis=1)
@@ -161,4 +161,4 @@ def test_sightings_of_the_sample(results: Path) -> None:
         surest = reported_log.frame_of(one.surest)
         assert round(scores[frames.index(surest)], 2) == round(s.best_score, 2)
         assert one.right is not None
-        assert 0 <= one.right <= len(one.at) == len(here)
+        assert 0 <= one.right <= len(one.estimates) == len(here)
