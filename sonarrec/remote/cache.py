@@ -60,7 +60,7 @@ def default_folder() -> Path:
 def key_of(*texts: object) -> str:
     """A folder's name for what the texts, URLs among them, name on an S3 server or another."""
     server = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
-    return hashlib.sha256(repr((server, *texts)).encode()).hexdigest()[:24]
+    return hashlib.sha256(" ".join(map(str, (server, *texts))).encode()).hexdigest()[:24]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,13 +70,16 @@ class Cache:
     folder: Path
     limit: int
 
+    def entry(self, key: str) -> Path:
+        return self.folder / "logs" / key
+
     @contextmanager
     def hold(self, key: str, *, alone: bool) -> Iterator[Path]:
         """The entry of a key, which is not deleted inside. alone: nobody else uses it inside.
 
         Raises SonarrecError if the folder cannot be written.
         """
-        entry = self.folder / "logs" / key
+        entry = self.entry(key)
         while True:
             try:
                 (entry / "files").mkdir(parents=True, exist_ok=True)

@@ -151,24 +151,26 @@ def _kept(
     lasting = all(item.has_version for item in wanted.values())
     versions = sorted((name, item.size, item.tag) for name, item in wanted.items())
     key = key_of(url.redacted, root.redacted, versions if lasting else uuid4().hex)
-    while True:
-        with cache.hold(key, alone=False) as entry:
-            if all(_is_whole(entry, name, item) for name, item in wanted.items()):
-                origin = Origin(url.redacted, str(entry / "files"), root.place.rstrip("/"))
-                with origin.translated():
-                    yield entry / "files", origin
-                break
-        try:
-            with cache.hold(key, alone=True) as entry:
-                _fill(entry, url.redacted, wanted, cache, progress)
-        except NoRoomError:
-            if not wait or not lasting:
-                raise
-            sleep(1.0)
-        except OSError as error:  # the disk is full
-            raise unwritable(cache.folder, error) from None
-    if not lasting:
-        deleted(entry)
+    try:
+        while True:
+            with cache.hold(key, alone=False) as entry:
+                if all(_is_whole(entry, name, item) for name, item in wanted.items()):
+                    origin = Origin(url.redacted, str(entry / "files"), root.place.rstrip("/"))
+                    with origin.translated():
+                        yield entry / "files", origin
+                    return
+            try:
+                with cache.hold(key, alone=True) as entry:
+                    _fill(entry, url.redacted, wanted, cache, progress)
+            except NoRoomError:
+                if not wait or not lasting:
+                    raise
+                sleep(1.0)
+            except OSError as error:  # the disk is full
+                raise unwritable(cache.folder, error) from None
+    finally:
+        if not lasting:
+            deleted(cache.entry(key))
 
 
 def _is_whole(entry: Path, name: str, item: Item) -> bool:

@@ -57,16 +57,16 @@ class RemoteFiles:
 
     def results(self, place: Path | str) -> Path:
         """A results folder, of one log or of several."""
-        if not is_url(place):
-            return Path(place)
-        return self._enter(fetched_results(str(place), self._cache()))
+        return (
+            self._enter(fetched_results(str(place), self._cache()))
+            if is_url(place)
+            else Path(place)
+        )
 
     def file(self, place: Path | str | None) -> Path | None:
         """An optional file, such as a ground-truth table."""
-        if place is None:
-            return None
-        if not is_url(place):
-            return Path(place)
+        if place is None or not is_url(place):
+            return None if place is None else Path(place)
         return self._enter(fetched_file(str(place), self._cache()))
 
     def log(self, place: Path | str) -> Path:

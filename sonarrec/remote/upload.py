@@ -22,8 +22,6 @@ from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, MADE, OURS, PAGES, TABLES, estimates_of
 
 _MARK = "run.toml"
-_LARGE = ESTIMATES
-"""Not fetched when old results are only compared with a new run; an empty file stands for it."""
 
 
 class Outbox:
@@ -88,12 +86,17 @@ def _is_whole(local: Path) -> bool:
     return large.is_file() and large.stat().st_size > 0
 
 
-def _upload(store: Store, local: Path, remote: Url) -> None:
+def _listing(store: Store, remote: Url) -> tuple[dict[str, Item], list[str]]:
+    """(files by name, names of folders) in a folder that need not exist."""
     try:
         files, folders = store.listing(remote)
     except MissingError:
-        files, folders = [], []
-    before = {item.url.name: item for item in files}
+        return {}, []
+    return {item.url.name: item for item in files}, folders
+
+
+def _upload(store: Store, local: Path, remote: Url) -> None:
+    before, folders = _listing(store, remote)
     for old in sorted(before.keys() & set(OURS), key=lambda name: name != _MARK):
         store.remove(remote.child(old))
     for place in (*_made_inside(store, remote, folders), *_pages(store, before)):
@@ -121,13 +124,16 @@ def _pages(store: Store, files: Mapping[str, Item]) -> Iterator[Url]:
 
 
 def _fetch_held(store: Store, remote: Url, local: Path) -> None:
-    """Fetch run.toml and the small tables of finished results, if the server has any."""
-    names = (_MARK, *(name for name in TABLES if name not in _LARGE))
-    items = [item for name in names if (item := store.item(remote.child(name))) is not None]
-    large = next((n for n in _LARGE if store.item(remote.child(n)) is not None), None)
-    if len(items) == len(names) and large is not None:
-        for item in items:
-            store.fetch(item, local / item.url.name)
+    """Fetch run.toml and the small tables of finished results, if the server has any.
+
+    An empty file stands for the estimates, which are not compared with those of a new run.
+    """
+    there, _ = _listing(store, remote)
+    large = next((name for name in ESTIMATES if name in there), None)
+    small = {_MARK, *TABLES} - {*ESTIMATES}
+    if large is not None and small <= there.keys():
+        for name in small:
+            store.fetch(there[name], local / name)
         (local / large).touch()
 
 
