@@ -245,31 +245,18 @@ def test_the_example_is_valid_and_comes_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[sonar", "not a readable TOML file"),
         ("", r"expected one table \[sonar\]"),
-        ("sonar = 3", r"\[sonar\] must be a table of keys, not 3"),
         ("[sonar]\n[other]", r"expected one table \[sonar\]"),
-        ("[sonar]\nmax_range_m = 1", r"sonar.max_range_m \(did you mean range_max_m\?\); known"),
+        ("sonar = 3", r"\[sonar\] must be a table of keys, not 3"),
         (
             "[sonar]\nrange_mim_m = 1",
             r"unknown key sonar.range_mim_m \(did you mean range_min_m\?\); known in .sonar.:",
         ),
         ('[sonar]\nlayout = "round"', 'layout must be "fan" or "polar"'),
-        ('[sonar]\ntilt_deg = "20"', "tilt_deg must be a finite number"),
-        ("[sonar]\ntilt_deg = nan", "tilt_deg must be a finite number"),
-        ("[sonar]\ntilt_deg = true", "tilt_deg must be a finite number"),
-        (
-            "[sonar]\napex_px = [1]",
-            r"sonar.apex_px must be a list of 2, each a finite number, not \[1\]",
-        ),
-        ("[sonar]\nbearings_deg = 3", "bearings_deg must be a list, each a finite number, not"),
+        ("[sonar]\napex_px = [1]", r"sonar.apex_px must be a list of 2, each a finite number, not"),
         ('[sonar]\nbearings_deg = ["a"]', "bearings_deg must be a list, each a finite number, not"),
-        (
-            "[sonar]\nbearings_deg = [1, inf]",
-            "bearings_deg must be a list, each a finite number, not",
-        ),
     ],
-)
+)  # numbers, and files that cannot be read: tests/files/test_toml.py
 def test_a_sonar_toml_that_cannot_be_meant(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "sonar.toml"
     path.write_text(text)
@@ -278,28 +265,15 @@ def test_a_sonar_toml_that_cannot_be_meant(text: str, says: str, tmp_path: Path)
     assert str(path) in str(caught.value)
 
 
-def test_a_sonar_toml_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(SonarrecError, match="cannot be read"):
-        load_sonar(tmp_path / "sonar.toml")
-    (tmp_path / "sonar.toml").write_bytes(b"\xff\xfe\xff")
-    with pytest.raises(SonarrecError, match="cannot be read"):
-        load_sonar(tmp_path / "sonar.toml")
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         ({"range_min_m": 3.75}, "range_min_m = 3.75 must be"),
-        ({"range_min_m": -1.0}, "range_min_m = -1 must be"),
-        ({"field_of_view_deg": 0.0}, "field_of_view_deg = 0"),
         ({"field_of_view_deg": 180.0}, "field_of_view_deg = 180"),
         ({"tilt_deg": 90.0}, "tilt_deg = 90"),
-        ({"tilt_deg": -5.0}, "tilt_deg = -5"),
-        ({"height_m": 0.0}, "height_m = 0"),
         ({"height_m": 4.0}, "height_m = 4"),
         ({"frame_rate_hz": 0.0}, "frame_rate_hz = 0"),
         ({"metres_per_pixel": -1.0}, "metres_per_pixel = -1"),
-        ({"bearings_deg": (1.0,)}, "bearings_deg must rise or fall"),
         ({"bearings_deg": ()}, "bearings_deg must rise or fall"),
         ({"bearings_deg": (0.0, 2.0, 1.0)}, "bearings_deg must rise or fall"),
         ({"bearings_deg": (0.0, 90.0)}, "between -90 and 90"),

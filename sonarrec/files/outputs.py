@@ -7,7 +7,6 @@ an older one only when it is complete.
 from __future__ import annotations
 
 import csv
-import errno
 import glob
 import itertools
 import os
@@ -15,7 +14,7 @@ import shutil
 import struct
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -38,6 +37,16 @@ _STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
 _numbers = itertools.count()
 _PNG_HEADER = 33
 _HEAD = 4096
+_MARKS: dict[Kind, bytes] = {
+    "report": b"sonarrec report</title>",
+    "comparison": b"sonarrec comparison</title>",
+    "picture": b"Software\0sonarrec",
+    "overlay": OVERLAY_LIBRARY.encode(),
+    "video": VIDEO_MARK,
+    "model": MODEL_MARK.encode(),
+}
+"""What our files of a kind have in their first bytes, or at their end. Tables and JSON are known by
+how they begin. A graph of g2o cannot hold a mark, so it is never taken for ours."""
 
 
 def check_output(
@@ -122,19 +131,11 @@ def is_output(path: Path, kind: Kind, header: str = "") -> bool:
         head = file.read(_HEAD)
         file.seek(max(path.stat().st_size - len(VIDEO_MARK), 0))
         tail = file.read()
-    is_page = b"<!doctype html>" in head.lower()
-    tests: dict[Kind, Callable[[], bool]] = {
-        "report": lambda: is_page and b"sonarrec report</title>" in head,
-        "comparison": lambda: is_page and b"sonarrec comparison</title>" in head,
-        "picture": lambda: head[:4] == b"\x89PNG" and b"Software\0sonarrec" in head,
-        "overlay": lambda: OVERLAY_LIBRARY.encode() in head[:64],
-        "video": lambda: tail == VIDEO_MARK,
-        "model": lambda: MODEL_MARK.encode() in head,
-        "table": lambda: head.startswith(header.encode()),
-        "JSON": lambda: head.startswith(header.encode()),
-        "graph": lambda: False,  # g2o cannot hold a mark
-    }
-    return not head or tests[kind]()  # an empty file holds nothing to lose
+    if not head:
+        return True  # an empty file holds nothing to lose
+    if kind in ("table", "JSON"):
+        return head.startswith(header.encode())
+    return kind in _MARKS and _MARKS[kind] in head + tail
 
 
 def is_filled(path: Path) -> bool:
@@ -176,13 +177,7 @@ def replaced(path: Path) -> Iterator[Path]:
         for folder in new_folders:
             folder.mkdir(exist_ok=True)
         yield new
-        try:
-            new.replace(target)
-        except OSError as error:
-            if error.errno != errno.EBUSY:
-                raise
-            shutil.copyfile(new, target)  # the file itself is a mount point
-            new.unlink()
+        new.replace(target)
     except BaseException as error:
         with suppress(OSError):
             new.unlink(missing_ok=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -59,12 +58,10 @@ _OPTIONS: dict[str, Any] = {
     "na_values": ["", "nan"],
     "low_memory": False,
 }
-_AT_ONCE = 262_144
-"""Characters read from a file at a time."""
+_AT_ONCE = 4_096
+"""Lines handed to pandas at a time."""
 _BLANK = ", \t\r\n"
 """A line of these alone is no row: spreadsheets end a table with lines such as ",,,"."""
-_BESIDE_BLANK = ("\r", " ", "\t", "\n\n", "\n,")
-"""Text with a blank line in it, and a line's end before it, has one of these; searching is fast."""
 _PLACES: tuple[Kind, ...] = ("place", "blank or place")
 _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
@@ -102,16 +99,26 @@ def _names(path: Path, expected: str) -> list[str]:
     """The names of all columns, as they are written. Raises SonarrecError as `read_tables` does."""
     if path.suffix == PARQUET:
         return read_names(path)
-    _check_shape(path, expected)
+    _check_kind(path)
 
     def read() -> list[str]:
         with _opened(path) as file:
-            lines = (line for line in file if line.strip(_BLANK))
+            lines = (line for _, line in _lines(path, file))
             for cells in csv.reader(lines, skipinitialspace=True):
                 return cells
         raise pd.errors.EmptyDataError
 
     names: list[str] = _parse(path, expected, read)
+    if len(names) > MOST_COLUMNS:
+        raise SonarrecError(
+            f"{path}: {len(names)} columns; sonarrec has no tables of more than {MOST_COLUMNS}"
+        )
+    for mark, name in ((";", ";"), ("\t", "tabs")):  # as spreadsheets save them
+        if len(names) == 1 and mark in names[0]:
+            raise SonarrecError(
+                f"{path}: columns are separated by {name} and not by , as expected; a header is "
+                f"{expected}"
+            )
     return names
 
 
@@ -166,36 +173,45 @@ def read_tables(
 
 def _csv_parts(path: Path, dtype: Mapping[str, type], rows: int | None) -> Iterator[Any]:
     """Data frames of at most `rows` rows; None: one of all rows."""
-    with _NonBlankLines(_opened(path)) as text:
+    with _opened(path) as file:
+        text: Any = _Text(line for _, line in _lines(path, file))
         if rows is None:
             yield pd.read_csv(text, dtype=dtype, **_OPTIONS)
         else:
             yield from pd.read_csv(text, dtype=dtype, chunksize=rows, **_OPTIONS)
 
 
-def _opened(path: Path) -> TextIO:
-    return path.open(encoding="utf-8-sig", newline="")
+def _opened(path: Path, errors: str = "strict") -> TextIO:
+    return path.open(encoding="utf-8-sig", errors=errors, newline="")
 
 
-class _NonBlankLines(io.TextIOBase):
-    """The text of a CSV file without its blank lines, for pandas."""
+def _lines(path: Path, file: TextIO) -> Iterator[tuple[int, str]]:
+    """The lines of a CSV file that are not blank, by their 1-based number.
 
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
+    Raises SonarrecError at a line that is too long to be one of a table.
+    """
+    for number in itertools.count(1):
+        line = file.readline(LONGEST_LINE)
+        if not line:
+            return
+        if len(line) == LONGEST_LINE and line[-1] not in "\r\n":
+            raise SonarrecError(
+                f"{path}: not a table of sonarrec, line {number} has more than {LONGEST_LINE} "
+                "characters"
+            )
+        if line.strip(_BLANK):
+            yield number, line
+
+
+class _Text(io.TextIOBase):
+    """Lines as an open file, for pandas."""
+
+    def __init__(self, lines: Iterator[str]) -> None:
+        self._lines = lines
 
     def read(self, _size: int | None = -1, /) -> str:
         """Some whole lines; "" at the end."""
-        while text := self._file.read(_AT_ONCE) + self._file.readline():
-            if any(mark in f"\n{text}" for mark in _BESIDE_BLANK):
-                lines = io.StringIO(text, newline="")
-                text = "".join([line for line in lines if line.strip(_BLANK)])
-            if text:
-                return text
-        return ""
-
-    def close(self) -> None:
-        self._file.close()
-        super().close()
+        return "".join(itertools.islice(self._lines, _AT_ONCE))
 
 
 def _parse(path: Path, expected: str, read: Callable[[], Any]) -> Any:
@@ -223,7 +239,7 @@ def _parse(path: Path, expected: str, read: Callable[[], Any]) -> Any:
 def _longer_row(path: Path) -> str | None:
     """A message on the first row that is longer than the header; None if there is none."""
     columns = 0
-    with suppress(csv.Error):
+    with suppress(csv.Error, SonarrecError):
         for line, cells in _rows(path):
             columns = columns or len(cells)  # of the header
             if len(cells) > columns:
@@ -276,45 +292,15 @@ def cut(table: Table, rows: int) -> Table:
     return {name: column[:rows] for name, column in table.items()}
 
 
-def _check_shape(path: Path, expected: str) -> None:
-    """Raise SonarrecError for files that cannot be tables, such as devices or very wide ones.
-
-    expected: as in `read_table`.
-    """
-    try:
-        if path.exists() and not path.is_file():
-            raise SonarrecError(f"{path}: not a file that can be read as a table")
-        with path.open("rb") as file:
-            beginning = file.read(LONGEST_LINE)
-            header = re.split(rb"[\r\n]", beginning.lstrip(), maxsplit=1)[0]
-            blocks = iter(lambda: file.read(LONGEST_LINE), b"")
-            long = any(
-                len(x) == LONGEST_LINE and not _ends_line(x)
-                for x in itertools.chain([header], blocks)
-            )
-    except FileNotFoundError:
-        return  # reported when it is read
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    if beginning.startswith((b"PK\x03\x04", b"\x1f\x8b")):  # zip, as .xlsx and .ods are, and gzip
-        raise SonarrecError(
-            f"{path}: a workbook or an archive, not a CSV table; export or unpack it as CSV"
-        )
-    if long or header.count(b",") >= MOST_COLUMNS:
-        raise SonarrecError(
-            f"{path}: more than {MOST_COLUMNS} columns, or a line of more than {LONGEST_LINE} "
-            "bytes; sonarrec has no such tables"
-        )
-    for mark, name in ((b";", ";"), (b"\t", "tabs")):  # as spreadsheets save them
-        if mark in header and b"," not in header:
+def _check_kind(path: Path) -> None:
+    """Raise SonarrecError for a device, a folder, a workbook and an archive."""
+    if path.exists() and not path.is_file():
+        raise SonarrecError(f"{path}: not a file that can be read as a table")
+    with suppress(OSError), path.open("rb") as file:  # reported when it is read
+        if file.read(4).startswith((b"PK\x03\x04", b"\x1f\x8b")):  # .xlsx and .ods; gzip
             raise SonarrecError(
-                f"{path}: columns are separated by {name} and not by , as expected; a header is "
-                f"{expected}"
+                f"{path}: a workbook or an archive, not a CSV table; export or unpack it as CSV"
             )
-
-
-def _ends_line(block: bytes) -> bool:
-    return b"\n" in block or b"\r" in block
 
 
 def line_number(path: Path, row: int) -> int:
@@ -333,7 +319,7 @@ def line_numbers(path: Path) -> Iterator[int]:
     Blank lines are not rows, and a quoted cell may span several lines.
     """
     line = 0
-    with suppress(csv.Error):  # a cell that is too long for the reader
+    with suppress(csv.Error, SonarrecError):  # a cell or line that is too long
         for n, (line, _) in enumerate(_rows(path)):
             if n:  # not the header
                 yield line
@@ -343,18 +329,17 @@ def line_numbers(path: Path) -> Iterator[int]:
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """The header and the rows of a CSV file: (1-based line at which it begins, cells).
 
-    Raises csv.Error at a cell that is too long for the reader.
+    Raises csv.Error and SonarrecError at a cell or line that is too long.
     """
     numbers: list[int] = []  # of the lines of one row
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+    with _opened(path, errors="replace") as file:
 
-        def non_blank_lines() -> Iterator[str]:
-            for number, line in enumerate(file, 1):
-                if line.strip(_BLANK):
-                    numbers.append(number)
-                    yield line
+        def lines() -> Iterator[str]:
+            for number, line in _lines(path, file):
+                numbers.append(number)
+                yield line
 
-        for cells in csv.reader(non_blank_lines(), skipinitialspace=True):
+        for cells in csv.reader(lines(), skipinitialspace=True):
             yield numbers[0], cells
             numbers.clear()
 

@@ -69,11 +69,6 @@ HOSTILE = {
 }
 
 
-EACH = ("scene's landmark", "sonar's list")
-"""A number in a table of a list, and a list of numbers. Readers in whose files there is no other
-shape show by few cases that they read by the same function."""
-
-
 def one_line(read: Callable[[], object], path: Path) -> str:
     with pytest.raises(SonarrecError) as caught:
         read()
@@ -84,44 +79,27 @@ def one_line(read: Callable[[], object], path: Path) -> str:
     return text
 
 
-@pytest.mark.parametrize(
-    ("reader", "value"),
-    [(r, v) for r in READERS for v in HOSTILE if r in EACH or v in ("nan", "text", "NUL")],
-)
-def test_a_value_that_cannot_be_meant(reader: str, value: str, tmp_path: Path) -> None:
-    (read, sound, key), value = READERS[reader], HOSTILE[value]
-    path = tmp_path / "x.toml"
-    path.write_text(f"{sound}{key.split('.')[-1]} = {value}\n")
-    text = one_line(lambda: read(path), path)
-    assert key in text or "not a readable TOML file" in text
-
-
-KEYS = ['"a\\nb"', '"\\u001b[31m"', '""', "k" * 5000, ".".join("a" * 5000)]
-
-
-@pytest.mark.parametrize(
-    ("reader", "key"),
-    [(r, k) for r in READERS for k in range(len(KEYS)) if r == EACH[0] or k == 0],
-)
-def test_a_key_that_cannot_be_meant(reader: str, key: int, tmp_path: Path) -> None:
-    read, sound, _ = READERS[reader]
-    path = tmp_path / "x.toml"
-    path.write_text(f"{sound}{KEYS[key]} = 1\n")
-    text = one_line(lambda: read(path), path)
-    assert any(says in text for says in ("unknown key", "or unknown: ", "nested too deep"))
-
-
 @pytest.mark.parametrize("reader", READERS)
-def test_a_file_that_cannot_be_read(reader: str, tmp_path: Path) -> None:
-    read = READERS[reader][0]
+def test_what_cannot_be_meant(reader: str, tmp_path: Path) -> None:
+    read, sound, key = READERS[reader]
     path = tmp_path / "x.toml"
-    path.write_bytes(b"\xff\xfe")
-    assert "utf-8" in one_line(lambda: read(path), path)
-    path.write_text("a = 1\nb =\n")
-    assert "line 2" in one_line(lambda: read(path), path)
-    with path.open("wb") as file:
-        file.truncate(2**25)  # sparse: 32 MiB that are not on the disk
-    assert "larger than 16 MiB" in one_line(lambda: read(path), path)
+    if read not in (load_landmarks, load_scene):  # to which it would be a built-in name
+        assert "cannot be read" in one_line(lambda: read(path), path)
+    for value in HOSTILE.values():
+        path.write_text(f"{sound}{key.split('.')[-1]} = {value}\n")
+        text = one_line(lambda: read(path), path)
+        assert key in text or "not a readable TOML file" in text, value[:60]
+    for name in ('"a\\nb"', '"\\u001b[31m"', '""', "k" * 5000, ".".join("a" * 5000)):
+        path.write_text(f"{sound}{name} = 1\n")
+        text = one_line(lambda: read(path), path)
+        assert any(says in text for says in ("unknown key", "or unknown: ", "nested too deep"))
+    for data, says in (
+        (b"\xff\xfe", "utf-8"),
+        (b"a = 1\nb =\n", "line 2"),
+        (b"#" * (2**24 + 1), "larger than 16 MiB"),
+    ):
+        path.write_bytes(data)
+        assert says in one_line(lambda: read(path), path)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +128,7 @@ def test_a_run_toml_that_cannot_be_meant(stated: str, says: str, tmp_path: Path)
     assert says in one_line(lambda: read_run(path), path)
 
 
-@pytest.mark.parametrize("stated", [*(f"{name} = 3\n" for name in TABLES), "[input]\nsha256 = 3\n"])
+@pytest.mark.parametrize("stated", ["sonar = 3\n", "[input]\nsha256 = 3\n"])
 def test_no_command_breaks_on_it(stated: str, tmp_path: Path) -> None:
     """run, evaluate, report, overlay and truth propose: one line, exit code 1 or 2."""
     log, results = SAMPLE, tmp_path / "pan"
@@ -180,12 +158,12 @@ def test_names_no_file_can_have() -> None:
             assert str(caught.value).isprintable()
 
 
-@pytest.mark.parametrize("value", HOSTILE.values(), ids=HOSTILE.keys())
-def test_assignments_that_cannot_be_meant(value: str) -> None:
-    with pytest.raises(UsageError, match=r"candidates\.threshold must be a number") as caught:
-        with_assignments(Config(), [f"candidates.threshold={value}"])
-    assert str(caught.value).isprintable()
-    assert len(str(caught.value)) < 300
+def test_assignments_that_cannot_be_meant() -> None:
+    for value in HOSTILE.values():
+        with pytest.raises(UsageError, match=r"candidates\.threshold must be a number") as caught:
+            with_assignments(Config(), [f"candidates.threshold={value}"])
+        assert str(caught.value).isprintable()
+        assert len(str(caught.value)) < 300
 
 
 @dataclass(frozen=True)
