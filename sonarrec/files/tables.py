@@ -58,7 +58,7 @@ _OPTIONS: dict[str, Any] = {
     "na_values": ["", "nan"],
     "low_memory": False,
 }
-_AT_ONCE = 4_096
+_AT_ONCE = 256
 """Lines handed to pandas at a time."""
 _BLANK = ", \t\r\n"
 """A line of these alone is no row: spreadsheets end a table with lines such as ",,,"."""
