@@ -29,8 +29,7 @@ _DATE = re.compile(
     r"(?:[-_.T ]{0,2}| at )"
     r"(?P<hour>[0-9]{2}|(?<=[-_T ])[0-9](?=[-_.:]))(?P<colon>[-_.:]|h(?=[0-9]{2}m)|)"
     rf"(?P<minute>[0-9]{{2}})(?:(?P=colon)|m)(?P<second>[0-9]{{2}}){_FRACTION}(?![0-9])"
-    r"(?:[\s_]?(?P<half>[AP])M(?![A-Z]))?"
-    r"(?:\s?(?P<zone>[-+][01][0-9]:?(?:00|15|30|45)(?![0-9])|\+[01][0-9](?![0-9])))?",
+    r"(?![\s_]?[AP]M(?![A-Z]))",  # of which half of the day is not told apart
     re.IGNORECASE,
 )
 
@@ -39,9 +38,9 @@ def times_in_names(stems: Iterable[str]) -> IntArray | None:
     """(n,) times in ns that stand in n names without their suffix; None if they hold none.
 
     All names are alike: numbers of 19 digits, or they hold the seconds since 1970 or date and time
-    of day, with or without a fraction. A time of day is taken as UTC where no zone stands behind
-    it. Such times must rise from name to name, by LEAST_STEP_NS and more in most: else they are
-    counters, or seconds in which several images fall.
+    of 24 hours, with or without a fraction; it is taken as UTC. Such times must rise from name to
+    name, by LEAST_STEP_NS and more in most: else they are counters, or seconds in which several
+    images fall.
     """
     stems = list(stems)
     if not stems:
@@ -77,7 +76,7 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     """(n,) the one time in ns that each name holds in this form; None if some do not, or if they
     do not rise as those of pings do."""
     alike: tuple[str, int] | None = None
-    seconds, fractions, zones = list[int](), list[int](), set[str]()
+    seconds, fractions = list[int](), list[int]()
     for stem in stems:
         found = [match.groupdict(default="") for match in form.finditer(stem)]
         if len(found) != 1:
@@ -92,7 +91,6 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
         except ValueError:  # a 13th month
             return None
         fractions.append(int(f"{of_name['fraction'] or of_name['in_full']:0<9}"))
-        zones.add(of_name.get("zone", ""))
     whole, parts = np.array(seconds, np.int64), np.array(fractions, np.int64)
     if alike is not None and _fraction_counts(whole, parts, *alike):
         parts = np.zeros_like(parts)
@@ -101,29 +99,15 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
         return None
     if form is _DATE and not parts.any() and _seconds_count(whole):
         return None
-    # Where they differ they are counters.
-    return times - (_ahead_s(zones.pop()) * 10**9 if len(zones) == 1 else 0)
+    return times
 
 
 def _seconds(of_name: Mapping[str, str]) -> int:
-    """Seconds since 1970, of a time of day without its zone. Raises ValueError if there is none."""
+    """Seconds since 1970. Raises ValueError if it is no date."""
     if "since_1970" in of_name:
         return int(of_name["since_1970"])
-    hour, half = int(of_name["hour"]), of_name["half"].upper()
-    if half:
-        if not 1 <= hour <= 12:
-            raise ValueError(hour)
-        hour = hour % 12 + 12 * (half == "P")
-    year, month, day, minute, second = (
-        int(of_name[part]) for part in ("year", "month", "day", "minute", "second")
-    )
-    return int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
-
-
-def _ahead_s(zone: str) -> int:
-    """By how many seconds a zone, "+0200" or "", is ahead of UTC."""
-    hours, minutes = int(zone[1:3] or 0), int(zone[3:].lstrip(":") or 0)
-    return (hours * 3600 + minutes * 60) * (-1 if zone.startswith("-") else 1)
+    parts = [int(of_name[key]) for key in ("year", "month", "day", "hour", "minute", "second")]
+    return int(datetime(*parts, tzinfo=UTC).timestamp())  # type: ignore[misc, arg-type]
 
 
 def _fraction_counts(seconds: IntArray, fractions: IntArray, sign: str, digits: int) -> bool:
