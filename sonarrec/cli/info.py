@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from sonarrec.cli.info_text import lines, radii_lines
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
 from sonarrec.cli.options_remote import CacheChoice, cache_options
-from sonarrec.errors import MissingError, SonarrecError, UsageError
+from sonarrec.errors import MissingError, SonarrecError, UsageError, name_as_text
 
 if TYPE_CHECKING:
     from sonarrec.nouns import Origin
@@ -96,18 +96,18 @@ def info(
     names = [_name(item) for item in logs]
     if preview is not None:
         _check_preview(preview, names)
-    wanted = _Wanted(
-        reading=log_choice.arguments(),
-        landmarks=landmarks,
-        quick=quick,
-        preview=preview,
-        try_radii=try_radii,
-        as_json=as_json,
-        cache=cache,
-        quiet=quiet,
-    )
     shown = [
-        _show(item, name, wanted, number)
+        _show(
+            *(item, name, number),
+            reading=log_choice.arguments(),
+            landmarks=landmarks,
+            quick=quick,
+            preview=preview,
+            try_radii=try_radii,
+            as_json=as_json,
+            cache=cache,
+            quiet=quiet,
+        )
         for number, (item, name) in enumerate(zip(logs, names, strict=True))
     ]
     if as_json:
@@ -127,20 +127,6 @@ def info(
         leave(PARTLY)
 
 
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    """How logs are read, and what is printed and drawn of each. reading: as for `open_log`."""
-
-    reading: dict[str, Any]
-    landmarks: str | None
-    quick: bool
-    preview: Path | None
-    try_radii: bool
-    as_json: bool
-    cache: CacheChoice
-    quiet: bool
-
-
 @dataclass(slots=True)
 class _Shown:
     """The outcome of one log.
@@ -156,37 +142,66 @@ class _Shown:
     undone: SonarrecError | None = None
 
 
-def _show(log: NamedLog | RemoteLog, name: str, wanted: _Wanted, number: int) -> _Shown:
-    """Describe a log and print it. number: how many logs come before.
+def _show(
+    log: NamedLog | RemoteLog,
+    name: str,
+    number: int,
+    *,
+    reading: dict[str, Any],
+    landmarks: str | None,
+    quick: bool,
+    preview: Path | None,
+    try_radii: bool,
+    as_json: bool,
+    cache: CacheChoice,
+    quiet: bool,
+) -> _Shown:
+    """Describe a log and print it. number: how many logs come before. reading: as for `open_log`.
 
     A fault of the log is printed; raises UsageError for options that cannot be used with it.
     """
+    from sonarrec.readers.info import describe
+
     with ExitStack() as stack:
         try:
-            path, up_to, origin = _at_hand(log, wanted.cache, wanted.quiet, stack)
-            reading = {**wanted.reading, "up_to": up_to}
-            log_info = _describe(path, reading, origin, wanted.quick, wanted.quiet)
+            path, up_to, origin = _at_hand(log, cache, quiet, stack)
+            reading = {**reading, "up_to": up_to}
+            with progress(quiet) as step, origin.translated() if origin else nullcontext():
+                log_info = describe(path, **reading, quick=quick, observe=step)
         except SonarrecError as error:
             is_missing = isinstance(error, MissingError)
             if isinstance(error, UsageError) and not is_missing:
                 raise
             tell([str(error)])
             return _Shown({"path": name, "error": str(error)}, True, is_missing)
-        shown = _Shown(asdict(log_info), log_info.has_no_frame, is_faulty=log_info.has_problems)
-        if not wanted.as_json:
-            say(*([""] if number else []), *lines(log_info))
+        renamed = origin.with_server_names if origin else str
+        if origin:
+            log_info = replace(log_info, path=origin.url)
+        table = _renamed(asdict(log_info), renamed)
+        shown = _Shown(table, log_info.has_no_frame, is_faulty=log_info.has_problems)
+        if not as_json:
+            say(*([""] if number else []), *map(renamed, lines(log_info)))
         try:
             with origin.translated() if origin else nullcontext():
-                if wanted.preview is not None:
-                    _draw_preview(path, wanted.preview, wanted.landmarks, reading)
-                if wanted.try_radii:
-                    trials = _try_radii(path, log_info, wanted.landmarks, reading, wanted.quiet)
+                if preview is not None:
+                    _draw_preview(path, preview, landmarks, reading)
+                if try_radii:
+                    trials = _try_radii(path, log_info, landmarks, reading, quiet)
                     shown.table["radii"] = trials.as_table()
-                    if not wanted.as_json:
+                    if not as_json:
                         say(*radii_lines(trials))
         except SonarrecError as error:
             shown.undone = error  # told after all logs
     return shown
+
+
+def _renamed(value: Any, rename: Callable[[str], str]) -> Any:
+    """A table for JSON with other names of files in its texts, which become valid Unicode."""
+    if isinstance(value, dict):
+        return {key: _renamed(one, rename) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_renamed(one, rename) for one in value]
+    return rename(name_as_text(value)) if isinstance(value, str) else value
 
 
 def _name(log: NamedLog | RemoteLog) -> str:
@@ -207,16 +222,6 @@ def _at_hand(
     with fetching(quiet, log.url.redacted) as bar:
         local_log = stack.enter_context(fetched(log, cache.cache(), bar))
     return str(local_log.path), local_log.up_to, local_log.origin
-
-
-def _describe(
-    path: str, reading: dict[str, Any], origin: Origin | None, quick: bool, quiet: bool
-) -> LogInfo:
-    from sonarrec.readers.info import describe
-
-    with progress(quiet) as step, origin.translated() if origin else nullcontext():
-        log_info = describe(path, **reading, quick=quick, observe=step)
-    return log_info.fetched_from(origin) if origin else log_info
 
 
 def _check_preview(preview: Path, logs: Sequence[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
-from sonarrec.nouns import Fan, Origin
+from sonarrec.nouns import Fan
 from sonarrec.readers.guess.outline import FanOutline
 from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.log import Log
@@ -116,26 +117,6 @@ class LogInfo:
     images: list[Images]
     faults: list[str]
 
-    def fetched_from(self, origin: Origin) -> LogInfo:
-        """A copy with the server's names, for a log that was fetched from there."""
-
-        def renamed(lines: list[str]) -> list[str]:
-            return [origin.with_server_names(line) for line in lines]
-
-        images = [
-            replace(
-                one,
-                geometry_from=one.geometry_from and origin.with_server_names(one.geometry_from),
-                origins={
-                    key: origin.with_server_names(where) for key, where in one.origins.items()
-                },
-                notes=renamed(one.notes),
-                problems=renamed(one.problems),
-            )
-            for one in self.images
-        ]
-        return replace(self, path=origin.url, images=images, faults=renamed(self.faults))
-
     @property
     def has_no_frame(self) -> bool:
         """Whether not one frame can be used."""
@@ -183,14 +164,6 @@ class _CountingLog(RawLog):
         """Close the log."""
         self._raw.close()
 
-    def commonest_size(self) -> tuple[int | None, int | None]:
-        """(rows, columns) of the commonest size; None if no frame could be read."""
-        return next((size for size, _ in self.sizes.most_common(1)), (None, None))
-
-    def commonest_pixels(self) -> str | None:
-        """The commonest type of pixels; None if no frame could be read."""
-        return next((name for name, _ in self.pixels.most_common(1)), None)
-
     def rate_hz(self) -> float | None:
         """Frames per second between the first and the last time; None if unknown."""
         if self.start_ns is None or self.end_ns is None or self.end_ns <= self.start_ns:
@@ -219,7 +192,7 @@ def describe(
     source = find_log(path, up_to)
     source.check_topic(topic, path)
     flags = sonar or Sonar()
-    stated = _Stated(*source.stated_sonar(flags, sonar_file), flags)
+    stated, where = source.stated_sonar(flags, sonar_file)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
     if source.reader.has_topics:
@@ -231,26 +204,23 @@ def describe(
     images, faults = [], source.diagnostics.faults
     for name in [topic] if topic is not None else topics:
         of_topic = replace(source, diagnostics=Diagnostics(source.path))
-        images.append(_images(of_topic, stated, name, quick, observe))
+        raw = _CountingLog(of_topic.open(name), observe)
+        images.append(_images(of_topic, raw, stated, where, flags, quick))
         faults += [f for f in of_topic.diagnostics.faults if f not in faults]
+    size = 0
+    for file in source.files:
+        with suppress(OSError):  # reported as an unusable frame
+            size += file.stat().st_size
     return LogInfo(
         path=name_as_text(source.path),
         kind="images" if source.reader.kind == "image" else source.reader.kind,
         files=len(source.files),
-        size_bytes=sum(_size(file) for file in source.files),
+        size_bytes=size,
         checked=not quick,
         container=container,
         images=images,
         faults=faults,
     )
-
-
-def _size(file: Path) -> int:
-    """Size of a file in bytes; 0 if it cannot be read, which is reported as an unusable frame."""
-    try:
-        return file.stat().st_size
-    except OSError:
-        return 0
 
 
 def _container(source: Source) -> Container:
@@ -276,58 +246,49 @@ def _container(source: Source) -> Container:
     return Container(log.profile, log.library, log.whole, chunks, start, end, channels)
 
 
-@dataclass(frozen=True, slots=True)
-class _Stated:
-    """The geometry that the user states. sonar: by file and flags. where: its name in messages.
-    flags: what flags alone state."""
-
-    sonar: Sonar
-    where: str
-    flags: Sonar
-
-    def origin(self, key: str, raw: _CountingLog) -> str:
-        """Where the value of a key comes from; see Images.origins."""
-        if getattr(self.flags, key) is not None:
-            return "flag"
-        if getattr(self.sonar, key) is not None:
-            return self.where
-        if raw.header_info.values:
-            return "header"
-        return "message" if raw.polar else "default"
-
-
 def _images(
-    source: Source,
-    stated: _Stated,
-    topic: str | None,
-    quick: bool,
-    observe: Observe | None,
+    source: Source, raw: _CountingLog, stated: Sonar, where: str, flags: Sonar, quick: bool
 ) -> Images:
-    """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry."""
-    raw = _CountingLog(source.open(topic), observe)
-    sonar = raw.geometry(stated.sonar)
+    """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
+
+    stated: the geometry by file and flags. where: its name in messages. flags: what they state.
+    """
+    sonar = raw.geometry(stated)
     lacks = [key for key in sonar.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(sonar, lacks)
+    usable, plausibility, why = 0, Plausibility(), []
     with Log(source, complete, raw, "log") as log:
-        usable, why, plausibility = _read_frames(
-            log, None if raw.polar else (complete, stated.where), quick
-        )
-    rows, columns = raw.commonest_size()
+        try:
+            if not raw.polar:
+                complete.complete(where)
+            for frame in islice(log, 1 if quick else None):
+                usable += 1
+                plausibility.look(frame)
+        except SonarrecError as error:
+            why = [] if log.diagnostics.problems else [error.line]
     geometry = log.sonar.as_table()
-    origins = {key: stated.origin(key, raw) for key in geometry if key not in lacks}
+    theirs = "header" if raw.header_info.values else "message" if raw.polar else "default"
+    origins = {
+        key: "flag" if getattr(flags, key) is not None
+        else where if getattr(stated, key) is not None
+        else theirs
+        for key in geometry
+        if key not in lacks
+    }  # fmt: skip
     if log.order_from is not None:
         origins["beam_order"] = log.order_from
     layout = geometry.pop("layout")
     polar = raw.polar or layout == "polar"
     height_stated = log.sonar.height_m is not None
     doubts = [] if lacks else plausibility.contradictions(height_stated=height_stated)
+    rows, columns = next(iter(raw.sizes.most_common(1)), ((None, None), 0))[0]
     return Images(
-        topic=topic,
+        topic=raw.topic,
         frames=raw.frame_count if quick else raw.frames,
         usable=None if quick else usable,
         rows=rows,
         columns=columns,
-        pixels=raw.commonest_pixels(),
+        pixels=next((name for name, _ in raw.pixels.most_common(1)), None),
         start_ns=None if quick else raw.start_ns,
         end_ns=None if quick else raw.end_ns,
         rate_hz=None if quick else raw.rate_hz(),
@@ -335,7 +296,7 @@ def _images(
         polar_messages=raw.polar,
         header=dict(raw.header_info.values),
         geometry={key: value for key, value in geometry.items() if key not in lacks},
-        geometry_from=stated.where if stated.where != str(source.path) else None,
+        geometry_from=where if where != name_as_text(source.path) else None,
         origins=origins,
         assumed={} if lacks or log.fan is None else _assumed(log.sonar, log.fan, polar, raw.timed),
         lacks=lacks,
@@ -343,26 +304,6 @@ def _images(
         notes=[*log.diagnostics.notes, *doubts],
         problems=log.diagnostics.skipped or why,
     )
-
-
-def _read_frames(
-    log: Log, geometry: tuple[Sonar, str] | None, quick: bool
-) -> tuple[int, list[str], Plausibility]:
-    """(number of usable frames, a line if none is for a reason not told, what the frames show).
-
-    quick: read only the first frame. geometry: (the stated geometry, its name), which must be
-    complete; None if the log states it.
-    """
-    usable, plausibility = 0, Plausibility()
-    try:
-        if geometry is not None:
-            geometry[0].complete(geometry[1])
-        for frame in islice(log, 1 if quick else None):
-            usable += 1
-            plausibility.look(frame)
-    except SonarrecError as error:
-        return usable, [] if log.diagnostics.problems else [error.line], plausibility
-    return usable, [], plausibility
 
 
 def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:

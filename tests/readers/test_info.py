@@ -201,7 +201,9 @@ def test_an_mcap_without_images_is_shown_all_the_same(tmp_path: Path) -> None:
     found = table(path, code=1)
     assert found["images"] == []
     assert found["container"]["channels"][0]["schema"] == "sensor_msgs/msg/Imu"
-    assert "none: no channel holds messages that are read" in info(path).output
+    text = info(path).output
+    assert "none: no channel holds messages that are read" in text
+    assert "whole     it has a footer; checksums not compared" in text
 
 
 def test_folder_glob_and_video(tmp_path: Path) -> None:
