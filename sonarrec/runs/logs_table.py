@@ -113,12 +113,11 @@ class LogsTable:
             with _turn(self._path.parent):
                 before, added = _read_rows(self._path) if is_filled(self._path) else ([], {})
                 rows = self._merged(before)
-                text = io.StringIO()
-                writer = csv.writer(text, lineterminator="\n")
-                writer.writerow([*COLUMNS, *added])
+                lines = [_line([*COLUMNS, *added])]
                 for key, row in rows.items():
-                    writer.writerow([*astuple(row), *(of.get(key, "") for of in added.values())])
-                _exchange(self._path, text.getvalue().encode(errors="surrogateescape"))
+                    own = map(_harmless, astuple(row))
+                    lines.append(_line([*own, *(of.get(key, "") for of in added.values())]))
+                _exchange(self._path, "".join(lines).encode(errors="surrogateescape"))
         except OSError as error:
             self.fault = f"{self._path}: cannot be written ({error.strerror})"
         except SonarrecError as error:  # the file there is another kind of table
@@ -133,6 +132,26 @@ class LogsTable:
         ended = {row.log for row in own.values() if row.status in USABLE}
         others = (row for row in before if row.log not in ended or _key(row) in own)
         return {_key(row): row for row in others} | own
+
+
+def _line(cells: Sequence[object]) -> str:
+    """A line of the file. The csv module quotes a carriage return only where one ends its lines."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\r\n").writerow(cells)
+    return text.getvalue().removesuffix("\r\n") + "\n"
+
+
+FORMULA = ("=", "+", "-", "@")
+"""Spreadsheets run a cell that begins so; a quotation mark in front makes it text."""
+
+
+def _harmless(cell: object) -> object:
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA) else cell
+
+
+def _text(cell: str) -> str:
+    """The text from which `_harmless` made a cell."""
+    return cell[1:] if cell.startswith("'") and cell[1:].startswith(FORMULA) else cell
 
 
 def _exchange(path: Path, contents: bytes) -> None:
@@ -220,7 +239,7 @@ def _read_rows(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], s
                 raise KeyError
             added = {name: {} for name in names if name not in COLUMNS}
             for cells in table:
-                values = {name: kinds.get(name, str)(cells[name]) for name in COLUMNS}
+                values = {name: kinds.get(name, _text)(cells[name]) for name in COLUMNS}
                 if values["status"] not in get_args(Status):
                     raise ValueError
                 rows.append(Row(**values))

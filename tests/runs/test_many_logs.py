@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import json
 import os
@@ -453,6 +454,21 @@ def test_a_second_try_knows_a_log_by_a_path_written_otherwise(
         (str(logs[1]), "done"),
         ("a", "done"),
     ]
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\rb", 'a\n"b', "'a", "plain"])
+def test_any_name_is_read_back_from_logs_csv_and_none_is_a_formula(
+    name: str, tmp_path: Path
+) -> None:
+    """A carriage return made the file unreadable; spreadsheets ran names that begin with a sign."""
+    task = Task(f"{name}.mcap", name, str(tmp_path), LogOptions(), RunOptions([]))
+    LogsTable(tmp_path, [task]).write()
+    [row] = read_logs(tmp_path / "logs.csv")
+    assert (row.log, row.path) == (name, f"{name}.mcap")
+    with (tmp_path / "logs.csv").open(newline="") as file:
+        _, cells = csv.reader(file)
+    assert cells[0][0] not in "=+-@"
+    assert cells[0].removeprefix("'") == name.removeprefix("'")
 
 
 def test_columns_that_a_user_added_to_logs_csv_stay(tmp_path: Path) -> None:

@@ -86,6 +86,14 @@ def cvat(tmp_path: Path, body: str, mode: str = "interpolation") -> Path:
     return path
 
 
+def cvat_image(
+    name: str,
+    size: tuple[int, int] = (9, 8),
+    shapes: str = '<box label="1" occluded="0" xtl="1" ytl="1" xbr="2" ybr="2"/>',
+) -> str:
+    return f'<image id="0" name="{name}" width="{size[0]}" height="{size[1]}">{shapes}</image>'
+
+
 def track(*shapes: str, label: str = "ID.1", more: str = "") -> str:
     return f'<track id="0" label="{label}" source="manual"{more}>{"".join(shapes)}</track>'
 
@@ -254,9 +262,17 @@ def test_bad_cvat_is_one_line(tmp_path: Path, body: str, said: str) -> None:
 # --- COCO ----------------------------------------------------------------------------------------
 
 
-def coco(tmp_path: Path, annotations: list[dict[str, object]], names: list[str]) -> Path:
+def coco(
+    tmp_path: Path,
+    annotations: list[dict[str, object]],
+    names: list[str],
+    *sizes: tuple[int | None, int | None],
+) -> Path:
+    """sizes: of each image, or of all; default 100 x 80."""
+    each = sizes if len(sizes) == len(names) else [*sizes, (100, 80)][:1] * len(names)
     images = [
-        {"id": 7 + n, "file_name": name, "width": 100, "height": 80} for n, name in enumerate(names)
+        {"id": 7 + n, "file_name": name, "width": w, "height": h}
+        for n, (name, (w, h)) in enumerate(zip(names, each, strict=True))
     ]
     categories = [
         {"id": 1, "name": "ID.1"},
@@ -333,11 +349,8 @@ def test_coco_whose_ids_tell_no_names_is_one_line(
 
 
 def test_sizes_that_coco_leaves_open_are_not_told(tmp_path: Path) -> None:
-    source = coco(tmp_path, [BBOX | {"image_id": 7, "attributes": {"visible": ""}}], ["a_0.png"])
-    document = json.loads(source.read_text())
-    document["images"][0] |= {"width": None, "height": None}
-    source.write_text(json.dumps(document))
-    assert converted(tmp_path, source)[0][4] == 1.0
+    annotation = BBOX | {"image_id": 7, "attributes": {"visible": ""}}
+    assert converted(tmp_path, coco(tmp_path, [annotation], ["a_0.png"], (None, None)))[0][4] == 1.0
 
 
 # --- MOTChallenge --------------------------------------------------------------------------------
@@ -392,12 +405,17 @@ def test_bad_mot_is_one_line(tmp_path: Path, line: str, said: str) -> None:
 # --- LabelMe -------------------------------------------------------------------------------------
 
 
-def labelme(path: Path, shapes: list[dict[str, object]], image: str) -> None:
+POINT: dict[str, object] = {"label": "1", "points": [[9, 9]], "shape_type": "point"}
+
+
+def labelme(
+    path: Path, shapes: list[dict[str, object]], image: str, size: tuple[int, int] = (100, 80)
+) -> Path:
     path.parent.mkdir(exist_ok=True)
     document = {"version": "5.5.0", "flags": {}, "shapes": shapes, "imagePath": image}
-    path.write_text(
-        json.dumps(document | {"imageData": None, "imageHeight": 80, "imageWidth": 100})
-    )
+    document |= {"imageData": None, "imageWidth": size[0], "imageHeight": size[1]}
+    path.write_text(json.dumps(document))
+    return path
 
 
 def test_labelme_folder(tmp_path: Path) -> None:
@@ -606,11 +624,7 @@ def test_frames_beyond_the_log_are_told(tmp_path: Path) -> None:
     """Of hashes that export tools put into names the last digits were frame numbers, unsaid."""
     for names, count in (["x127.png", "y3.png"], 0), (["34_png.rf.c998812.jpg", "x127.png"], 1):
         annotations = [BBOX | {"image_id": 7 + n} for n in range(2)]
-        images = coco(tmp_path, annotations, names)
-        document = json.loads(images.read_text())
-        for image in document["images"]:
-            image |= {"width": 191, "height": 256}
-        images.write_text(json.dumps(document))
+        images = coco(tmp_path, annotations, names, (191, 256))
         done = run(images, "--log", SAMPLE, "--out", tmp_path / f"{count}.csv")
         assert done.exit_code == 3 * count
         beyond = "1 shape beyond the log's last frame, 127: frame 998812; frames by the number"
@@ -623,11 +637,8 @@ def test_frames_beyond_the_log_are_told(tmp_path: Path) -> None:
 
 def test_an_order_of_fewer_images_than_the_log_has_frames_is_told(tmp_path: Path) -> None:
     for listed, code in (2, 3), (128, 0):
-        source = coco(tmp_path, [BBOX | {"image_id": 7}], [f"a{n}left.png" for n in range(listed)])
-        document = json.loads(source.read_text())
-        for image in document["images"]:
-            image |= {"width": 191, "height": 256}
-        source.write_text(json.dumps(document))
+        names = [f"a{n}left.png" for n in range(listed)]
+        source = coco(tmp_path, [BBOX | {"image_id": 7}], names, (191, 256))
         done = run(source, "--log", SAMPLE, "--out", tmp_path / f"{listed}.csv")
         assert done.exit_code == code, done.output
         assert ("2 images listed, but the log has 128 frames" in done.stderr) == (code == 3)
@@ -659,19 +670,15 @@ def test_two_images_of_one_name_are_a_fault(form: str, tmp_path: Path) -> None:
         two = [BBOX | {"image_id": 7}, BBOX | {"image_id": 8, "bbox": [4, 0, 1, 1]}]
         source = coco(tmp_path, two, ["34.png", "34.png"])
     elif form == "cvat":
-        image = '<image id="{}" name="34.png" width="9" height="8">{}</image>'
-        shape = '<box label="1" occluded="0" xtl="1" ytl="1" xbr="2" ybr="2"/>'
-        body = image.format(0, shape) + image.format(1, "")
+        body = cvat_image("34.png") + cvat_image("34.png", shapes="")
         source = cvat(tmp_path, body, mode="annotation")
     else:
         source = tmp_path / "labels"
-        source.mkdir()
         for log in "ab":
-            shape = [{"label": "1", "points": [[9, 9]], "shape_type": "point"}]
-            labelme(source / f"{log}.json", shape, f"..\\log{log}\\34.png")
+            labelme(source / f"{log}.json", [POINT], f"..\\log{log}\\34.png")
     assert re.search("would (both|all) be frame 34", failure(source))
     if form == "labelme":  # two files of one image
-        labelme(source / "b.json", shape, "..\\loga\\34.png")
+        labelme(source / "b.json", [POINT], "..\\loga\\34.png")
         assert [row[0] for row in converted(tmp_path, source)] == [34]
 
 
@@ -733,31 +740,18 @@ def test_images_that_are_not_in_the_log_may_have_any_size(tmp_path: Path, form: 
 
     def write(sizes: dict[str, tuple[int, int]]) -> Path:
         if form == "cvat":
-            box = '<box label="1" occluded="0" xtl="10" ytl="10" xbr="20" ybr="20"/>'
-            images = (
-                f'<image id="0" name="{name}" width="{w}" height="{h}">{box}</image>'
-                for name, (w, h) in sizes.items()
-            )
-            return cvat(tmp_path, "".join(images), "annotation")
+            body = "".join(cvat_image(name, size) for name, size in sizes.items())
+            return cvat(tmp_path, body, "annotation")
         if form == "coco":
-            source = coco(tmp_path, [BBOX | {"image_id": 7}, BBOX | {"image_id": 8}], [*sizes])
-            document = json.loads(source.read_text())
-            for image in document["images"]:
-                image["width"], image["height"] = sizes[image["file_name"]]
-            source.write_text(json.dumps(document))
-            return source
-        (tmp_path / "set").mkdir(exist_ok=True)
-        for n, (name, (w, h)) in enumerate(sizes.items()):
-            file = tmp_path / "set" / f"{n}.json"
-            labelme(file, [{"label": "1", "points": [[9, 9]], "shape_type": "point"}], name)
-            told = {"imageHeight": h, "imageWidth": w}
-            file.write_text(json.dumps(json.loads(file.read_text()) | told))
+            two = [BBOX | {"image_id": 7}, BBOX | {"image_id": 8}]
+            return coco(tmp_path, two, [*sizes], *sizes.values())
+        for n, (name, size) in enumerate(sizes.items()):
+            labelme(tmp_path / "set" / f"{n}.json", [POINT], name, size)
         return tmp_path / "set"
 
     rows = converted(tmp_path, write(sizes), "--log", log, code=3)
     assert [row[:2] for row in rows] == [(0, 1)]
-    wrong = write(sizes | {"frame0.png": (50, 40)})
-    said = failure(wrong, "--log", log)
+    said = failure(write(sizes | {"frame0.png": (50, 40)}), "--log", log)
     assert "drawn on images of 50 x 40" in said
     assert "640" not in said
 
@@ -792,6 +786,15 @@ def test_share_inside_a_bearing_edge_is_a_circular_segment(
     assert share[0] == pytest.approx(max(expected, 0), abs=0.01)  # 500 points
 
 
+def polar_log(folder: Path, **keys: Any) -> Path:
+    """A folder with the geometry of a polar log, still without images."""
+    sonar = Sonar("polar", 1.25, 3.75, 28.8, 20.0, 0.68, **keys)
+    text = "\n".join(f"{k} = {json.dumps(v)}" for k, v in sonar.as_table().items())
+    folder.mkdir()
+    (folder / "sonar.toml").write_text(f"[sonar]\n{text}\n")
+    return folder
+
+
 UNEVEN = (-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14)
 
 
@@ -809,19 +812,12 @@ UNEVEN = (-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14)
 def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[str, Any]) -> None:
     """A bright sample of the polar image lies in the fan where its annotation says."""
     beams = len(keys.get("bearings_deg", range(96)))
-    sonar = Sonar("polar", 1.25, 3.75, 28.8, 20.0, 0.68, **keys)
-    text = "\n".join(f"{k} = {json.dumps(v)}" for k, v in sonar.as_table().items())
-    log = tmp_path / "log"
-    log.mkdir()
-    (log / "sonar.toml").write_text(f"[sonar]\n{text}\n")
+    log = polar_log(tmp_path / "log", **keys)
     turned = "beam_order" in keys
-    size = (beams, 200) if turned else (200, beams)
+    size = (200, beams) if turned else (beams, 200)
     for column, row in ((beams // 3, 120), (beams // 2, 50)):
         point = [row + 0.5, column + 0.5] if turned else [column + 0.5, row + 0.5]
-        source = tmp_path / "0.json"
-        labelme(source, [{"label": "1", "points": [point], "shape_type": "point"}], "0.png")
-        told = {"imageHeight": size[0], "imageWidth": size[1]}
-        source.write_text(json.dumps(json.loads(source.read_text()) | told))
+        source = labelme(tmp_path / "0.json", [POINT | {"points": [point]}], "0.png", size)
         polar = np.zeros((200, beams), np.uint8)
         polar[row, column] = 255
         cv2.imwrite(str(log / "0.png"), polar.T if turned else polar)
@@ -839,22 +835,12 @@ def test_a_disc_cut_by_the_edge_of_a_polar_image_keeps_its_centre(
     tmp_path: Path, flip: bool
 ) -> None:
     """Beyond its edges a polar image goes on in the same steps of bearing and range."""
-    log = tmp_path / "log"
-    log.mkdir()
+    log = polar_log(tmp_path / "log", flip=flip)
     cv2.imwrite(str(log / "0.png"), np.zeros((200, 96), np.uint8))
-    sonar = Sonar("polar", 1.25, 3.75, 28.8, 20.0, 0.68, flip=flip)
-    text = "\n".join(f"{k} = {json.dumps(v)}" for k, v in sonar.as_table().items())
-    (log / "sonar.toml").write_text(f"[sonar]\n{text}\n")
     # Corners of the image: samples are 0.3 deg and 12.5 mm wide, and these are their outer edges.
     places = [(0, 100), (96, 110), (-3, 120), (100, 130), (48, -4), (48, 203)]
-    source = tmp_path / "a.json"
-    labelme(
-        source,
-        [{"label": "1", "points": [[x, y]], "shape_type": "point"} for x, y in places],
-        "0.png",
-    )
-    told = {"imageHeight": 200, "imageWidth": 96}
-    source.write_text(json.dumps(json.loads(source.read_text()) | told))
+    shapes = [POINT | {"points": [[x, y]]} for x, y in places]
+    source = labelme(tmp_path / "a.json", shapes, "0.png", (96, 200))
     rows = converted(tmp_path, source, "--log", log)
     with open_log(log) as opened:
         fan = next(iter(opened)).fan
