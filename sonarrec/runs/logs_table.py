@@ -146,12 +146,14 @@ FORMULA = ("=", "+", "-", "@")
 
 
 def _harmless(cell: object) -> object:
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA) else cell
+    begins = isinstance(cell, str) and cell.lstrip("'").startswith(FORMULA)
+    return f"'{cell}" if begins else cell
 
 
 def _text(cell: str) -> str:
     """The text from which `_harmless` made a cell."""
-    return cell[1:] if cell.startswith("'") and cell[1:].startswith(FORMULA) else cell
+    quoted = cell.startswith("'") and cell.lstrip("'").startswith(FORMULA)
+    return cell[1:] if quoted else cell
 
 
 def _exchange(path: Path, contents: bytes) -> None:

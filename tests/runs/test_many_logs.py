@@ -456,7 +456,7 @@ def test_a_second_try_knows_a_log_by_a_path_written_otherwise(
     ]
 
 
-@pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\rb", 'a\n"b', "'a", "plain"])
+@pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\rb", 'a\n"b', "'a", "'=a"])
 def test_any_name_is_read_back_from_logs_csv_and_none_is_a_formula(
     name: str, tmp_path: Path
 ) -> None:
@@ -468,7 +468,7 @@ def test_any_name_is_read_back_from_logs_csv_and_none_is_a_formula(
     with (tmp_path / "logs.csv").open(newline="") as file:
         _, cells = csv.reader(file)
     assert cells[0][0] not in "=+-@"
-    assert cells[0].removeprefix("'") == name.removeprefix("'")
+    assert cells[0].removeprefix("'") == name.removeprefix("'" * (cells[0] == name))
 
 
 def test_columns_that_a_user_added_to_logs_csv_stay(tmp_path: Path) -> None:
