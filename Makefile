@@ -3,8 +3,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SAMPLE := sample_data/pan
 
-.PHONY: test test-slow test-all lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes pictures stated returns worlds ablation study speeds maps model \
+.PHONY: test test-slow test-all lint demo bench memory fuzz paper paper-worlds paper-choices \
+	paper-report scenes pictures stated returns worlds ablation study speeds maps model \
 	regression results kills scale scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -57,16 +57,16 @@ scoring: .venv/installed  # what evaluate costs over up to 1,000 logs of 10,000 
 kills: .venv/installed  # forty runs stopped at random moments by three signals
 	$(BIN)/python -m tests.studies.kills
 
-paper: paper-world paper-choices paper-prediction  # the paper's comparison, in three parts
+paper: paper-choices paper-report  # the paper's comparison, in the worlds on record
 
-paper-world: .venv/installed  # worlds in which SMI meets Table 4; writes worlds.toml
-	$(BIN)/python -m tests.studies.paper.world
+paper-worlds: .venv/installed  # worlds in which SMI meets Table 4; writes worlds.toml
+	$(BIN)/python -m tests.studies.paper.search
 
-paper-choices: .venv/installed  # what the paper leaves open, chosen there; writes choices.toml
-	$(BIN)/python -m tests.studies.paper.choices
+paper-choices: .venv/installed  # what the paper leaves open, chosen in six of them; writes choices.toml
+	$(BIN)/python -m tests.studies.paper.choices --record paper_choices
 
-paper-prediction: .venv/installed  # Tables 4 and 5 on fresh recordings, ours beside the published
-	$(BIN)/python -m tests.studies.paper.prediction
+paper-report: .venv/installed  # Tables 4 and 5 in the others, ours beside the published
+	$(BIN)/python -m tests.studies.paper.prediction --record paper
 
 scenes: .venv/installed  # every kind of random scene, all methods, beside the goals
 	$(BIN)/python -m tests.studies.scenes --record scenes

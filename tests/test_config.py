@@ -53,6 +53,7 @@ def test_the_paper_preset_takes_every_rule_as_published():
     assert paper.continuity.min_existence == 0  # only the strikes delete
     assert paper.features.motion_model == "inverse_distance"
     assert paper.features.measurement == "single"
+    assert paper.features.decide == "comparison"
 
 
 @pytest.mark.parametrize(

@@ -47,14 +47,17 @@ class SimulatedFrame:
 
 
 def render(
-    scene: Scene, path: Sequence[Pose] | None = None, ground: Scene | None = None
+    scene: Scene,
+    path: Sequence[Pose] | None = None,
+    ground: Scene | None = None,
+    every: int = 1,
 ) -> Iterator[SimulatedFrame]:
     """Render the scene's frames in order. The same scene gives the same bytes.
 
     path: the sonar's pose in every frame, such as a vehicle's; replaces the scene's motion.
     ground: a scene whose range window and sweep, seen from the floor's origin, cover all the floor
-    that the path shows; default: the scene itself. Raises SonarrecError if the scene contradicts
-    itself.
+    that the path shows; default: the scene itself. every: leave out all frames but each `every`-th.
+    Raises SonarrecError if the scene contradicts itself.
     """
     check_scene(scene, scene.name)
     fan, sonar = scene_fan(scene), scene.sonar
@@ -71,6 +74,8 @@ def render(
     fading = Fading.of(scene)
     shoal = Shoal(scene, *corners(grid)) if scene.fish.number else None
     for index, pose in enumerate(path):
+        if index % every:
+            continue
         time_s = fading.time_s[index]
         world.fade(fading.object_db[index], fading.patches[index], fading.afterglow_db[index])
         heave = pose.height_m - sonar.height_m

@@ -1,9 +1,10 @@
-"""`make paper`: what its three parts rest on."""
+"""`make paper`: what it rests on."""
 
 from __future__ import annotations
 
 import tomllib
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,15 +12,14 @@ import pytest
 from learning.built_in import MODEL_SEEDS
 from sonarrec.config import PRESETS, preset
 from sonarrec.evaluation.counting.curves import PUBLISHED
-from sonarrec.recogniser.stage3.published import TABLE_3
 from sonarrec.simulation.motion import poses
-from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import load_scene, scene_fan, scene_table
+from sonarrec.simulation.scene import scene_fan
 from tests.studies import baseline, bench, scenes, study
-from tests.studies.paper import choices, prediction, world
-from tests.studies.paper.parts import BAYES, CONTINUITY, LEARNED, Parts
+from tests.studies.paper import choices, prediction, search, world
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, PRESENT, TABLE_4, TABLE_5
-from tests.studies.paper.world import drawn, in_view, kept_worlds
+from tests.studies.paper.single import look
+from tests.studies.paper.world import PARTS, drawn, in_view, kept_worlds, put_together
+from tests.support.simulated import score
 
 pytestmark = pytest.mark.slow
 
@@ -30,28 +30,31 @@ SEEDS = {
     "make study": study.STUDIED,
     "the rival's tuning": [seed for seed, _ in baseline.TUNING_SCENES],
     "make bench": [which[0] for which in bench.REPORTED if not isinstance(which, str)],
-    "the worlds": world.SEEDS,
-    "their stable frames": world.STABLE_SEEDS,
+    "stage 1 and SMI": search.SETTINGS_SEEDS,
+    "the worlds": range(search.FIRST_SEED, search.FIRST_SEED + search.WORLDS * search.SEEDS_EACH),
     "the choices": choices.SEEDS,
-    "the prediction": prediction.SEEDS,
+    "the report": prediction.SEEDS,
 }
 
 
 def test_no_seed_is_used_twice() -> None:
     for (a, seeds), (b, others) in combinations(SEEDS.items(), 2):
         assert not set(seeds) & set(others), f"{a} and {b} share seeds"
+    drawings = 2 * search.DRAWINGS + search.MEASURED + search.MORE
+    assert drawings <= search.SEEDS_EACH
     assert len(study.STUDIED) >= 30
 
 
-def test_the_search_has_seeds_enough() -> None:
-    """So that no recording of the search is one of another part's."""
-    pool, used = world.FIRST, world.FIRST
-    for r in world.ROUNDS:
-        pool = min(pool, r.parents) + r.children
-        used += pool * r.recordings
-    assert used <= len(world.SEEDS)
-    assert pool <= len(world.STABLE_SEEDS)
-    assert len(kept_worlds()) <= len(choices.SEEDS)
+def test_no_world_serves_twice() -> None:
+    """The worlds of the choices and of the report are others, and no two are akin."""
+    chosen, reported = kept_worlds("choice"), kept_worlds("report")
+    assert len(chosen) == search.FOR_CHOICES
+    assert len(reported) >= 8
+    numbers = [w.number for w in (*chosen, *reported)]
+    assert len(set(numbers)) == len(numbers)
+    # The places of things and all that is drawn once differ in each of them.
+    for a, b in combinations([w.vector() for w in (*chosen, *reported)], 2):
+        assert np.mean(np.isclose(a, b)) < 0.2
 
 
 # Tables 4 and 5 as printed: TP, TN, FP, FN of ID.1 to ID.4 and in total.
@@ -94,17 +97,22 @@ def test_in_view_of_a_place_in_the_middle_of_the_pan() -> None:
     assert counts[0] == pytest.approx(whole, abs=7)
 
 
-def test_the_kept_worlds_are_within_the_ranges_and_unlike() -> None:
-    worlds = kept_worlds()
-    vectors = np.array([w.vector() for w in worlds])
+def test_the_kept_worlds_are_within_the_ranges() -> None:
+    vectors = np.array([w.vector() for use in ("choice", "report") for w in kept_worlds(use)])
     assert ((vectors >= world.LOW - 1e-9) & (vectors <= world.HIGH + 1e-9)).all()
-    assert len(np.unique(vectors, axis=0)) == len(worlds)
 
 
-def test_the_built_in_scene_is_the_middle_one_of_the_kept_worlds() -> None:
-    scene = load_scene("paper")
-    kept = kept_worlds()[0].scene(scene.seed)
-    assert scene_table(kept) == scene_table(scene)
+def test_a_world_is_put_together_of_parts() -> None:
+    rng = np.random.default_rng(1)
+    first = drawn(rng)
+    second = drawn(rng, first)
+    both = put_together([second, *[first] * (len(PARTS) - 1)])
+    for name in world.NAMES:
+        source = second if name in PARTS[0] else first
+        assert both.values[name] == source.values[name]
+    shared = [n for n, same in zip(world.NAMES, world.SHARED, strict=True) if same]
+    assert "pan_start_deg" in shared
+    assert all(first.values[n] == second.values[n] for n in shared)
 
 
 def test_the_preset_is_what_was_chosen() -> None:
@@ -116,22 +124,23 @@ def test_the_preset_is_what_was_chosen() -> None:
     assert set(chosen) <= set(PRESETS["paper"])
 
 
-def test_a_learned_measurement_model_is_near_the_published() -> None:
-    """Rows sum to 1, the right ID is the likeliest; it is blurred by frames that are not stable."""
-    with choices.CHOSEN.open("rb") as file:
-        learned = np.array(tomllib.load(file)["learned"])
-    assert learned.sum(axis=1) == pytest.approx(1, abs=2e-4)
-    assert (learned.argmax(axis=1) == np.arange(len(IDS))).all()
-    assert np.abs(learned - TABLE_3).max() < 0.06
+def test_counts_in_memory_are_those_of_the_program(tmp_path: Path) -> None:
+    """SMI over a recording: the search's own counts, and the tables scored by `evaluate`."""
+    scene = kept_worlds("report")[0].scene(1, frames=48)
+    prediction.record(prediction.Job(scene, tmp_path))
+    scored = {(s.protocol, s.method): s for s in score([tmp_path]).scored}
+    assert {s.method for s in scored.values()} == set(prediction.METHODS.values())
+    seen = look(scene, 1, [preset("paper").candidates])[0]
+    tpr, fpr = seen.rates(seen.score >= preset("paper").smi.declare)
+    smi = scored["paper", prediction.METHODS["SMI"]]
+    for k in range(len(IDS)):
+        np.testing.assert_allclose([tpr[k], fpr[k]], [smi.count(k).tpr, smi.count(k).fpr])
+    framework = scored["paper", prediction.METHODS["framework"]].count()
+    assert framework.double == 0
+    assert framework.total == len(IDS) * 48
 
 
-def test_parts_speak_of_every_frame() -> None:
-    scene = kept_worlds()[0].scene(1, frames=12)
-    parts = Parts(scene_fan(scene), scene.landmark_set)
-    told = [parts.step(frame.image) for frame in render(scene)]
-    methods = {e.method for estimates in told for e in estimates}
-    assert methods == {CONTINUITY, BAYES, LEARNED}
-    for estimates in told:
-        for e in estimates:
-            assert e.probabilities.sum() == pytest.approx(1)
-            assert 0 <= e.score <= 1
+def test_the_sign_flip_test_is_exact() -> None:
+    assert prediction.flipped(np.full(8, 0.02)) == pytest.approx(2 / 256)
+    assert prediction.flipped(np.array([1.0, -1.0, 1.0, -1.0])) == 1
+    assert prediction.flipped(np.array([3.0, 1.0, -2.0])) == pytest.approx(6 / 8)

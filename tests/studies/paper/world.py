@@ -1,52 +1,26 @@
-"""`make paper`, part 1: worlds in which the paper's SMI meets Table 4. Table 5 is not looked at.
+"""Worlds: answers to all that the paper leaves open of its basin, each within a range.
 
-The paper tells little of its basin. What it leaves open is a list of unknowns, each with a range
-argued from its text. Worlds are drawn from these ranges, rendered, and run through SMI as
-published (`--preset paper`); those nearest to Table 4 are kept, varied and measured again on fresh
-recordings, round by round. One recording's rates are mostly chance, so every round judges a world
-by the mean over all its recordings. The last round asks two things of a world: that its stable
-frames measure as Table 3 says, and that the distance of its mean to Table 4 is no larger than
-the chance of one recording explains.
+What the paper leaves open is a list of unknowns, each with a range argued from its text.
 """
 
 from __future__ import annotations
 
-import argparse
-import math
-import shutil
-import time
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import tomli_w
 
 from sonarrec.arrays import FloatArray
-from sonarrec.config import Config, preset, with_table
-from sonarrec.evaluation.counting.behaviour import on_truth
-from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.recogniser.stage3.published import TABLE_3
-from sonarrec.recogniser.three_stages import SMI
 from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
 from sonarrec.simulation.world import object_radius
-from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, PRESENT, SMI_NUMBERS
+from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, PRESENT
 from tests.studies.study import gaps
-from tests.support.simulated import Job, in_processes, recognise, score
 
-SEEDS = range(5000, 5900)
-"""Of the recordings on which worlds are searched for."""
-STABLE_SEEDS = range(5900, 6000)
-"""Of their recordings without fading."""
 STABLE_FRAMES = 160
 """One sweep."""
-STABLE_OFF = 0.03
-"""Most that a mean similarity of stable frames may differ from Table 3: what Table 3 itself
-differs from the ideal by."""
-EXPLAINED = 14.07
-"""Chi square of seven rates that chance stays below in 95 % of cases."""
 KEPT = Path(__file__).with_name("worlds.toml")
 APART_M = 0.05
 """Least floor between two things."""
@@ -100,15 +74,29 @@ NAMES = tuple(u.name for u in UNKNOWNS)
 LOW = np.array([u.low for u in UNKNOWNS])
 HIGH = np.array([u.high for u in UNKNOWNS])
 PLACES = np.array([any(w in n for w in ("ground", "azimuth", "pan_start")) for n in NAMES])
-TURNS = np.array(["turn" in n for n in NAMES])
+FAKE, STRAY = len(IDS), -1
+"""Numbers of parts, beside the indices of the landmarks into IDS."""
+PARTS = {
+    **{
+        IDS.index(i): [n for n in NAMES if n.endswith(f"_{i}") and "fake" not in n] for i in PRESENT
+    },
+    FAKE: [n for n in NAMES if n.startswith("fake")],
+    STRAY: [n for n in NAMES if n.startswith(("mesh", "beam"))],
+}
+"""Part: the unknowns that are its own. SMI says of each the same whatever the others are."""
+SHARED = np.array([not any(n in names for names in PARTS.values()) for n in NAMES])
 
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """One answer to all that is unknown. fakes: kinds of the circular fakes, one or two."""
+    """One answer to all that is unknown. fakes: kinds of the circular fakes, one or two.
+
+    number: of those that the search built.
+    """
 
     values: dict[str, float]
     fakes: tuple[str, ...]
+    number: int = -1
 
     def scene(self, seed: int, frames: int = FRAMES) -> Scene:
         """The paper's scene in this world."""
@@ -219,31 +207,19 @@ def first_possible(values: FloatArray, fakes: tuple[str, ...]) -> World | None:
 TRIES = 1024
 
 
-def drawn(rng: np.random.Generator) -> World:
-    """A world from the ranges; its places are drawn until they are possible."""
-    start = rng.uniform(LOW, HIGH)
-    fakes = _fakes(rng)
+def drawn(rng: np.random.Generator, like: World | None = None) -> World:
+    """A world from the ranges; its places are drawn until they are possible.
+
+    like: a world whose SHARED unknowns are to be the same.
+    """
+    start = rng.uniform(LOW, HIGH) if like is None else like.vector()
+    again = PLACES if like is None else ~SHARED
+    fakes = tuple(rng.choice(FAKES, 1 + int(rng.random() < 1 / 3)).tolist())
     world = None
     while world is None:
-        places = rng.uniform(LOW, HIGH, (TRIES, len(NAMES)))
-        world = first_possible(np.where(PLACES, places, start), fakes)
+        values = rng.uniform(LOW, HIGH, (TRIES, len(NAMES)))
+        world = first_possible(np.where(again, values, start), fakes)
     return world
-
-
-def varied(world: World, rng: np.random.Generator, step: float) -> World:
-    """A world near another: each unknown moves by about `step` of its range, most kinds stay."""
-    fakes = _fakes(rng) if rng.random() < step else world.fakes
-    near = None
-    while near is None:
-        moves = step * (HIGH - LOW) * rng.standard_normal((TRIES // 8, len(NAMES)))
-        moved = world.vector() + moves
-        near = first_possible(np.where(TURNS, moved % 360, np.clip(moved, LOW, HIGH)), fakes)
-    return near
-
-
-def _fakes(rng: np.random.Generator) -> tuple[str, ...]:
-    """One circular fake, sometimes two: the paper speaks of one, and of "etc."."""
-    return tuple(rng.choice(FAKES, 1 + int(rng.random() < 1 / 3)).tolist())
 
 
 def _world(values: FloatArray, fakes: Iterable[str]) -> World:
@@ -252,122 +228,12 @@ def _world(values: FloatArray, fakes: Iterable[str]) -> World:
     return World(dict(zip(NAMES, rounded, strict=True)), tuple(fakes))
 
 
-def smi_only() -> Config:
-    """The paper's preset with one particle a group: what stage 2 does is not looked at here."""
-    return with_table(preset("paper"), {"continuity": {"particles": 1}}, "part 1")
-
-
-def rates(worlds: Sequence[World], seeds: Sequence[int], frames: int, folder: Path) -> FloatArray:
-    """(n, 7) of SMI on a recording of each world: TPR of PRESENT, FPR of all IDs.
-
-    Protocol paper. NaN where a recording holds no frame of that sort.
-    """
-    jobs = [
-        Job(world.scene(seed, frames), folder / str(seed), [smi_only()])
-        for world, seed in zip(worlds, seeds, strict=True)
-    ]
-    in_processes(recognise, jobs)
-    found = []
-    for job in jobs:
-        scored = score([job.folder]).scored
-        smi = next(s for s in scored if (s.protocol, s.method) == ("paper", SMI))
-        counts = [smi.count(k) for k in range(len(IDS))]
-        found.append([counts[IDS.index(i)].tpr for i in PRESENT] + [c.fpr for c in counts])
-        shutil.rmtree(job.folder)
-    return np.array(found)
-
-
-@dataclass(slots=True)
-class Measured:
-    """A world and the rates of each of its recordings, (7,) each."""
-
-    world: World
-    rates: list[FloatArray]
-
-    def mean(self) -> FloatArray:
-        return np.nanmean(self.rates, axis=0)
-
-
-SCALE = np.array([0.04, 0.08, 0.08, 0.03, 0.01, 0.02, 0.02])
-"""Of the seven rates: about the chance of one recording, for the rounds before it is measured."""
-
-
-def distance(mean: FloatArray, wanted: FloatArray = SMI_NUMBERS) -> float:
-    """Root mean square over the rates, in units of SCALE."""
-    return float(np.sqrt(np.mean(((mean - wanted) / SCALE) ** 2)))
-
-
-@dataclass(frozen=True, slots=True)
-class Round:
-    """parents: kept from before, measured again. children: of them, and how far they move."""
-
-    parents: int
-    children: int
-    step: float
-    frames: int
-    recordings: int
-
-
-FIRST = 96
-ROUNDS = (
-    Round(parents=24, children=24, step=0.15, frames=496, recordings=1),
-    Round(parents=16, children=12, step=0.08, frames=FRAMES, recordings=1),
-    Round(parents=12, children=0, step=0.0, frames=FRAMES, recordings=2),
-)
-
-
-def search(folder: Path) -> list[Measured]:
-    """Worlds by falling nearness to Table 4."""
-    rng = np.random.default_rng(SEEDS.start)
-    seeds = iter(SEEDS)
-
-    def measure(pool: Sequence[Measured], frames: int) -> None:
-        numbers = [next(seeds) for _ in pool]
-        found = rates([m.world for m in pool], numbers, frames, folder)
-        for m, row in zip(pool, found, strict=True):
-            m.rates.append(row)
-
-    pool = [Measured(drawn(rng), []) for _ in range(FIRST)]
-    measure(pool, 496)
-    for r in ROUNDS:
-        pool.sort(key=lambda m: distance(m.mean()))
-        tell(pool)
-        pool = pool[: r.parents]
-        chosen = rng.integers(len(pool), size=r.children)
-        pool += [Measured(varied(pool[i].world, rng, r.step), []) for i in chosen]
-        for _ in range(r.recordings):
-            measure(pool, r.frames)
-    pool.sort(key=lambda m: distance(m.mean()))
-    tell(pool)
-    return pool
-
-
-def tell(pool: Sequence[Measured]) -> None:
-    """The nearest worlds so far: TPR of PRESENT, FPR of all IDs."""
-    print(f"\n{len(pool)} worlds; the nearest, by distance, recordings and mean rates:")
-    for m in pool[:12]:
-        cells = " ".join(f"{v:.3f}" for v in m.mean())
-        told = f"{distance(m.mean()):6.2f}{len(m.rates):3}  {cells}"
-        print(f"{told}  {'+'.join(m.world.fakes)}", flush=True)
-
-
-def mean_similarities(found: Evaluation) -> FloatArray:
-    """(K, K) mean normalised similarities of SMI's candidates on each ID, rows = true ID.
-
-    As the paper made Tables 2 and 3. An ID that was not in the basin keeps its published row.
-    """
-    joined = found.joined
-    nearest = on_truth(joined)
-    single = np.array([m.partition(":")[0] == SMI for m in joined.methods])
-    right = (nearest >= 0) & single[joined.method]
-    right[right] = joined.truth_positive[nearest[right]]
-    model = TABLE_3.copy()
-    for i in PRESENT:
-        k = IDS.index(i)
-        mine = right.copy()
-        mine[right] = joined.truth_landmark[nearest[right]] == k
-        model[k] = joined.probability[mine, : len(IDS)].mean(axis=0)
-    return np.asarray(model / model.sum(axis=1, keepdims=True))
+def put_together(parts: Sequence[World]) -> World:
+    """A world of the parts of several that share what is SHARED, in the order of PARTS."""
+    values = dict(parts[0].values)
+    for names, world in zip(PARTS.values(), parts, strict=True):
+        values |= {n: world.values[n] for n in names}
+    return World(values, parts[list(PARTS).index(FAKE)].fakes)
 
 
 def stable(world: World, seed: int) -> Scene:
@@ -380,58 +246,12 @@ def stable(world: World, seed: int) -> Scene:
     return replace(scene, fading=steady, motion=start)
 
 
-def keep(pool: Sequence[Measured], folder: Path) -> list[Measured]:
-    """Those that Table 4 may be a recording of, and whose stable frames measure as Table 3 says."""
-    last = ROUNDS[-1].recordings + ROUNDS[-2].recordings  # of FRAMES frames each
-    alone = [np.array(m.rates[-last:]) for m in pool]
-    chance = np.sqrt(np.mean([r.var(axis=0, ddof=1) for r in alone], axis=0))
-    print("\nchance of one recording: " + " ".join(f"{c:.3f}" for c in chance))
-    scenes = [stable(m.world, seed) for m, seed in zip(pool, STABLE_SEEDS, strict=False)]
-    jobs = [Job(s, folder / str(s.seed), [smi_only()]) for s in scenes]
-    in_processes(recognise, jobs)
-    kept = []
-    for m, rows, job in zip(pool, alone, jobs, strict=True):
-        far = (rows.mean(axis=0) - SMI_NUMBERS) / (chance * math.sqrt(1 + 1 / len(rows)))
-        off = np.abs(mean_similarities(score([job.folder])) - TABLE_3).max()
-        good = float(np.sum(far**2)) <= EXPLAINED and off <= STABLE_OFF
-        print(
-            f"  distance^2 {np.sum(far**2):7.2f} (at most {EXPLAINED}), stable frames off Table 3 "
-            f"by {off:.3f} (at most {STABLE_OFF}): {'kept' if good else 'left'}"
-        )
-        if good:
-            kept.append(m)
-    return kept
-
-
-def kept_worlds() -> list[World]:
-    """The worlds on record, that nearest to their middle first."""
+def kept_worlds(use: str) -> list[World]:
+    """The worlds on record that serve for one thing: "choice" or "report"."""
     with KEPT.open("rb") as file:
         rows = tomllib.load(file)["world"]
-    return [World({n: row[n] for n in NAMES}, tuple(row["fakes"])) for row in rows]
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Search, and put the kept worlds on record."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.studies.paper.world", description=__doc__
-    )
-    parser.add_argument("--out", type=Path, default=Path("build") / "paper" / "world")
-    asked = parser.parse_args(arguments)
-    begun = time.monotonic()
-    kept = keep(search(asked.out), asked.out)
-    shutil.rmtree(asked.out)
-    if not kept:
-        raise SystemExit("no world meets Table 4 within the ranges of UNKNOWNS")
-    middle = np.median([m.mean() for m in kept], axis=0)
-    kept.sort(key=lambda m: distance(m.mean(), middle))
-    rows = [
-        {"fakes": list(m.world.fakes), "rates": m.mean().round(4).tolist(), **m.world.values}
-        for m in kept
+    return [
+        World({n: row[n] for n in NAMES}, tuple(row["fakes"]), row["number"])
+        for row in rows
+        if row["use"] == use
     ]
-    KEPT.write_text(tomli_w.dumps({"world": rows}), encoding="utf-8")
-    minutes = (time.monotonic() - begun) / 60
-    print(f"\n{KEPT}: {len(kept)} worlds; {minutes:.1f} minutes")
-
-
-if __name__ == "__main__":
-    main()

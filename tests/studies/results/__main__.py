@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parent
 NOW = FOLDER / "now.toml"
 PAGE = FOLDER.parent / "RESULTS.md"
 ORDER = (
-    *("paper", "study", "scenes", "scenes_fresh", "ablation", "worlds"),
+    *("paper", "paper_choices", "study", "scenes", "scenes_fresh", "ablation", "worlds"),
     *("pictures", "stated", "returns", "speeds", "maps", "scale", "bench", "memory"),
 )
 """Files of this folder, as they follow each other on the page."""
@@ -49,7 +49,8 @@ def _section(study: Mapping[str, Any], now: Mapping[str, str]) -> str:
     source = f"`{study['command']}`, commit {study['commit']}{since}."
     lines = [f"## {study['title']}", "", source, *study["words"].strip().splitlines()]
     mark = "† " if stale else ""
-    for table in study["table"]:
+    # A study may keep some of its tables in its file alone.
+    for table in study["table"][: study.get("on_page")]:
         lines += ["", *([table["caption"], ""] if table["caption"] else [])]
         columns, *rows = csv.reader(table["csv"].strip().splitlines())
         lines += [_row(columns), "|---" * len(columns) + "|"]
