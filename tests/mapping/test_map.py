@@ -537,28 +537,19 @@ def test_errors_of_a_drifting_path_are_those_of_many_drawn() -> None:
     assert np.abs((of_pose - step) / scale).max() < 0.08
 
 
-def test_told_poses_drift_as_stated() -> None:
-    frame = np.arange(241)
-    at = np.round(frame * 0.25e9).astype(np.int64)
-    table_of_poses = pose_table("p", {}, at, 0.0 * frame, 0.0 * frame, 0.0 * frame)
-    path = path_from_poses(frame, at, table_of_poses, Drift(0.2, 6.0))
-    last = np.array([240])
-    assert path.yaw_variance(last)[0] == pytest.approx(36)  # a minute
-    covariance = path.position_covariance(last, np.zeros((1, 2)))[0]
-    np.testing.assert_allclose(covariance, 0.04 * np.eye(2))
-
-
-def test_told_poses_drift_from_the_first_one_that_is_told() -> None:
+@pytest.mark.parametrize(("first", "origin"), [(0, (0.0, 0.0)), (20, (500_000.0, 6_000_000.0))])
+def test_told_poses_drift_as_stated_from_the_first_one(
+    first: int, origin: tuple[float, float]
+) -> None:
     """Frames before it have no pose to drift from, least of all the origin, which in UTM is far."""
     frame = np.arange(241)
     at = np.round(frame * 0.25e9).astype(np.int64)
-    east, north = 500_000 + 0.0 * frame, 6_000_000 + 0.0 * frame
-    late = pose_table("p", {}, at[20:], 0.0 * frame[20:], east[20:], north[20:])
-    path = path_from_poses(frame, at, late, Drift(0.2, 6.0))
-    last, place = np.array([240]), np.array([[500_000.0, 6_000_002.0]])
-    share = 220 / 240  # of a minute
+    yaw, x, y = (np.full(241 - first, v) for v in (0.0, *origin))
+    path = path_from_poses(frame, at, pose_table("p", {}, at[first:], yaw, x, y), Drift(0.2, 6.0))
+    last, position = np.array([240]), np.array([[origin[0], origin[1] + 2]])
+    share = (240 - first) / 240  # of a minute
     turned = share * np.radians(6) ** 2 * 2**2
-    covariance = path.position_covariance(last, place)[0]
+    covariance = path.position_covariance(last, position)[0]
     expected = np.diag([share * 0.04 + turned, share * 0.04])
     np.testing.assert_allclose(covariance, expected, atol=1e-12)
     assert path.yaw_variance(last)[0] == pytest.approx(36 * share)
@@ -828,26 +819,23 @@ def test_an_ellipse_holds_what_it_says() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
-def test_the_picture_shows_what_was_found(mapped: Path) -> None:
-    import cv2
-
-    picture = cv2.imread(str(mapped / "map.png"))
-    assert picture is not None
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
-
-
-@pytest.mark.usefixtures("pictures")
-def test_an_id_has_the_colour_it_has_everywhere(
+def test_the_picture_shows_what_was_found_in_the_colours_of_the_ids(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    import cv2
+
     filled: list[Any] = []
-    monkeypatch.setattr(Axes, "fill", lambda *_, **look: filled.append(look["facecolor"]))
-    path = there_and_back(20)
-    sonarrec("map", results(tmp_path / "dive", path, path))
+    fill = Axes.fill
+    monkeypatch.setattr(
+        Axes, "fill", lambda *a, **k: filled.append(k["facecolor"]) or fill(*a, **k)
+    )
+    folder = results(tmp_path / "dive", there_and_back(20), there_and_back(20))
+    sonarrec("map", folder)
     colours = landmark_colours(BASIN.ids)
-    assert [tuple(round(255 * c) for c in colour) for colour in filled] == [
-        colours[disc.id] for disc in SITE
-    ]
+    assert [tuple(round(255 * c) for c in one) for one in filled] == [colours[d.id] for d in SITE]
+    picture = cv2.imread(str(folder / "map" / "map.png"))
+    assert picture is not None
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
 
 
 # Poses of a topic
@@ -994,10 +982,7 @@ def test_what_is_left_out_is_told_with_its_reason(tmp_path: Path) -> None:
     late = [row for row in rows if int(row["frame"]) >= end]
     for row in [late[0], *rows[:9]]:
         row["range_m"] = "0.6"
-    with estimates.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(estimates, rows)
     early = tmp_path / "early.csv"
     early.write_text("\n".join(poses.read_text().splitlines()[: end + 1]) + "\n")
     run = folder / "run.toml"

@@ -174,14 +174,6 @@ def test_visible_by_a_checkbox_of_cvat(tmp_path: Path, told: str, share: float |
         assert [row[4] for row in converted(tmp_path, source)] == [share]
 
 
-def test_a_skeleton_and_its_points_are_no_landmark(tmp_path: Path) -> None:
-    body = track(BOX.format(0, 0, 0, 10, 20)) + (
-        '<track id="1" label="2"><skeleton frame="0" keyframe="1" outside="0" occluded="0">'
-        '<points label="1" outside="0" occluded="0" points="3,4"/></skeleton></track>'
-    )
-    assert converted(tmp_path, cvat(tmp_path, body), code=3) == [(0, 1, 14.5, 14.5, 1.0)]
-
-
 def test_cvat_shapes_without_one_centre_are_counted_and_the_others_used(tmp_path: Path) -> None:
     """Every shape that CVAT writes; the last of a track is marked as outside, and is none."""
     corners = " ".join(
