@@ -96,7 +96,7 @@ maps: .venv/installed  # maps of simulated vehicle runs, and what they do for th
 	$(BIN)/python -m tests.studies.maps --record maps
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
-	$(BIN)/python -m learning.built_in
+	$(BIN)/python -m tests.studies.learning.built_in
 
 results: .venv/installed  # RESULTS.md from the studies' files; marks what is stale
 	$(BIN)/python -m tests.studies.results

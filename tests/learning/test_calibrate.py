@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learning.random_scenes import random_scene
 from sonarrec.config import Config, preset
 from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import BUILT_IN, LandmarkSet, load_landmarks
@@ -31,6 +30,7 @@ from sonarrec.recogniser.stage3.model import (
 )
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.simulate import write_recording
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin")

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from PIL import Image, ImageOps
 
-from learning.random_scenes import random_scene
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
@@ -24,6 +23,7 @@ from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, sonar_from_table
+from tests.studies.learning.random_scenes import random_scene
 from tests.support import messages
 from tests.support.messages import (
     BEAMS,

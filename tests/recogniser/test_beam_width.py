@@ -13,7 +13,6 @@ import pytest
 import tomli_w
 from click.testing import CliRunner
 
-from learning.random_scenes import random_scene
 from sonarrec import Recogniser, load_landmarks, open_log, preset, read_results, run
 from sonarrec.cli import main
 from sonarrec.config import Config
@@ -29,6 +28,7 @@ from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import survey
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.slow import but_first
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"

@@ -10,7 +10,6 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
-from learning.random_scenes import random_scene
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
 from sonarrec.nouns import Fan, Motion
@@ -19,6 +18,7 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.slow import but_first
 from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run
 

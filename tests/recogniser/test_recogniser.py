@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 import pytest
 
-from learning.random_scenes import random_scene
 from sonarrec import config
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import fan_for_image
@@ -27,6 +26,7 @@ from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, load_sonar
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 from tests.support.slow import but_first
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learning.random_scenes import random_scene
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Fan, Selection
@@ -19,6 +18,7 @@ from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
 from sonarrec.recogniser.stage1 import CandidateSelector, Correlation, gap_share
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 
 BASIN = load_landmarks("basin")

@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from learning.other_worlds import LEARNED_WORLDS, OTHER_WORLDS
-from learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     FishSection,
@@ -21,6 +19,8 @@ from sonarrec.simulation.scene import (
     scene_from_table,
     scene_table,
 )
+from tests.studies.learning.other_worlds import LEARNED_WORLDS, OTHER_WORLDS
+from tests.studies.learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from tests.support.slow import but_first
 
 NEW = ("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle")

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from learning.random_scenes import random_scene
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.errors import Diagnostics, SonarrecError
@@ -29,6 +28,7 @@ from sonarrec.simulation.layout import Layout, draw_layout, truth_of
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.simulate import write_recording
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin")

@@ -16,7 +16,6 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 
-from learning.random_scenes import random_scene
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.landmarks import load_landmarks
@@ -33,6 +32,7 @@ from sonarrec.simulation.scene import (
 )
 from sonarrec.simulation.simulate import write_recording
 from sonarrec.sonar import load_sonar
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.bare import BARE, POLAR, power
 from tests.support.command import sonarrec
 

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from learning.random_scenes import random_scene
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.render import render
@@ -21,6 +20,7 @@ from sonarrec.simulation.scene import (
     SonarSection,
 )
 from sonarrec.truth.in_view import share_in_image
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.bare import BARE, POLAR, mean_power, power
 from tests.support.command import sonarrec
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from learning.random_scenes import random_scene
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS, symbol
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern
 from tests.support.slow import but_first
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from learning.random_scenes import random_scene
 from sonarrec.errors import SonarrecError
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
+from tests.studies.learning.random_scenes import random_scene
 from tests.support.bare import POLAR, power
 
 BIN_M = 2.5 / 512

@@ -12,8 +12,6 @@ from unittest.mock import patch
 
 import numpy as np
 
-from learning.other_worlds import OTHER_WORLDS
-from learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.config import preset, with_assignments
 from sonarrec.evaluation.counting.curves import tpr_at
 from sonarrec.evaluation.counting.passes import find_passes
@@ -23,6 +21,8 @@ from sonarrec.recogniser.stage1 import RingScore, ScoreMaps
 from sonarrec.recogniser.stage3.expected_symbol import expected_symbols
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.render import render
+from tests.studies.learning.other_worlds import OTHER_WORLDS
+from tests.studies.learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from tests.studies.measured import errors
 from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scenes import FRAMES, REPORTED, seeds, told

@@ -20,7 +20,6 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
-from learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.arrays import ByteImage
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
@@ -35,6 +34,7 @@ from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
+from tests.studies.learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scenes import seeds, told
 from tests.support.simulated import Job, in_processes, recognise, score

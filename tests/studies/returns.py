@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from learning.random_scenes import ALL_KINDS, random_scene
 from sonarrec.config import preset
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.scene import Scene
+from tests.studies.learning.random_scenes import ALL_KINDS, random_scene
 from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scenes import seeds, told
 from tests.support.simulated import Job, in_processes, recognise

@@ -15,19 +15,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from learning.other_worlds import OTHER_WORLDS
-from learning.random_scenes import (
-    ALL_KINDS,
-    KINDS_OF_SCENE,
-    STRETCH_KINDS,
-    random_scene,
-)
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count, ratio
 from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, interval
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.summary import Summary, summarise
+from tests.studies.learning.other_worlds import OTHER_WORLDS
+from tests.studies.learning.random_scenes import (
+    ALL_KINDS,
+    KINDS_OF_SCENE,
+    STRETCH_KINDS,
+    random_scene,
+)
 from tests.studies.measured import Reliability, errors, honesty, reliability
 from tests.studies.results.record import add_record_option, judge, save, show
 from tests.support.simulated import (

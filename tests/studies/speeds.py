@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from learning.random_scenes import random_scene
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import Scene
+from tests.studies.learning.random_scenes import random_scene
 from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scenes import seeds, told
 from tests.support.simulated import METHODS, Job, in_processes, recognise, score

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from learning.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.config import preset
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import floor_depth
@@ -28,6 +27,7 @@ from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan
 from tests.studies.bench import three_in_view
+from tests.studies.learning.random_scenes import KINDS_OF_SCENE, random_scene
 from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scenes import seeds, told
 from tests.support.simulated import Job, in_processes, recognise, score

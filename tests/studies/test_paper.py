@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learning.built_in import MODEL_SEEDS
 from sonarrec.config import PRESETS, preset
 from sonarrec.evaluation.counting.curves import PUBLISHED
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import scene_fan
 from tests.studies import baseline, bench, scenes, study
+from tests.studies.learning.built_in import MODEL_SEEDS
 from tests.studies.paper import choices, prediction, search, world
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, PRESENT, TABLE_4, TABLE_5
 from tests.studies.paper.single import look

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from learning.random_scenes import random_scene
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.nouns import Frame
@@ -28,6 +27,7 @@ from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose, ar1
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, scene_fan, scene_sonar
+from tests.studies.learning.random_scenes import random_scene
 
 SPEED_M_S = 0.35
 RATE_HZ = 4.0

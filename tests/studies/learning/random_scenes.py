@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from learning.other_worlds import OTHER_WORLDS, in_world, vehicle_motion
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.simulation.motion import Pose, poses
@@ -30,6 +29,7 @@ from sonarrec.simulation.scene import (
     position_of,
 )
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
+from tests.studies.learning.other_worlds import OTHER_WORLDS, in_world, vehicle_motion
 
 KINDS_OF_SCENE = (
     "plain",

@@ -1,6 +1,6 @@
 """The built-in appearance model, learned from simulated recordings.
 
-`make model` (`python -m learning.built_in`) makes it again.
+`make model` (`python -m tests.studies.learning.built_in`) makes it again.
 """
 
 from __future__ import annotations
@@ -10,8 +10,6 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from learning.other_worlds import LEARNED_WORLDS
-from learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 from sonarrec.config import preset
 from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.fit import fit
@@ -21,6 +19,8 @@ from sonarrec.recogniser.stage3.model import BUILT_IN
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.simulation.truth import LandmarkTruth
+from tests.studies.learning.other_worlds import LEARNED_WORLDS
+from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 
 # Seeds of the built-in model. Those from 2000 on are for choosing settings (tuning seeds), those
 # from 3000 on for figures that are reported: no recording serves two purposes.
