@@ -35,7 +35,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 @pytest.fixture(scope="session", autouse=True)
 def _one_core() -> Iterator[None]:
     """The tests' own processes are large: to copy one for a run takes longer than many a run.
-    test_together.py has the same runs on one core and on two."""
+    tests/runs/test_two_cores.py has the same runs on one core and on two."""
     with one_core():
         yield
 

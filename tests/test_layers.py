@@ -67,6 +67,7 @@ MAY_IMPORT = {
         "overlay",
         "report.pictures",
         "results.run_file",  # its version
+        "runs.two_cores",  # its threads
     ),
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""

@@ -13,7 +13,6 @@ from sonarrec.nouns import (
     FrameResult,
     Groups,
     Motion,
-    Selection,
 )
 from sonarrec.recogniser.stage3 import Evidence
 
@@ -27,13 +26,6 @@ class WorkingImage:
     timestamp_ns: int
     image: ByteImage
     """(rows, columns) of the plane."""
-
-
-@dataclass(frozen=True, slots=True)
-class AfterStage1(WorkingImage):
-    """One frame after stage 1; nothing in it depends on other frames."""
-
-    selection: Selection
 
 
 @dataclass(frozen=True, slots=True)

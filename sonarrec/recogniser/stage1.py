@@ -269,9 +269,9 @@ class RingScore:
 class Correlation:
     """Does what `_correlate` does, by FFT, for many images of one shape and one symmetric kernel.
 
-    Arrays are kept from image to image, and columns are transformed as rows: each saves a good part
-    of the time. So does single precision, whose errors stay under a millionth of the largest sum;
-    numpy keeps to it where a transform is scaled by its length.
+    Arrays are kept from image to image, for each thread its own, and columns are transformed as
+    rows: each saves a good part of the time. So does single precision, whose errors stay under a
+    millionth of the largest sum; numpy keeps to it where a transform is scaled by its length.
     """
 
     def __init__(self, kernel: FloatImage, shape: tuple[int, int]) -> None:
@@ -291,25 +291,29 @@ class Correlation:
         # imaginary part is 0, for the kernel is symmetric.
         spectrum = np.fft.rfft2(whole).real.T * whole.size
         self._kernel = np.ascontiguousarray(spectrum, np.float32)
-        # Any: numpy's stubs know the transforms' 64 bits alone.
-        self._image: npt.NDArray[Any] = np.zeros((shape[0], whole.shape[1]), np.float32)
-        self._both: npt.NDArray[Any] = np.zeros_like(self._kernel, np.complex64)
-        self._rows = self._both.T[: shape[0]]
+        self._size = shape[0], whole.shape[1]
+        self._free: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = []
 
     def __call__(self, image: FloatImage) -> FloatImage:
-        """(rows, columns) of an image with the kernel centred on each pixel; 0 beyond it.
-
-        The next call writes over it.
-        """
+        """(rows, columns) of an image with the kernel centred on each pixel; 0 beyond it."""
         rows, columns = image.shape
-        self._image[:, :columns], self._image[:, columns:] = image, 0
-        np.fft.rfft(self._image, norm="forward", out=self._rows)
-        self._both[:, rows:] = 0
-        np.fft.fft(self._both, norm="forward", out=self._both)
-        self._both *= self._kernel
-        np.fft.ifft(self._both, out=self._both)
-        np.fft.irfft(self._rows, self._image.shape[1], out=self._image)
-        return self._image[:, :columns]
+        padded, both = self._free.pop() if self._free else self._arrays()
+        by_rows = both.T[:rows]
+        padded[:, :columns], padded[:, columns:] = image, 0
+        np.fft.rfft(padded, norm="forward", out=by_rows)
+        both[:, rows:] = 0
+        np.fft.fft(both, norm="forward", out=both)
+        both *= self._kernel
+        np.fft.ifft(both, out=both)
+        np.fft.irfft(by_rows, padded.shape[1], out=padded)
+        found = padded[:, :columns].copy()
+        self._free.append((padded, both))
+        return found
+
+    # Any: numpy's stubs know the transforms' 64 bits alone.
+    def _arrays(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """(rows, padded columns) of an image, and of its transform, columns first."""
+        return np.zeros(self._size, np.float32), np.zeros(self._kernel.shape, np.complex64)
 
 
 def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:

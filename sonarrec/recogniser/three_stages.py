@@ -9,9 +9,9 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Fan, Frame, FrameResult
+from sonarrec.nouns import Fan, Frame, FrameResult, Selection
 from sonarrec.poses import PoseTable
-from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, Batch, WorkingImage
+from sonarrec.recogniser.between_stages import AfterStage2, Batch, WorkingImage
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
@@ -80,36 +80,30 @@ class ThreeStages:
         self._estimates = EstimateMaker(config, plane, landmarks)
         self._method, self._smi = method, smi
 
-    @property
-    def most_bytes(self) -> int:
-        """How many the arrays of a frame after stage 1 take at most."""
-        # A byte and a float32 per pixel; candidates and coarse grids are few beside these.
-        return 6 * self._plane.inside.size + 2**20
-
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
-        return self.stage3([self.stage2(self.stage1(self.working_image(frame)))])[0]
+        image = self.working_image(frame)
+        return self.stage3([self.stage2(image, self.stage1(image))])[0]
 
     def working_image(self, frame: Frame) -> WorkingImage:
         """The frame in the working plane, which stage 1 works on. Frames may come in any order."""
         image = self._plane.warp(frame.pixels, frame.polar)
         return WorkingImage(frame.index, frame.timestamp_ns, image)
 
-    def stage1(self, frame: WorkingImage) -> AfterStage1:
+    def stage1(self, image: WorkingImage) -> Selection:
         """Candidate selection (Section 3.2): where could a landmark's circle be?
 
-        Frames may come in any order.
+        Frames may come in any order, and from several threads.
         """
-        selection = self._select(frame.image)
-        return AfterStage1(frame.frame, frame.timestamp_ns, frame.image, selection)
+        return self._select(image.image)
 
-    def stage2(self, frame: AfterStage1) -> AfterStage2:
+    def stage2(self, frame: WorkingImage, selection: Selection) -> AfterStage2:
         """Continuity evaluation (Section 3.3): which candidates are objects that persist?
 
         Frames must come in the log's order. The shape matrices that stage 3 needs are sampled here
         too, while the image is at hand.
         """
-        image, selection = frame.image, frame.selection
+        image = frame.image
         motion = self.odometry.step(image, frame.timestamp_ns)
         known = motion if motion is not None and motion.known else None
         groups = self._continuity.step(selection, known)

@@ -1,94 +1,119 @@
-"""Several recognisers over the same frames, on one core or on several."""
+"""Several recognisers over the same frames, one stage behind the other."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
-from functools import partial
-from itertools import islice
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
+from typing import NamedTuple, Protocol, TypeVar
 
 import cv2
 
-from sonarrec.nouns import Frame, FrameResult
-from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, WorkingImage
+from sonarrec.nouns import Frame, FrameResult, Selection
+from sonarrec.recogniser.between_stages import AfterStage2, WorkingImage
 from sonarrec.recogniser.motion.odometry import PoseTally
-from sonarrec.recogniser.own_process import CAN_FORK, OwnProcess
-from sonarrec.recogniser.prefetch import Prefetcher
 from sonarrec.recogniser.three_stages import ThreeStages
 
 # Frames that stage 3 takes at once, which costs a third of one by one. More would save little.
 FRAMES_AT_ONCE = 16
+T = TypeVar("T")
+Given = TypeVar("Given")
+Made = TypeVar("Made")
+AfterStage1 = list[tuple[WorkingImage, Selection]]
+"""One frame: of each recognizer its image and what stage 1 selected in it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Burst:
-    """What the later stages made of some frames in a row."""
+class Mapped(Protocol):
+    """`map`, or what gives the same on several cores: results in the items' order."""
+
+    def __call__(
+        self, work: Callable[[Given], Made], items: Iterable[Given], /
+    ) -> Iterator[Made]: ...
+
+
+class UntilBroken(Iterator[T]):
+    """Items that seem to end where an exception breaks them off, so that all before it go through
+    what follows, however far it reads ahead. `end` then raises the exception."""
+
+    def __init__(self, items: Iterable[T]) -> None:
+        self._items = iter(items)
+        self._error: BaseException = StopIteration()
+
+    def __next__(self) -> T:
+        try:
+            return next(self._items)
+        except BaseException as error:
+            self._items, self._error = iter(()), error
+            raise StopIteration from None
+
+    def end(self) -> None:
+        """Raise what broke the items off, if anything did."""
+        if not isinstance(self._error, StopIteration):
+            raise self._error
+
+
+class Burst(NamedTuple):
+    """What stages 2 and 3 made of some frames in a row."""
 
     results: list[tuple[FrameResult, ...]]
     """Per frame one of each recogniser."""
     tallies: list[PoseTally]
     """One of each recogniser."""
+    error: BaseException | None
+    """What went wrong in stage 2 of the frame after these."""
 
 
-def recognise_together(
-    recognisers: Sequence[ThreeStages], frames: Iterable[Frame], *, ahead: bool = False
-) -> Iterator[tuple[FrameResult, ...]]:
-    """Several recognisers over the same frames: for each frame, one result of each recogniser.
+class Together:
+    """The stages of several recognisers, in step."""
 
-    Results come in bursts of FRAMES_AT_ONCE. An exception on the way, also Ctrl-C, is raised after
-    the results of all frames before it were yielded. ahead: whether two cores share the work: one
-    reads the frames, the other does the later stages, and stage 1 is done by the one that has time.
-    Where there can be no process for that, reading and stage 1 have a thread each. Raises
-    ChildProcessError where the process was killed.
-    """
-    cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
-    select, follow = partial(_select, recognisers), partial(_follow, recognisers)
-    with ExitStack() as running:
-        process: OwnProcess[list[WorkingImage], list[AfterStage1], Burst] | None = None
-        if ahead and CAN_FORK:  # before anything runs ahead in a thread
-            with suppress(OSError):  # no room for another process
-                process = OwnProcess(select, follow, sum(r.most_bytes for r in recognisers))
-                running.callback(process.close)
-        images: Iterable[list[WorkingImage]]
-        images = ([r.working_image(frame) for r in recognisers] for frame in frames)
-        if process is not None:
-            bursts = process.results(images)
-        elif ahead:
-            images = running.enter_context(closing(Prefetcher(images)))
-            bursts = follow(running.enter_context(closing(Prefetcher(map(select, images)))))
-        else:
-            bursts = follow(map(select, images))
-        for burst in bursts:
-            for recogniser, tally in zip(recognisers, burst.tallies, strict=True):
+    def __init__(self, recognisers: Sequence[ThreeStages]) -> None:
+        self._recognisers = recognisers
+        self._tracked: list[list[AfterStage2]] = []  # frames that wait for stage 3
+
+    def results(
+        self, frames: Iterable[Frame], anywhere: Mapped = map, in_order: Mapped = map
+    ) -> Iterator[tuple[FrameResult, ...]]:
+        """For each frame one result of each recogniser, in bursts of FRAMES_AT_ONCE.
+
+        anywhere: applies stage 1, which takes any frame by itself. in_order: applies stages 2 and
+        3, which keep a state: all in one process, one by one. An exception in stage 1 or 2, also
+        Ctrl-C, is raised after the results of all frames before it.
+        """
+        _without_ipp()
+        images = ([r.working_image(frame) for r in self._recognisers] for frame in frames)
+        selected = UntilBroken(anywhere(self.stage1, images))
+        for burst in in_order(self.follow, chain(selected, [None])):
+            for recogniser, tally in zip(self._recognisers, burst.tallies, strict=True):
                 recogniser.odometry.tally = tally
             yield from burst.results
+            if burst.error is not None:
+                raise burst.error
+        selected.end()
 
+    def stage1(self, images: list[WorkingImage]) -> AfterStage1:
+        """Stage 1 of one frame."""
+        _without_ipp()
+        return [(i, r.stage1(i)) for r, i in zip(self._recognisers, images, strict=True)]
 
-def _select(
-    recognisers: Sequence[ThreeStages], images: Sequence[WorkingImage]
-) -> list[AfterStage1]:
-    """Stage 1 of all recognisers over one frame."""
-    return [r.stage1(image) for r, image in zip(recognisers, images, strict=True)]
-
-
-def _follow(
-    recognisers: Sequence[ThreeStages], selected: Iterable[list[AfterStage1]]
-) -> Iterator[Burst]:
-    """Stages 2 and 3 of all recognisers, FRAMES_AT_ONCE frames at a time."""
-    left, broken = iter(selected), None
-    while broken is None:
-        tracked: list[list[AfterStage2]] = []
-        try:
-            for each in islice(left, FRAMES_AT_ONCE):
-                tracked.append([r.stage2(x) for r, x in zip(recognisers, each, strict=True)])
-                del each  # its maps are large: free them before the next are made
-        except BaseException as error:
-            broken = error
+    def follow(self, selected: AfterStage1 | None) -> Burst:
+        """Stage 2 of the next frame, and stage 3 where FRAMES_AT_ONCE wait or frames end (None)."""
+        error = None
+        if selected is not None:
+            try:
+                both = zip(self._recognisers, selected, strict=True)
+                self._tracked.append([r.stage2(*of_one) for r, of_one in both])
+            except BaseException as broken:
+                error = broken
+        tallies = [r.odometry.tally for r in self._recognisers]
+        if error is None and selected is not None and len(self._tracked) < FRAMES_AT_ONCE:
+            return Burst([], tallies, None)
+        tracked, self._tracked = self._tracked, []
         if not tracked:
-            break
-        per_recogniser = zip(*tracked, strict=True)
-        results = (r.stage3(x) for r, x in zip(recognisers, per_recogniser, strict=True))
-        yield Burst([*zip(*results, strict=True)], [r.odometry.tally for r in recognisers])
-    if broken is not None:
-        raise broken
+            return Burst([], tallies, error)
+        of_each = zip(self._recognisers, zip(*tracked, strict=True), strict=True)
+        results = [r.stage3(frames) for r, frames in of_each]
+        return Burst([*zip(*results, strict=True)], tallies, error)
+
+
+def _without_ipp() -> None:
+    """As in the package: each thread has its own switch."""
+    cv2.ipp.setUseIPP(False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from heapq import nlargest
 from pathlib import Path
@@ -34,6 +34,7 @@ from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.frames import Presets, configs_of
 from sonarrec.runs.prepare import PreparedRun, RunOptions, prepare
+from sonarrec.runs.two_cores import BrokenProcessPool, two_cores
 from sonarrec.sonar import Sonar, sonar_from
 
 Observe = Callable[[FrameResult, int | None], None]
@@ -145,8 +146,8 @@ def process(
 
     Results that would be the same are not made again, and those of another log are not replaced,
     except with overwrite.
-    ahead: as in `recognise_together`; for machines with a core to spare. What the process writes to
-    descriptor 2 meanwhile may be lost, see `decode_image`.
+    ahead: on two cores, see `two_cores`. What the process writes to descriptor 2 meanwhile may be
+    lost, see `decode_image`.
     Raises SonarrecError for input or settings that cannot be used.
     """
     with prepare(Path(path), Path(out), log_options, run_options, name) as job:
@@ -205,15 +206,16 @@ def _recognise(
     stamps = deque[Stamps]()  # of frames that have no result yet
     try:
         frames = _noted(job.frames, stamps, plausibility)
-        for result in job.recogniser.recognise(frames, ahead=ahead):
-            writer.write(result, stamps.popleft())
-            if observe is not None:
-                observe(result, job.frame_count)
+        with two_cores() if ahead else nullcontext((map, map)) as (anywhere, in_order):
+            for result in job.recogniser.recognise(frames, anywhere, in_order):
+                writer.write(result, stamps.popleft())
+                if observe is not None:
+                    observe(result, job.frame_count)
     except BaseException as error:  # Ctrl-C as well: keep what is there
         if not writer.full:
             for result in job.recogniser.waiting():
                 writer.write(result, stamps.popleft())
-        if isinstance(error, ChildProcessError):
+        if isinstance(error, BrokenProcessPool):
             raise SonarrecError(
                 f"{job.log.path}: the process that follows its objects was killed, "
                 "perhaps for lack of memory; run it again where more is free"

@@ -33,7 +33,7 @@ class Task:
     run_options: RunOptions
     overwrite: bool = False
     remote: RemotePlaces | None = None  # set if the log or its results lie on a server
-    ahead: bool = False  # as in `recognise_together`
+    ahead: bool = False  # on two cores, see `two_cores`
 
     def absolute(self) -> Task:
         """The same task with absolute paths, for another working folder."""

@@ -32,7 +32,7 @@ from sonarrec.evaluation.evaluate import evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.write import write_evaluation
-from sonarrec.recogniser.own_process import CAN_FORK
+from sonarrec.runs.two_cores import CAN_FORK
 from tests.evaluation.test_evaluation import write_case
 from tests.support.made_up import make_logs, make_sides
 from tests.support.slow import but_first

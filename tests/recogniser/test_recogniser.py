@@ -5,6 +5,7 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 from threading import Thread
@@ -18,11 +19,12 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Frame, FrameResult
-from sonarrec.recogniser import together
 from sonarrec.recogniser.presets.side_by_side import SideBySide
+from sonarrec.recogniser.restore.static_pixels import AHEAD
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
-from sonarrec.recogniser.together import FRAMES_AT_ONCE
+from sonarrec.recogniser.together import FRAMES_AT_ONCE, Together
 from sonarrec.results.write import ResultsWriter
+from sonarrec.runs.two_cores import two_cores
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, load_sonar
@@ -304,7 +306,7 @@ def noted(log: Sequence[Frame], drawn: list[Frame]) -> Iterator[Frame]:
 def test_all_at_once_says_what_frame_by_frame_does():
     log = still_log(2, 2 * FRAMES_AT_ONCE + 3)
     recogniser = ThreeStages(config.preset("default"), log[0].fan, BASIN)
-    at_once = together.recognise_together([recogniser], log)
+    at_once = Together([recogniser]).results(log)
     for one, (other,) in zip(run(log, config.preset("default")), at_once, strict=True):
         alike(one, other)
         alike(one, other, SMI)
@@ -323,22 +325,24 @@ def test_smi_is_shared_by_presets_of_the_same_candidates_alone() -> None:
     assert methods(2.0).count("smi:offline") == 1
 
 
-@pytest.mark.parametrize("ahead", [False, True])
-def test_a_thread_says_the_same_to_the_bit(ahead: bool):
+@pytest.mark.parametrize("on_two", [False, True])
+def test_a_thread_says_the_same_to_the_bit(on_two: bool):
     log = still_log(2, FRAMES_AT_ONCE + 3)
     here = side_by_side(log, "default")
     there: list[FrameResult] = []
     both = SideBySide([config.preset("default")], log[0].fan, BASIN)
-    thread = Thread(target=lambda: there.extend(both.recognise(log, ahead=ahead)))
-    thread.start()
-    thread.join()
+    with two_cores() if on_two else nullcontext((map, map)) as ways:
+        thread = Thread(target=lambda: there.extend(both.recognise(log, *ways)))
+        thread.start()
+        thread.join()
     for one, other in zip(there, here, strict=True):
         assert repr(one.estimates) == repr(other.estimates)
 
 
-@pytest.mark.parametrize("fault", [ValueError, KeyboardInterrupt])
-def test_what_breaks_the_frames_off_is_raised_when_those_before_it_are_out(fault):
-    log = still_log(2, FRAMES_AT_ONCE + 3)
+# Also while all of them still wait to be looked at for static pixels, and past that.
+@pytest.mark.parametrize(("fault", "frames"), [(ValueError, 19), (KeyboardInterrupt, AHEAD + 3)])
+def test_what_breaks_the_frames_off_is_raised_when_those_before_it_are_out(fault, frames):
+    log = still_log(2, frames)
 
     def breaking() -> Iterator[Frame]:
         yield from log
@@ -383,7 +387,7 @@ def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     monkeypatch.setattr(
         ThreeStages,
         "stage1",
-        lambda self, frame: seen.append(frame.frame) or stage1(self, frame),
+        lambda self, image: seen.append(image.frame) or stage1(self, image),
     )
     log = still_log(3, 3)
     side_by_side(log, "default", "paper", "offline")

@@ -145,18 +145,6 @@ def test_what_comes_later_frees_what_was_filled() -> None:
     assert last.pixels is drawn[-1]
 
 
-@pytest.mark.parametrize("at", [0, 5, AHEAD + 3])
-def test_an_error_comes_after_the_frames_before_it(at: int) -> None:
-    def breaking() -> Iterator[Frame]:
-        yield from frames(floor(0, at))
-        raise OSError("gone")
-
-    seen = []
-    with pytest.raises(OSError, match="gone"):
-        seen.extend(f.index for f in Unchanging().filled(breaking()))
-    assert seen == [*range(at)]
-
-
 @pytest.mark.parametrize(
     ("shape", "ahead"), [((200, 240), AHEAD), ((2048, 2048), 4), ((4096, 4096), 1)]
 )

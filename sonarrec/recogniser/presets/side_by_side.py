@@ -16,7 +16,7 @@ from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
-from sonarrec.recogniser.together import recognise_together
+from sonarrec.recogniser.together import Mapped, Together, UntilBroken
 
 
 class SideBySide:
@@ -68,14 +68,18 @@ class SideBySide:
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
 
-    def recognise(self, frames: Iterable[Frame], *, ahead: bool = False) -> Iterator[FrameResult]:
+    def recognise(
+        self, frames: Iterable[Frame], anywhere: Mapped = map, in_order: Mapped = map
+    ) -> Iterator[FrameResult]:
         """Yield the results in the log's order, each when it is final.
 
-        An exception on the way is raised after the results of all frames before it, except those
-        that still wait to be revised: call `waiting` for these. ahead: as in `recognise_together`.
+        anywhere, in_order: as in `Together.results`. An exception of the frames is raised after the
+        results of all before it. One on the way may leave some waiting: call `waiting` for these.
         """
-        frames = self._levels.restored(self._unchanging.filled(frames))
-        for found in recognise_together([*self._recognisers.values()], frames, ahead=ahead):
+        whole = UntilBroken(frames)
+        restored = self._levels.restored(self._unchanging.filled(whole))
+        together = Together([*self._recognisers.values()])
+        for found in together.results(restored, anywhere, in_order):
             results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
             for hindsight, result in zip(self._hindsight, results, strict=True):
                 if hindsight is not None:
@@ -88,6 +92,7 @@ class SideBySide:
             if len(self._pending) > self._lag:
                 yield self._final()
         yield from self.waiting()
+        whole.end()
 
     def _of_each(self, found: Mapping[int, FrameResult]) -> list[FrameResult]:
         """One frame's results, one for each configuration. found: by the recogniser's number."""

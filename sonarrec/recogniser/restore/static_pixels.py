@@ -63,25 +63,16 @@ class Unchanging:
         self._beside: IndexArray = self._holes  # what each is filled from
 
     def filled(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames of a log, with the unchanging ones of their `pixels` filled.
-
-        An exception on the way is raised after all frames before it.
-        """
+        """The frames of a log, with the unchanging ones of their `pixels` filled."""
         frames, waiting = iter(frames), deque[Frame]()
-        broken: BaseException | None = None
-        try:
-            for frame in frames:
-                self._look(frame)
-                waiting.append(frame)
-                ahead = min(AHEAD, MOST_BYTES_AHEAD // frame.pixels.size)
-                if len(waiting) >= ahead or self._looks >= JUDGED_AFTER[1]:
-                    break
-        except BaseException as error:
-            broken = error
+        for frame in frames:
+            self._look(frame)
+            waiting.append(frame)
+            ahead = min(AHEAD, MOST_BYTES_AHEAD // frame.pixels.size)
+            if len(waiting) >= ahead or self._looks >= JUDGED_AFTER[1]:
+                break
         while waiting:
             yield self._fill(waiting.popleft())
-        if broken is not None:
-            raise broken
         for frame in frames:
             self._look(frame)
             yield self._fill(frame)

@@ -110,7 +110,7 @@ def watch(job: Job) -> dict[str, Seen]:
         for config, stage in zip(job.configs, stages, strict=True):
             if config.candidates not in selected:
                 selected[config.candidates] = stage.stage1(image)
-            (result,) = stage.stage3([stage.stage2(selected[config.candidates])])
+            (result,) = stage.stage3([stage.stage2(image, selected[config.candidates])])
             for method in {config.preset, *([SMI] if stage is stages[0] else [])}:
                 mine = [e for e in result.estimates if e.method == method]
                 n = len(mine)

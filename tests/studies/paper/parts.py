@@ -38,7 +38,8 @@ class Parts:
     def step(self, frame: Frame) -> list[Estimate]:
         """The estimates of SMI, the framework and its parts in the log's next frame."""
         stages, config = self._stages, self._config
-        after = stages.stage2(stages.stage1(stages.working_image(frame)))
+        image = stages.working_image(frame)
+        after = stages.stage2(image, stages.stage1(image))
         made = list(stages.stage3([after])[0].estimates)
         held = identify(
             after.evidence.brightness, after.evidence.count > 0, self._bands, self._turned
