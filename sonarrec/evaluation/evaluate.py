@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,6 @@ from sonarrec.evaluation.matching.pairs import (
 from sonarrec.evaluation.survey import LogToScore, SurveyedLog, UnreadableLog, map_logs, survey
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.results.same_log import counted_once
-from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import of_other_logs, rows_on_frames
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -36,7 +36,7 @@ DEFAULT = ScoringOptions()
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """The result of `evaluate`, with all frames and claims."""
+    """The result of `evaluate_whole`, with all frames and claims."""
 
     joined: Joined
     folders: tuple[Path, ...]
@@ -56,44 +56,6 @@ class Evaluation:
         return replace(result, folders=self.folders, notes=self.notes, unused=self.unused)
 
 
-def evaluate(
-    results: str | Path,
-    ground_truth: str | Path | None = None,
-    *,
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
-) -> Evaluation:
-    """Score a results folder (of one log, or of several) against gt.csv.
-
-    Without ground_truth the NAME.gt.csv, or gt.csv, beside each log is taken.
-    Of several results of one recording the first counts.
-
-    A claim is an estimate that is declared (operating point) or whose score reaches the
-    threshold (curves). A row with visible 0 is no row.
-
-    Protocol "paper", per frame and ID: in view and claimed = TP, each further claim of it one TP
-    more; in view and not claimed = FN; not in view and claimed, however often, = FP; else TN.
-    Position plays no part. Half a disc or more is in view, anything less is not: as in the paper,
-    every frame counts. Count.tpr_once is the TPR without the further claims.
-
-    Protocol "strict": a landmark with visible >= min_visible is a positive; with less it is
-    ignored. A claim belongs to the truth of its ID that is nearest in that frame, if
-    its centre is within half a disc diameter of it in the fan plane. The first claim of a
-    positive (the one of highest score) is TP; every further one, and every claim that belongs to
-    no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
-    (FN and FP). Claims of a partly visible landmark are not counted. TN: a frame and ID of which
-    nothing shows and which is not claimed. So an FP replaces a TN the first time an absent ID is
-    claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
-    0 to 1 and no false claim is free.
-
-    Raises SonarrecError where files cannot be used or have no frame in common.
-    """
-    options = ScoringOptions(min_visible, tolerance_s, landmarks, sonar)
-    return evaluate_whole(results, ground_truth, options)
-
-
 def evaluate_whole(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None = None,
@@ -101,33 +63,24 @@ def evaluate_whole(
     *,
     subset: bool = False,
 ) -> Evaluation:
-    """As `evaluate`. results: a folder, or pairs of a log's results and its truth.
+    """As `evaluate_many`, with all frames and claims.
 
     Logs of equal name get the names of their folders as given. subset: these are a few of the logs
     that `evaluate_many` scored, so it is no fault if none of them has a row in its truth, or a
     method.
     """
     inputs = _inputs(results, ground_truth, options)
-    selection = _select_logs(inputs, (survey(r, whole=True) for r in inputs.readings), subset)
-    logs = [selection.logs[i] for i in selection.scored]
-    if not subset:
-        _check_methods(logs, selection.names)
+    pooled, logs = _evaluate(inputs, options, whole=True, subset=subset)
     cases = [log.case for log in logs if log.case is not None]
-    matched_logs = [
-        replace(case.log, name=name) for case, name in zip(cases, selection.names, strict=True)
-    ]
-    joined = join(matched_logs, [case.truth for case in cases], options.min_visible)
-    estimates = np.bincount(joined.method_index, minlength=len(joined.methods))
-    scored = score_all(joined)
-    positives = np.max([s.base[:, 3] for s in scored], axis=0, initial=0)
-    notes = _notes(logs, selection.names, joined, estimates, positives)
+    named = [replace(c.log, name=name) for c, name in zip(cases, pooled.logs, strict=True)]
+    joined = join(named, [case.truth for case in cases], options.min_visible)
     return Evaluation(
         joined=joined,
-        folders=tuple(log.folder for log in logs),
-        scored=scored,
+        folders=pooled.folders,
+        scored=score_all(joined),
         min_visible=options.min_visible,
-        notes=tuple(map(printable, [*selection.notes, *notes])),
-        unused=tuple(map(printable, selection.unused)),
+        notes=pooled.notes,
+        unused=pooled.unused,
     )
 
 
@@ -139,47 +92,71 @@ def evaluate_many(
     jobs: int | None = None,
     find_beside: FindBeside | None = None,
 ) -> Pooled:
-    """As `evaluate_whole`, but logs are read one at a time, so memory does not grow with them.
+    """Score results as `scores.evaluate` says, one log at a time.
 
-    jobs: number of processes, as in `survey.map_logs`; it does not change the result.
+    results: a folder, or pairs of a log's results and its truth. So memory does not grow with the
+    logs. jobs: number of processes, as in `survey.map_logs`; it does not change the result.
     find_beside: finds truth beside logs on servers, as in `pairs.found_beside`.
     """
     inputs = _inputs(results, ground_truth, options, find_beside)
+    return _evaluate(inputs, options, jobs=jobs)[0]
+
+
+def _evaluate(
+    inputs: _Inputs,
+    options: ScoringOptions,
+    *,
+    jobs: int | None = None,
+    whole: bool = False,
+    subset: bool = False,
+) -> tuple[Pooled, list[SurveyedLog]]:
+    """Read, match and count the logs, one at a time; also gives those that are scored.
+
+    whole: keep all that was read of them. jobs, subset: as above.
+    """
     parts = Parts()
     numbers: dict[int, int] = {}
+    counted: list[LogToScore] = []
 
     def surveyed_logs() -> Iterable[SurveyedLog | UnreadableLog]:
         ids: tuple[int, ...] = ()
-        count = 0
         folders = (reading.folder for reading in inputs.readings)
-        surveyed = map_logs(survey, inputs.readings, folders, jobs)
+        read = partial(survey, whole=whole)
+        surveyed = map_logs(read, inputs.readings, folders, 1 if whole else jobs)
         for reading, log in zip(inputs.readings, surveyed, strict=True):
             if isinstance(log, SurveyedLog):
                 ids = ids or log.ids
                 if log.ids != ids and set(log.ids) == set(ids):  # count in the first log's order
-                    log = survey(replace(reading, ids=ids))
+                    reading = replace(reading, ids=ids)
+                    log = read(reading)
             if isinstance(log, UnreadableLog):
                 yield log
                 continue
             if log.part is not None:
-                numbers[count] = parts.put(log.part)
-            count += 1
+                numbers[len(counted)] = parts.put(log.part)
+            counted.append(reading)
             yield replace(log, part=None)
 
-    selection = _select_logs(inputs, surveyed_logs())
+    selection = _select_logs(inputs, surveyed_logs(), subset)
+    logs = [selection.logs[i] for i in selection.scored]
+    if parts.coarse and len(logs) < len(numbers):  # it has put the values of all logs together
+        parts, again = Parts(), [counted[i] for i in selection.scored]
+        surveyed = map_logs(survey, again, (reading.folder for reading in again), jobs)
+        for i, log in zip(selection.scored, surveyed, strict=True):
+            if isinstance(log, SurveyedLog) and log.part is not None:
+                numbers[i] = parts.put(log.part)
     result = pool(
         parts, [numbers[i] for i in selection.scored], selection.names, options.min_visible
     )
-    logs = [selection.logs[i] for i in selection.scored]
-    _check_methods(logs, selection.names)
-    positives = np.max([s.base.sum(axis=0)[:, 3] for s in result.scored], axis=0, initial=0)
-    notes = _notes(logs, selection.names, result, result.estimates, positives)
-    return replace(
+    if not subset:
+        _check_methods(logs, selection.names)
+    result = replace(
         result,
         folders=tuple(log.folder for log in logs),
-        notes=tuple(map(printable, [*selection.notes, *notes])),
+        notes=tuple(map(printable, [*selection.notes, *_notes(logs, result)])),
         unused=tuple(map(printable, selection.unused)),
     )
+    return result, logs
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,25 +313,15 @@ def _check_methods(logs: Sequence[SurveyedLog], names: Sequence[str]) -> None:
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
 
 
-def _notes(
-    logs: Sequence[SurveyedLog],
-    names: Sequence[str],
-    scored: Joined | Pooled,
-    estimates: IntArray,
-    positives: IntArray,
-) -> list[str]:
-    """Notes on what was scored, a line each.
-
-    names: of the logs. scored: all of them. estimates: how many each method has. positives: how
-    many each ID has, under the protocol with more.
-    """
+def _notes(logs: Sequence[SurveyedLog], scored: Pooled) -> list[str]:
+    """Notes on what was scored, a line each. logs: those of `scored`."""
     notes = []
     if not scored.placed:
         notes.append(
             "the strict protocol is not scored: truth or estimates have no positions, or they are "
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
-    for name, log in zip(names, logs, strict=True):
+    for name, log in zip(scored.logs, logs, strict=True):
         if log.truth_check is not None:
             notes += rows_on_frames(name, log.truth_check.rows, log.truth_check.between)
         missing = [method for method in scored.methods if method not in log.methods]
@@ -362,14 +329,15 @@ def _notes(
             notes.append(
                 f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
             )
+    notes += [f"{name}: scores are rounded to six digits" for name in scored.rounded]
     notes += [
         f"{method}: no estimate at all"
-        for method, count in zip(scored.methods, estimates, strict=True)
+        for method, count in zip(scored.methods, scored.estimates, strict=True)
         if not count
     ]
     notes += [
         f"ID.{landmark} is never in view: its TPR is 0/0 and says nothing"
-        for landmark, count in zip(scored.ids, positives, strict=True)
-        if not count
+        for k, landmark in enumerate(scored.ids)
+        if not any(s.base[:, k, 3].any() for s in scored.scored)
     ]
     return notes

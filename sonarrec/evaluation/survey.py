@@ -70,11 +70,11 @@ class SurveyedLog:
     case: MatchedLog | None
     """All that was read, if `whole` was set and log and truth match."""
     part: Part | None
-    """The counts, if `whole` was not set and the log can be scored."""
+    """The counts, if the log can be scored."""
 
 
 def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | UnreadableLog:
-    """Read one log. whole: keep everything and count nothing."""
+    """Read and count one log. whole: also keep all that was read."""
     options = reading.options
     try:
         table = truth_table(reading.ground_truth)
@@ -91,7 +91,7 @@ def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | Unreada
     except SonarrecError as fault:  # raised later, unless the log is a copy of another
         error = fault
     part = None
-    if case is not None and truth_check is not None and truth_check.fault is None and not whole:
+    if case is not None and truth_check is not None and truth_check.fault is None:
         part = part_of(join([log], [case.truth], options.min_visible, reading.ids))
     rows = table.rows_of(log.name)
     return SurveyedLog(

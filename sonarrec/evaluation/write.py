@@ -53,32 +53,24 @@ def write_evaluation(
     before the first one, if a file of another kind exists.
     """
     text = json_text(as_json(evaluation, summary))
-    tables = {
-        "confusion.csv": (CONFUSION, _confusion(evaluation)),
-        "per_log.csv": (("log", *CONFUSION), _per_log(evaluation)),
-        "roc.csv": (ROC, _roc(evaluation)),
-        "figures.csv": (FIGURES, _figures(summary)),
-        "tests.csv": (TESTS, _tests(summary)),
-        "passes.csv": (PASSES, _passes(evaluation)),
-        "reliability.csv": (RELIABILITY, _reliability(summary)),
-    }
+    written = tables(evaluation, summary)
     pictures = ["roc.png", "roc_by_id.png"]
     pictures += ["det.png"] if det else []
     pictures += ["reliability.png"] if summary.reliability else []
-    check_tables(folder, {name: header for name, (header, _) in tables.items()})
+    check_tables(folder, {name: header for name, (header, _) in written.items()})
     check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
     if not is_filled(
         folder / "evaluation.json"
     ):  # if it exists, the pictures are ours, even without a mark
         for name in pictures:
             check_output(folder / name, "picture")
-    check_no_recording(folder, tables)
+    check_no_recording(folder, written)
     with writing(folder):
         (folder / "evaluation.json").unlink(missing_ok=True)
         for name in {"det.png", "reliability.png"}.difference(pictures):
             if is_output(folder / name, "picture"):  # of an earlier scoring
                 (folder / name).unlink()
-        for name, (header, rows) in tables.items():
+        for name, (header, rows) in written.items():
             write_table(folder / name, header, rows)
         draw_roc(folder / "roc.png", evaluation.scored)
         draw_roc_by_id(folder / "roc_by_id.png", evaluation.scored)
@@ -87,7 +79,22 @@ def write_evaluation(
         if summary.reliability:
             draw_reliability(folder / "reliability.png", summary.reliability)
         write_text(folder / "evaluation.json", text)
-    return (*tables, *pictures, "evaluation.json")
+    return (*written, *pictures, "evaluation.json")
+
+
+def tables(
+    evaluation: Pooled, summary: Summary
+) -> dict[str, tuple[tuple[str, ...], Iterable[tuple[Any, ...]]]]:
+    """Columns and rows of each CSV file, by its name."""
+    return {
+        "confusion.csv": (CONFUSION, _confusion(evaluation)),
+        "per_log.csv": (("log", *CONFUSION), _per_log(evaluation)),
+        "roc.csv": (ROC, _roc(evaluation)),
+        "figures.csv": (FIGURES, _figures(summary)),
+        "tests.csv": (TESTS, _tests(summary)),
+        "passes.csv": (PASSES, _passes(evaluation)),
+        "reliability.csv": (RELIABILITY, _reliability(summary)),
+    }
 
 
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:

@@ -17,13 +17,12 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.evaluation.counting.uncertainty import Figure
-from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.matching.joined import seconds_of_frames
 from sonarrec.evaluation.summary import Summary, _notes, summarise, units_text
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.landmarks import load_landmarks
 from tests.evaluation.test_evaluation import write_case, write_csv
-from tests.support.claims import evaluated, joined
+from tests.support.claims import evaluate, evaluated, joined
 
 
 def summary_of(frames: int, truth: list, claims: list, **options) -> Summary:

@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.summary import summarise
 from tests.evaluation.test_evaluation import RUN_TOML, counts, scored, write_case, write_csv
+from tests.support.claims import evaluate
 
 FRAMES = range(12)
 HEADER = ("frame", "landmark", "range_m", "bearing_deg")

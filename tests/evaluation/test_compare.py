@@ -16,7 +16,7 @@ from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.compare.compare import compare
 from sonarrec.evaluation.compare.screen import _rate_lines
-from sonarrec.evaluation.evaluate import evaluate, evaluate_whole
+from sonarrec.evaluation.evaluate import evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from tests.evaluation.test_evaluation import (
     ESTIMATE_HEADER,
@@ -26,6 +26,7 @@ from tests.evaluation.test_evaluation import (
     write_case,
     write_csv,
 )
+from tests.support.claims import evaluate
 
 FRAMES = range(40)
 TRUTH = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]

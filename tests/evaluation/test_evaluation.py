@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 from sonarrec.cli import main
 from sonarrec.evaluation.cells import rate
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.evaluate import Evaluation, evaluate
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.tabulate import screen
 from sonarrec.landmarks import load_landmarks
+from tests.support.claims import evaluate
 
 IDS = (1, 2, 3, 4)
 GATE_M = load_landmarks("basin").radius_m

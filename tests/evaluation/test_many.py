@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import multiprocessing
 import os
@@ -23,10 +24,10 @@ from sonarrec.cli import main
 from sonarrec.evaluation import summary, survey
 from sonarrec.evaluation.compare import compare as comparison
 from sonarrec.evaluation.compare.compare import compare
-from sonarrec.evaluation.counting import store
+from sonarrec.evaluation.counting import pooled
+from sonarrec.evaluation.counting.histogram import sum_by_value, values_at_ranks
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Pooled
-from sonarrec.evaluation.counting.store import Store, sum_by_value, values_at_ranks
 from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, coin_tosses
 from sonarrec.evaluation.evaluate import evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
@@ -80,6 +81,10 @@ def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
+def table(text: bytes) -> list[dict[str, str]]:
+    return list(csv.DictReader(text.decode().splitlines()))
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_draws")
 def test_all_at_once_or_one_at_a_time_is_the_same(
@@ -95,12 +100,21 @@ def test_all_at_once_or_one_at_a_time_is_the_same(
 
     write("whole", evaluate_whole(rows).pooled())
     write("each", evaluate_many(rows))
-    monkeypatch.setattr(store, "IN_MEMORY", 1)
-    monkeypatch.setattr(store, "AT_ONCE", 100)
-    write("on_disk", evaluate_many(rows))
+    monkeypatch.setattr(pooled, "MOST_ROWS", 5_000)
+    write("coarse", evaluate_many(rows))
     for unit, many in units.items():
-        whole, each, on_disk = (files(tmp_path / unit / n) for n in ("whole", "each", "on_disk"))
-        assert each == on_disk == whole
+        whole, each, coarse = (files(tmp_path / unit / n) for n in ("whole", "each", "coarse"))
+        assert each == whole
+        # Coarse after the first logs: intervals and tests move a little, nothing else does.
+        for name in each.keys() - {"figures.csv", "tests.csv", "evaluation.json"}:
+            assert coarse[name] == each[name], name
+        for name in ("figures.csv", "tests.csv"):
+            for a, b in zip(table(each[name]), table(coarse[name]), strict=True):
+                for column, cell in a.items():
+                    if column not in ("low", "high", "p"):
+                        assert b[column] == cell
+                    elif cell not in ("", "inf"):
+                        assert float(b[column]) == pytest.approx(float(cell), abs=0.05)
         told = json.loads(each["evaluation.json"])
         assert list(told["methods"]) == ["smi", "framework", "another"]
         assert told["units"] == many
@@ -299,13 +313,13 @@ def peak_mb(call: Callable[[], object]) -> float:
 
 
 @pytest.fixture
-def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Already of a few logs the store lies there."""
-    monkeypatch.setattr(store, "IN_MEMORY", 100_000)
+def few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Already of a few logs values by unit are coarse."""
+    monkeypatch.setattr(pooled, "MOST_ROWS", 5_000)
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("on_disk")
+@pytest.mark.usefixtures("few_rows")
 def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     """Two logs and eleven. What was read of a log is twice that of
     `test_memory_does_not_grow_with_the_logs`: were it kept, nine more would be 9 MB."""
@@ -368,7 +382,7 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("on_disk")
+@pytest.mark.usefixtures("few_rows")
 def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     """Two logs and eleven. What may grow is what a log leaves behind for good: its name, counts and
     passes (a few kB), and its row in the sums by unit (20 tables of 600 numbers a row, some 50 kB,
@@ -381,11 +395,11 @@ def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
 
 @given(FLOATS)
 def test_values_by_rank_are_those_of_sorting(values: list[list[float]]) -> None:
-    blocks = [np.array(some, dtype=float) for some in values]
-    whole = np.sort(np.concatenate(blocks))
+    whole = np.sort(np.concatenate([np.array(some, dtype=float) for some in values]))
     if len(whole):
         ranks = np.unique(np.linspace(0, len(whole) - 1, 7).astype(int))
-        assert values_at_ranks(lambda: blocks, ranks).tolist() == whole[ranks].tolist()
+        counted = sum_by_value([(whole, np.ones((len(whole), 1), dtype=int))])
+        assert values_at_ranks(counted, ranks).tolist() == whole[ranks].tolist()
 
 
 @given(FLOATS)
@@ -395,16 +409,3 @@ def test_equal_values_are_put_together(values: list[list[float]]) -> None:
     expected, count = np.unique(np.concatenate([c[0] for c in chunks]), return_counts=True)
     assert found.tolist() == expected.tolist()
     assert many[:, 0].tolist() == many[:, -1].tolist() == count.tolist()
-
-
-def test_a_store_gives_back_what_was_put(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "IN_MEMORY", 100)
-    kept = Store()
-    arrays = [np.arange(n * 3).reshape(n, 3) for n in (0, 5, 40)]
-    for n, array in enumerate(arrays):
-        kept.put("a", n, array)
-        kept.put(("b", n), n, array.astype("f4"))
-    assert [(n, a.tolist()) for n, a in kept.get("a")] == [
-        (n, a.tolist()) for n, a in enumerate(arrays)
-    ]
-    assert not list(kept.get("c"))

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, score
-from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.report.logs import (
     alongside,
     judged_sightings,
     tracks,
 )
 from sonarrec.report.mistakes import episodes, in_words
+from tests.support.claims import evaluate
 from tests.support.command import SAMPLE
 from tests.support.pages import (
     PLACED,

@@ -19,9 +19,9 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
-from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.summary import summarise
 from sonarrec.report.settings import settings_tables
+from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import (
     DECLARED,

@@ -224,9 +224,9 @@ def tune() -> Settings:
     """
     import tempfile
 
-    from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.simulation.simulate import write_recording
     from tests.studies.learning.random_scenes import random_scene
+    from tests.support.claims import evaluate
 
     landmarks = load_landmarks("basin")
     with tempfile.TemporaryDirectory() as name:

@@ -17,10 +17,10 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.evaluation.counting.curves import Count
-from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scenes import told
+from tests.support.claims import evaluate
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESETS = ("default", "offline")

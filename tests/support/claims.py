@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, score
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.evaluate import Evaluation, evaluate_whole
 from sonarrec.evaluation.matching.joined import Joined
+from sonarrec.evaluation.matching.options import ScoringOptions
 
 IDS = (1, 2, 3, 4)
 GATE_M = 0.15
@@ -54,6 +57,7 @@ def joined(
         claim_object=np.array([row[7] if len(row) > 7 else -1 for row in claims], dtype=int),
         probability=np.array(told, dtype=np.float32).reshape(-1, len(IDS) + 1),
         placed=True,
+        rounded=False,
         truth_orientation=np.array([row[5] if len(row) > 5 else np.nan for row in truth]),
         claim_orientation=np.zeros(len(c)),
         turn_deg=np.array([360.0, 180.0, 360.0, 360.0]),
@@ -64,3 +68,8 @@ def evaluated(case: Joined) -> Evaluation:
     """Every method under both protocols."""
     scored = tuple(score(case, m, p) for m in range(len(case.methods)) for p in PROTOCOLS)
     return Evaluation(case, (), scored, 0.9, (), ())
+
+
+def evaluate(results: str | Path, truth: str | Path | None = None, **options: Any) -> Evaluation:
+    """The scores of files with all frames and claims. options: of ScoringOptions."""
+    return evaluate_whole(results, truth, ScoringOptions(**options))

@@ -129,9 +129,9 @@ def test_what_a_terminal_obeys_is_escaped() -> None:
 
 
 def test_method_names_cannot_move_the_cursor(tmp_path: Path) -> None:
-    from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.evaluation.summary import summarise
     from sonarrec.evaluation.tabulate import screen, summary_screen
+    from tests.support.claims import evaluate
 
     (tmp_path / "frames.csv").write_text("frame\n0\n1\n")
     (tmp_path / "estimates.csv").write_text(

@@ -1,7 +1,4 @@
-"""Frames and IDs whose counts have changed: found log by log and kept in a store on disk.
-
-So memory does not grow with the logs, even if everything changed.
-"""
+"""Frames and IDs whose counts have changed, found log by log."""
 
 from __future__ import annotations
 
@@ -16,10 +13,9 @@ import numpy.typing as npt
 
 from sonarrec.arrays import IntArray
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, Scored, score
-from sonarrec.evaluation.counting.store import Store
 from sonarrec.evaluation.matching.joined import Joined
 
-CHANGE = np.dtype([("frame", "i8"), ("landmark", "i8"), ("old", "i4", 3), ("new", "i4", 3)])
+CHANGE = np.dtype([("frame", "i4"), ("landmark", "i4"), ("old", "i2", 3), ("new", "i2", 3)])
 VERDICTS = {"better": -1, "worse": 1, "other": 0}
 """The sign of the number of errors that came."""
 GAP = 2
@@ -61,10 +57,10 @@ class FrameRun:
 
 @dataclass(frozen=True, slots=True)
 class FrameChanges:
-    """All changes; they are read from a store on each use."""
+    """All changes."""
 
-    store: Store
-    """Its keys: protocol, method and number of the log."""
+    rows: Mapping[int, ByMethod]
+    """By the number of the log."""
     logs: tuple[tuple[int, str], ...]
     """Number and name of each log that counts, in order."""
     methods: tuple[tuple[str, str], ...]
@@ -112,15 +108,7 @@ class FrameChanges:
         return longest, count
 
     def _rows(self, protocol: str, method: str, number: int) -> npt.NDArray[Any]:
-        for _, rows in self.store.get((protocol, method, number)):
-            return rows
-        return np.empty(0, dtype=CHANGE)
-
-
-def store_changes(store: Store, number: int, changes: ByMethod) -> None:
-    """Store the changes of one log for `FrameChanges`."""
-    for of, rows in changes.items():
-        store.put((*of, number), number, rows)
+        return self.rows[number].get((protocol, method), np.empty(0, dtype=CHANGE))
 
 
 def changed_frames(

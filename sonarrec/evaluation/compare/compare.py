@@ -13,14 +13,13 @@ import numpy as np
 
 from sonarrec.errors import SonarrecError, printable
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.compare.changes import FrameChanges, store_changes
+from sonarrec.evaluation.compare.changes import ByMethod, FrameChanges
 from sonarrec.evaluation.compare.log_pair import CountedPair, LogPair, count_pair
 from sonarrec.evaluation.compare.pairing import pair_logs
 from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
 from sonarrec.evaluation.counting.behaviour import PassOutcomes
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, PooledUnits, pool
-from sonarrec.evaluation.counting.store import Store
 from sonarrec.evaluation.counting.uncertainty import (
     Difference,
     bootstrap_weights,
@@ -265,8 +264,8 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float)
 
     Raises SonarrecError if none can be compared, or if they have different IDs or no method.
     """
-    store = Store()
-    before, after = Parts(store, "old"), Parts(store, "new")
+    before, after = Parts(), Parts()
+    changes: dict[int, ByMethod] = {}
     logs: list[CountedPair] = []
     read: list[LogPair] = []
     unread: list[UnreadableLog] = []
@@ -285,7 +284,7 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float)
         if counted.parts is not None:
             number = numbers[len(logs)] = before.put(counted.parts[0])
             after.put(counted.parts[1])
-            store_changes(store, number, counted.changes)
+            changes[number] = counted.changes
         logs.append(replace(counted, parts=None, changes={}))
         read.append(pair)
     if not logs:
@@ -308,7 +307,7 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float)
         used=[replace(read[i], name=n) for i, n in zip(scorable.usable, names, strict=True)],
         before=old,
         after=new,
-        frames=partial(FrameChanges, store, tuple(zip(part_numbers, names, strict=True))),
+        frames=partial(FrameChanges, changes, tuple(zip(part_numbers, names, strict=True))),
         notes=notes,
         cut=[line for log in logs for line in log.unused],
         unused=[*(counted.message("compared") for counted in unread), *scorable.unused],

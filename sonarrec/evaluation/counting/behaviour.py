@@ -5,17 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.evaluation.counting.histogram import Table, sum_by_value, values_at_ranks
 from sonarrec.evaluation.counting.passes import Passes, Units
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.counting.store import values_at_ranks
 from sonarrec.evaluation.counting.unit_sums import (
+    Blocks,
     UnitSums,
-    Values,
     by_landmark,
     histogram_sums,
     plain_sums,
@@ -114,8 +113,8 @@ def wait_counts(
         for name, of_id in by_landmark(ids, landmark_index):
             labels = (outcome.protocol, outcome.method, name)
             seen = of_id & (outcome.frames > 0)
-            waits = [(outcome.wait[seen], unit[seen])]
-            yield histogram_sums(labels, partial(list, waits), units, edges)
+            one = np.ones((int(seen.sum()), 1), dtype=np.int64)
+            yield histogram_sums(labels, [(outcome.wait[seen], one, unit[seen])], units, edges)
 
 
 def on_truth(joined: Joined) -> IntArray:
@@ -265,27 +264,26 @@ def positive_is_claimed(scored: Scored, joined: Joined) -> BoolArray:
 
 
 def error_counts(
-    methods: Sequence[str], ids: Sequence[int], errors: Callable[[str, int], Values], units: int
+    methods: Sequence[str],
+    ids: Sequence[int],
+    errors: Callable[[str, int], tuple[Table, Blocks]],
+    units: int,
 ) -> Iterator[UnitSums]:
     """Errors of right claims, per ID and in all.
 
-    errors: gives the errors of a method and the k-th ID, without NaN, and their units.
+    errors: gives those of a method and the k-th ID: all values, and the values by unit.
     """
-    k = range(len(ids))
-
-    def all_errors(cases: Sequence[tuple[str, int]]) -> Iterator[tuple[FloatArray, IntArray]]:
-        for case in cases:
-            yield from errors(*case)()
-
-    all_cases = [(method, i) for method in methods for i in k]
-    count = sum(len(error) for error, _ in all_errors(all_cases))
-    if not count:
+    cases = {(m, k): errors(m, k) for m in methods for k in range(len(ids))}
+    value, count = sum_by_value(table for table, _ in cases.values())
+    if not len(value):
         return
     # The edges are quantiles of all errors, the same for every method; their ranks are those of
     # numpy's quantile with the method "inverted_cdf".
-    ranks = np.ceil(count * np.linspace(0, 1, 513) - 1).clip(0).astype(np.int64)
-    edges = np.unique(values_at_ranks(lambda: (error for error, _ in all_errors(all_cases)), ranks))
+    ranks = np.ceil(count.sum() * np.linspace(0, 1, 513) - 1).clip(0).astype(np.int64)
+    edges = np.unique(values_at_ranks((value, count), ranks))
     for method in methods:
-        per_id = [(str(i), [(method, n)]) for n, i in enumerate(ids)]
-        for name, cases in [*per_id, ("total", [(method, i) for i in k])]:
-            yield histogram_sums(("strict", method, name), partial(all_errors, cases), units, edges)
+        per_id = [(str(i), [cases[method, k]]) for k, i in enumerate(ids)]
+        for name, some in [*per_id, ("total", [case for _, [case] in per_id])]:
+            exact = sum_by_value(table for table, _ in some)
+            blocks = (block for _, blocks in some for block in blocks)
+            yield histogram_sums(("strict", method, name), blocks, units, edges, exact)

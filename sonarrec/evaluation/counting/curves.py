@@ -104,6 +104,13 @@ class Curve:
         return index
 
 
+def curve_of(base: IntArray, claims: tuple[FloatArray, IntArray]) -> Curve:
+    """The ROC of claims: (n,) scores, rising, and (n, 4) their effects. base: (4,) without any."""
+    score, effect = claims
+    counts = np.vstack([base, base + np.cumsum(effect[::-1], axis=0).reshape(-1, len(base))])
+    return Curve(np.concatenate([[np.inf], score[::-1]]), *counts.T)
+
+
 def ratio(part: FloatArray | IntArray, whole: FloatArray | IntArray) -> FloatArray:
     """part / whole, NaN for 0/0."""
     with np.errstate(invalid="ignore"):

@@ -33,8 +33,9 @@ from sonarrec.evaluation.counting.reliability import calibration
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, Scored, score
 from sonarrec.evaluation.matching.joined import Joined
 
-CLAIM = np.dtype([("score", "f8"), ("unit", "i4"), ("effect", "i1", 4)])
-ERROR = np.dtype([("error", "f8"), ("unit", "i4")])
+CLAIM = np.dtype([("value", "f8"), ("unit", "i4"), ("count", "i4", 4)])
+"""Claims of one score in one unit: the sum of their effects."""
+ERROR = np.dtype([("value", "f8"), ("unit", "i4"), ("count", "i4", (1,))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,8 @@ class Totals:
     methods: tuple[str, ...]
     placed: bool
     """Whether positions are known wherever the strict protocol needs them."""
+    rounded: tuple[str, ...]
+    """The logs whose scores had more than six digits."""
     timed: BoolArray
     """(L,) whether the duration of a frame is known."""
     frames: int
@@ -94,7 +97,7 @@ class Totals:
 class Part(Totals):
     """The contribution of one log, or of several joined ones.
 
-    Small enough to keep in memory for every log, except `blocks`, which go to disk (`store.py`).
+    Small enough to keep in memory for every log; see `pooled.Parts` on its claims and errors.
     """
 
     scored: tuple[ScoredPart, ...]
@@ -127,6 +130,7 @@ def part_of(
         ids=joined.ids,
         methods=joined.methods,
         placed=joined.placed,
+        rounded=joined.logs if joined.rounded else (),
         timed=np.bincount(joined.log_index, np.isnan(joined.seconds), minlength=logs) == 0,
         frames=len(joined.frame),
         positives=np.bincount(joined.truth_landmark_index[positive], minlength=len(joined.ids)),
@@ -192,9 +196,7 @@ def _blocks(
         group = s.claims_by(*groups)
         for k in range(len(joined.ids)):
             of_id = s.landmark_index == k
-            claims = np.empty(int(of_id.sum()), dtype=CLAIM)
-            claims["score"], claims["unit"] = s.score[of_id], group[of_id]
-            claims["effect"] = s.effect[of_id]
+            claims = by_unit(CLAIM, s.score[of_id], group[of_id], s.effect[of_id])
             blocks["claims", s.protocol, s.method, k] = claims
         if s.protocol == "strict" and nearest is not None:
             blocks |= _errors(s, joined, units.of_truth)
@@ -226,7 +228,22 @@ def _errors(
     for name, error in kinds.items():
         for k in range(len(joined.ids)):
             of_id = (landmark == k) & ~np.isnan(error)
-            errors = np.empty(int(of_id.sum()), dtype=ERROR)
-            errors["error"], errors["unit"] = error[of_id], unit[of_id]
-            blocks[name, strict.method, k] = errors
+            one = np.ones((int(of_id.sum()), 1), dtype=np.int64)
+            blocks[name, strict.method, k] = by_unit(ERROR, error[of_id], unit[of_id], one)
     return blocks
+
+
+def by_unit(
+    kind: np.dtype[Any], value: FloatArray, unit: IntArray, count: npt.NDArray[Any]
+) -> npt.NDArray[Any]:
+    """Rows of CLAIM or ERROR, one for each value in each unit. value, unit: (n,); count: (n, C)."""
+    order = np.lexsort((value, unit))
+    value, unit = value[order], unit[order]
+    new = np.ones(len(value), dtype=bool)
+    new[1:] = (np.diff(value) != 0) | (np.diff(unit) != 0)
+    start = np.flatnonzero(new)
+    rows = np.empty(len(start), dtype=kind)
+    rows["value"], rows["unit"] = value[start], unit[start]
+    if len(start):
+        rows["count"] = np.add.reduceat(count[order], start, axis=0, dtype=np.int32)
+    return rows

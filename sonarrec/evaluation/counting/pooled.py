@@ -1,14 +1,10 @@
-"""An evaluation of many logs, each read once.
-
-Counts, units and passes are kept in memory. Claims and errors are in a store on disk, so that
-curves, quantiles and intervals are exact and memory does not grow with the logs.
-"""
+"""An evaluation of many logs, each read once: sums over them."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +13,19 @@ import numpy.typing as npt
 
 from sonarrec.arrays import FloatArray, IntArray, joined
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, Switches
-from sonarrec.evaluation.counting.curves import Count, Curve, counted
-from sonarrec.evaluation.counting.parts import Part, ScoredPart, Totals
+from sonarrec.evaluation.counting.curves import Count, Curve, counted, curve_of
+from sonarrec.evaluation.counting.histogram import Table, sum_by_value, values_at_ranks
+from sonarrec.evaluation.counting.parts import Part, ScoredPart, Totals, by_unit
 from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, merged_units
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
-from sonarrec.evaluation.counting.store import Store, sum_by_value
-from sonarrec.evaluation.counting.unit_sums import Claims, Values
+from sonarrec.evaluation.counting.unit_sums import Blocks, grid_points
 from sonarrec.results.read import in_order
 
+MOST_ROWS = 4_000_000
+"""Of claims and errors; see Parts."""
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, repr=False)
 class PooledScored:
     """The counts of one method under one protocol over all logs: L logs, K IDs."""
 
@@ -38,6 +37,10 @@ class PooledScored:
     declared: IntArray
     """(L, K, 4) TP, TN, FP, FN at the method's operating point."""
     parts: Parts
+
+    def __repr__(self) -> str:
+        count = self.count()
+        return f"<{self.method}, {self.protocol}: TPR {count.tpr:.4f}, FPR {count.fpr:.4f}>"
 
     def count(self, k: int | None = None) -> Count:
         """The counts at the operating point: of the k-th ID, or the sum over all."""
@@ -58,10 +61,9 @@ class PooledScored:
         """The ROC of the k-th ID, or the micro average over all."""
         base = self.base.sum(axis=0)
         base = base.sum(axis=0) if k is None else base[k]
-        score, effect = self.parts.scores(self.protocol, self.method, len(self.ids), k)
-        steps = np.cumsum(effect[::-1], axis=0, dtype=np.int64)
-        counts = np.vstack([base, base + steps])
-        return Curve(np.concatenate([[np.inf], score[::-1]]), *counts.T)
+        of = range(len(self.ids)) if k is None else [k]
+        tables = [self.parts.values(("claims", self.protocol, self.method, i)) for i in of]
+        return curve_of(base, sum_by_value(tables))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,21 +77,62 @@ class PooledUnits:
 
 
 class Parts:
-    """The parts of an evaluation in the order of its logs, with their blocks in a store."""
+    """The parts of an evaluation in the order of its logs.
 
-    def __init__(self, store: Store | None = None, side: str = "") -> None:
-        """store: may be shared with other Parts of another `side`."""
-        self._store, self._side = store or Store(), side
+    Claims and errors are kept by value and unit. With more than MOST_ROWS of them values are exact
+    in all, but by unit only as fine as intervals and tests need them, so that memory does not grow
+    with the number of claims.
+    """
+
+    def __init__(self) -> None:
+        self.coarse = False
+        """Whether values by unit are coarse, and values in all are those of all parts."""
         self._parts: list[Part] = []
+        self._blocks: dict[Hashable, dict[int, npt.NDArray[Any]]] = defaultdict(dict)
+        self._fresh: dict[Hashable, dict[int, npt.NDArray[Any]]] = defaultdict(dict)
+        self._rows = 0
+        self._edges: dict[Hashable, FloatArray] = {}
+        self._all: dict[Hashable, Table] = {}
         self._selected: dict[int, tuple[int, int]] = {}
 
     def put(self, part: Part) -> int:
         """Keep a part; returns its number."""
         number = len(self._parts)
-        for key, array in part.blocks.items():
-            self._store.put((self._side, key), number, array)
         self._parts.append(replace(part, blocks={}))
+        for key, array in part.blocks.items():
+            self._blocks[key][number] = array
+            if array.dtype.names is not None:
+                self._fresh[key][number] = array
+                self._rows += len(array)
+        if self._rows > MOST_ROWS:
+            self._coarsen()
         return number
+
+    def _coarsen(self) -> None:
+        """Keep the fresh values by unit no finer than intervals need them."""
+        for key, fresh in self._fresh.items():
+            rows = ((block["value"], block["count"]) for block in fresh.values())
+            table = self._all[key] = sum_by_value([*filter(None, [self._all.get(key)]), *rows])
+            if key not in self._edges and len(table[0]):
+                self._edges[key] = self._new_edges(key, table)
+            for number, block in fresh.items():
+                if len(block):
+                    value = _on_edges(key, block["value"], self._edges[key])
+                    coarse = by_unit(block.dtype, value, block["unit"], block["count"])
+                    self._blocks[key][number] = coarse
+        self._fresh.clear()
+        self._rows, self.coarse = 0, True
+
+    def _new_edges(self, key: Any, table: Table) -> FloatArray:
+        """Rising: of scores those at the FPRs of FPR_GRID, of errors 513 quantiles."""
+        kind, *of, k = key
+        if kind != "claims":
+            ranks = np.linspace(0, table[1].sum() - 1, 513).astype(np.int64)
+            return np.unique(values_at_ranks(table, ranks))
+        bases = (s.base[:, k].sum(axis=0) for p in self._parts for s in p.scored if _is(s, *of))
+        curve = curve_of(np.sum([*bases], axis=0), table)
+        edges = np.unique(curve.threshold[grid_points(curve)])
+        return edges[np.isfinite(edges)] if np.isfinite(edges).any() else table[0][:1]
 
     def select(self, numbers: Sequence[int]) -> list[Part]:
         """Select the parts that count; the others are ignored from now on."""
@@ -101,30 +144,21 @@ class Parts:
 
     def blocks(self, key: Hashable) -> Iterator[tuple[int, int, npt.NDArray[Any]]]:
         """(index of the first log, of the first pass unit, array) of each part that has the key."""
-        for number, array in self._store.get((self._side, key)):
+        for number, array in self._blocks.get(key, {}).items():
             if number in self._selected:
                 yield *self._selected[number], array
 
-    def scores(
-        self, protocol: str, method: str, ids: int, k: int | None
-    ) -> tuple[FloatArray, IntArray]:
-        """(n,) distinct scores, rising, and (n, 4) the summed effects of their claims."""
-        key = ("scores", protocol, method, k)
-        for _, table in self._store.get((self._side, key)):
-            return table["score"], table["effect"]
-        if k is None:
-            per_id = (self.scores(protocol, method, ids, i) for i in range(ids))
-            score, effect = sum_by_value(per_id)
-        else:
-            claims = self.blocks(("claims", protocol, method, k))
-            score, effect = sum_by_value((c["score"], c["effect"]) for _, _, c in claims)
-        table = np.empty(len(score), dtype=[("score", "f8"), ("effect", "i4", 4)])
-        table["score"], table["effect"] = score, effect
-        self._store.put((self._side, key), -1, table)
-        return score, table["effect"]
+    def values(self, key: Hashable) -> Table:
+        """The scores with the summed effects of their claims, or the errors with their counts."""
+        if self.coarse:
+            self._coarsen()
+        if key not in self._all:
+            rows = ((block["value"], block["count"]) for _, _, block in self.blocks(key))
+            self._all[key] = sum_by_value(rows)
+        return self._all[key]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Pooled(Totals):
     """The evaluation of all logs."""
 
@@ -138,6 +172,9 @@ class Pooled(Totals):
     notes: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
     """Input that could not be used, one line each."""
+
+    def __repr__(self) -> str:
+        return f"<evaluation of {len(self.logs)} logs, {self.frames} frames: {self.scored}>"
 
     def units(self, kind: UnitKind | None = None) -> PooledUnits:
         """The independent units of a kind: by default passes, or logs if there are LOGS_ENOUGH."""
@@ -168,20 +205,22 @@ class Pooled(Totals):
             sums[first : first + len(rows)] = rows
         return sums
 
-    def claims(self, scored: PooledScored, k: int | None, units: PooledUnits) -> Claims:
+    def claims(self, scored: PooledScored, k: int | None, units: PooledUnits) -> Blocks:
         """The claims of the k-th ID, or of all, one log at a time."""
         for i in range(len(self.ids)) if k is None else [k]:
             key = ("claims", scored.protocol, scored.method, i)
             for _, first, c in self.parts.blocks(key):
-                yield c["score"], c["effect"], units.of_pass_unit[first + c["unit"]]
+                yield c["value"], c["count"], units.of_pass_unit[first + c["unit"]]
 
-    def errors(self, name: str, units: PooledUnits, method: str, k: int) -> Values:
-        """Errors of right claims of the k-th ID. name: "position" or "orientation"."""
-        return partial(self._errors, (name, method, k), units)
-
-    def _errors(self, key: Hashable, units: PooledUnits) -> Iterator[tuple[Any, IntArray]]:
-        for _, first, e in self.parts.blocks(key):
-            yield e["error"], units.of_pass_unit[first + e["unit"]]
+    def errors(self, name: str, units: PooledUnits, method: str, k: int) -> tuple[Table, Blocks]:
+        """Errors of right claims of the k-th ID: all, and by unit. name: "position" or
+        "orientation"."""
+        key = name, method, k
+        blocks = [
+            (e["value"], e["count"], units.of_pass_unit[first + e["unit"]])
+            for _, first, e in self.parts.blocks(key)
+        ]
+        return self.parts.values(key), blocks
 
 
 def pool(parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible: float) -> Pooled:
@@ -213,6 +252,7 @@ def pool(parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible
         ids=ids,
         methods=methods,
         placed=placed,
+        rounded=tuple(name for part in selected for name in part.rounded),
         timed=np.concatenate([part.timed for part in selected]),
         frames=sum(part.frames for part in selected),
         positives=np.sum([part.positives for part in selected], axis=0),
@@ -233,6 +273,19 @@ def pool(parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible
 
 _COUNTS = ("base", "declared")
 _OUTCOMES = ("frames", "right", "wait")
+
+
+def _on_edges(key: Any, value: FloatArray, edges: FloatArray) -> FloatArray:
+    """Scores rounded down to an edge, which has the bin of a threshold; errors rounded up."""
+    if key[0] == "claims":
+        at = np.searchsorted(edges, value, side="right") - 1
+    else:
+        at = np.searchsorted(edges, value)
+    return np.asarray(edges[at.clip(0, len(edges) - 1)])
+
+
+def _is(scored: ScoredPart, protocol: str, method: str) -> bool:
+    return (scored.protocol, scored.method) == (protocol, method)
 
 
 def _scored_part(part: Part, protocol: str, method: str) -> ScoredPart:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.evaluation.counting.curves import FPR_POINTS, Curve, ratio
-from sonarrec.evaluation.counting.store import Blocks, values_at_ranks
+from sonarrec.evaluation.counting.histogram import Table, sum_by_value, values_at_ranks
 
 FPR_GRID = np.unique(
     [
@@ -27,10 +27,8 @@ FPR_GRID = np.unique(
 QUANTILES = (0.5, 0.9, 0.95)
 """The quantiles that metrics may use; `exact_histogram` has no others."""
 
-Claims = Iterable[tuple[FloatArray, IntArray, IntArray]]
-"""Blocks of claims: (n,) scores, (n, 4) effects and (n,) units."""
-Values = Callable[[], Iterable[tuple[FloatArray, IntArray]]]
-"""Gives blocks of (n,) values and (n,) units, the same ones on each call."""
+Blocks = Iterable[tuple[FloatArray, IntArray, IntArray]]
+"""(n,) scores or errors, (n, C) effects or counts, and (n,) units."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +74,13 @@ class CumulativeHistogram:
         return np.where(total[:, 0] > 0, edges, np.nan)
 
 
+def grid_points(curve: Curve) -> IntArray:
+    """The last point of a curve at each FPR of FPR_GRID."""
+    return np.maximum(np.searchsorted(curve.fpr, FPR_GRID, side="right") - 1, 0)
+
+
 def rate_sums(
-    labels: tuple[str, str, str], base: IntArray, declared: IntArray, curve: Curve, claims: Claims
+    labels: tuple[str, str, str], base: IntArray, declared: IntArray, curve: Curve, claims: Blocks
 ) -> UnitSums:
     """The contributions of the units to Rates.
 
@@ -86,7 +89,7 @@ def rate_sums(
     """
     units, bins = len(base), len(FPR_GRID)
     # Bins of FPR, not of score, so that methods with different scores can be swapped bin by bin.
-    at = np.maximum(np.searchsorted(curve.fpr, FPR_GRID, side="right") - 1, 0)
+    at = grid_points(curve)
     steps = np.zeros((units, 4, bins))
     steps[:, :, 0] = base
     for score, effect, unit in claims:
@@ -117,36 +120,43 @@ def _rates(rows: FloatArray) -> Rates:
 
 
 def histogram_sums(
-    labels: tuple[str, str, str], values: Values, units: int, edges: FloatArray
+    labels: tuple[str, str, str],
+    values: Blocks,
+    units: int,
+    edges: FloatArray,
+    exact: Table | None = None,
 ) -> UnitSums:
     """The contributions of the units to a CumulativeHistogram.
 
     labels: protocol, method, landmark_text. edges: rising; the last is no less than any value.
-    Resampled values are rounded up to an edge, so methods need equal edges to be compared.
+    Resampled values are rounded up to an edge, so methods need equal edges to be compared. exact:
+    all values, if those by unit are coarser.
     """
+    values = list(values)
     sums = np.zeros((units, len(edges)), dtype=np.float32)
-    for block, unit in values():
+    for block, count, unit in values:
         if len(block):
             first = int(unit.min())
             place = (unit - first) * len(edges) + np.searchsorted(edges, block)
             size = (int(unit.max()) - first + 1) * len(edges)
-            added = np.bincount(place, minlength=size).reshape(-1, len(edges))
+            added = np.bincount(place, count[:, 0], minlength=size).reshape(-1, len(edges))
             sums[first : first + len(added)] += added
     np.cumsum(sums, axis=1, out=sums)
-    exact = exact_histogram(lambda: (block for block, _ in values()))
-    return UnitSums(*labels, sums, lambda rows: CumulativeHistogram(edges, rows), exact)
+    exact = sum_by_value((block, count) for block, count, _ in values) if exact is None else exact
+    record = exact_histogram(exact)
+    return UnitSums(*labels, sums, lambda rows: CumulativeHistogram(edges, rows), record)
 
 
-def exact_histogram(values: Blocks) -> CumulativeHistogram:
+def exact_histogram(table: Table) -> CumulativeHistogram:
     """The histogram of all values; its edges, their QUANTILES and maximum, are thus exact."""
-    total = sum(map(len, values()))
+    total = int(table[1].sum())
     if not total:
         return CumulativeHistogram(np.zeros(1), np.zeros((1, 1)))
     least = np.ceil(
         np.array([*QUANTILES, 1.0]) * total - 1e-3
     )  # as in CumulativeHistogram.quantile
     reached = np.clip(least, 1, total)
-    return CumulativeHistogram(values_at_ranks(values, reached.astype(np.int64) - 1), reached[None])
+    return CumulativeHistogram(values_at_ranks(table, reached.astype(np.int64) - 1), reached[None])
 
 
 def plain_sums(

@@ -12,6 +12,8 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.results.read import LogResults, in_order
 from sonarrec.truth.match import Truth
 
+DIGITS = 6
+"""Of a score: claims are counted by score, so that memory does not grow with their number."""
 ROUNDING_M = 1e-9
 """A claim exactly on the gate counts as inside, despite rounding."""
 PAPER_MIN_VISIBLE = 0.5
@@ -64,7 +66,9 @@ class Joined:
     claim_object: IntArray
     """(N,) number of the candidate or track, -1 if unknown."""
     score: FloatArray
-    """(N,) 0 to 1."""
+    """(N,) 0 to 1, to six digits, as the program writes them."""
+    rounded: bool
+    """Whether scores had more digits."""
     declared: BoolArray
     """(N,) whether it is declared, which is the method's operating point."""
     probability: FloatArray
@@ -102,6 +106,7 @@ def join(
         methods=methods,
         turn_deg=landmarks.periods_deg()[landmarks.indices(np.array(ids))],
         placed=all(map(_is_placed, logs, truths)),
+        rounded=any(bool((log.score != np.round(log.score, DIGITS)).any()) for log in logs),
         **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
     )
 
@@ -125,7 +130,7 @@ def _frames_and_claims(
         "claim_position": _or_nan(log.position, (n, 2)),
         "claim_orientation": log.orientation,
         "claim_object": log.object,
-        "score": log.score,
+        "score": np.round(log.score, DIGITS),
         "declared": log.declared,
         "probability": probability[:, [*np.argsort(of_id).tolist(), k]],
     }
