@@ -18,11 +18,13 @@ from sonarrec.evaluation.counting.histogram import Table, sum_by_value, values_a
 from sonarrec.evaluation.counting.parts import Part, ScoredPart, Totals, by_unit
 from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, merged_units
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
-from sonarrec.evaluation.counting.unit_sums import Blocks, grid_points
+from sonarrec.evaluation.counting.unit_sums import FPR_GRID, Blocks, grid_points
 from sonarrec.results.read import in_order
 
 MOST_ROWS = 4_000_000
 """Of claims and errors; see Parts."""
+FINE_GRID = np.unique([*FPR_GRID, *(FPR_GRID[1:] + FPR_GRID[:-1]) / 2])
+"""FPRs at which the scores of a few logs give the edges for all: theirs is not the final curve."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -131,7 +133,7 @@ class Parts:
             return np.unique(values_at_ranks(table, ranks))
         bases = (s.base[:, k].sum(axis=0) for p in self._parts for s in p.scored if _is(s, *of))
         curve = curve_of(np.sum([*bases], axis=0), table)
-        edges = np.unique(curve.threshold[grid_points(curve)])
+        edges = np.unique(curve.threshold[grid_points(curve, FINE_GRID)])
         return edges[np.isfinite(edges)] if np.isfinite(edges).any() else table[0][:1]
 
     def select(self, numbers: Sequence[int]) -> list[Part]:

@@ -74,9 +74,9 @@ class CumulativeHistogram:
         return np.where(total[:, 0] > 0, edges, np.nan)
 
 
-def grid_points(curve: Curve) -> IntArray:
-    """The last point of a curve at each FPR of FPR_GRID."""
-    return np.maximum(np.searchsorted(curve.fpr, FPR_GRID, side="right") - 1, 0)
+def grid_points(curve: Curve, grid: FloatArray = FPR_GRID) -> IntArray:
+    """The last point of a curve at each FPR of a grid."""
+    return np.maximum(np.searchsorted(curve.fpr, grid, side="right") - 1, 0)
 
 
 def rate_sums(
