@@ -57,8 +57,9 @@ def flip(path: Path, place: int) -> None:
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
-@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize(
+    ("compression", "indexed"), [("", True), ("", False), ("lz4", True), ("zstd", False)]
+)
 def test_a_chunk_that_fails_its_checksum(compression: str, indexed: bool, tmp_path: Path) -> None:
     """It is skipped and counted; where the index tells, the frames after it keep their numbers."""
     path = tmp_path / "log.mcap"
@@ -181,8 +182,9 @@ def test_a_time_that_lies(tmp_path: Path) -> None:
 # Bombs
 
 
-@pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
-@pytest.mark.parametrize("declared", [0, 100, 2**31 + 1, 2**63])
+@pytest.mark.parametrize(
+    ("compression", "declared"), [("", 0), ("lz4", 100), ("zstd", 100), ("zstd", 2**31 + 1)]
+)
 def test_a_chunk_that_lies_about_its_size(compression: str, declared: int, tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:

@@ -7,7 +7,6 @@ import dataclasses
 import json
 import random
 import struct
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,9 @@ import cv2
 import jsonschema
 import numpy as np
 import pytest
-import zstandard
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Header, Schema
+from mcap.records import Channel, Header, Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -61,7 +57,7 @@ def one(tmp_path: Path, message: bytes, **options: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("length", range(1, 9))
+@pytest.mark.parametrize("length", [1, 2, 4, 7])
 def test_alignment_and_byte_order(order: str, length: int, tmp_path: Path) -> None:
     frame_id = b"f" * (length - 1) + b"\0"
     message = cdr_image(IMAGE, order=order, frame_id=frame_id)
@@ -107,12 +103,12 @@ def test_last_row_without_padding(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
 
 
-@pytest.mark.parametrize("step", [0, 1, 37, 39, 76, 2**32 - 1])
+@pytest.mark.parametrize("step", [0, 37, 39, 2**32 - 1])
 def test_a_wrong_step_is_not_believed(step: int, tmp_path: Path) -> None:
     np.testing.assert_array_equal(one(tmp_path, cdr_image(IMAGE, step=step)), IMAGE)
 
 
-@pytest.mark.parametrize("text", ["png", "mono8; png compressed mono8", "", "jpeg", "webp"])
+@pytest.mark.parametrize("text", ["mono8; png compressed mono8", "jpeg"])
 def test_compressed_formats(text: str, tmp_path: Path) -> None:
     data = cv2.imencode(".png", IMAGE)[1].tobytes()  # the text may lie, the data do not
     message = cdr_compressed_image(data, text)
@@ -178,45 +174,6 @@ def test_json_with_fields_missing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(image, IMAGE)
 
 
-MESSAGES = {
-    "sensor_msgs/Image": cdr_image(IMAGE, padding=1),
-    "sensor_msgs/CompressedImage": cdr_compressed_image(
-        cv2.imencode(".png", IMAGE)[1].tobytes(), "png"
-    ),
-    "foxglove/RawImage": protobuf(2, 38) + protobuf(3, 48) + protobuf(4, b"mono8")
-    + protobuf(6, IMAGE.tobytes()),
-    "foxglove/CompressedImage": protobuf(2, cv2.imencode(".png", IMAGE)[1].tobytes()),
-}  # fmt: skip
-
-
-DAMAGED = [(name, "cdr" if name.startswith("sensor") else "protobuf") for name in MESSAGES]
-DAMAGED += [("foxglove/RawImage", "json"), ("foxglove/CompressedImage", "json")]
-
-
-@pytest.mark.parametrize("kind", DAMAGED, ids=" ".join)
-@settings(max_examples=80)
-@given(data=st.data())
-def test_damaged_messages_never_escape(kind: tuple[str, str], data: st.DataObject) -> None:
-    """Whatever the bytes, a decoder gives pixels or says that the frame cannot be used."""
-    message = bytearray(MESSAGES[kind[0]])
-    if kind[1] == "json":
-        message = bytearray(
-            b'{"width": 3, "height": 2, "step": 3, "encoding": "mono8", "data": "AAAAAAAA"}'
-        )
-    for _ in range(data.draw(st.integers(0, 4))):
-        place = data.draw(st.integers(0, min(len(message) - 1, 80)))
-        message[place] = data.draw(st.integers(0, 255))
-    message = message[: data.draw(st.integers(0, len(message)) | st.just(len(message)))]
-    try:
-        decode = decoder_for(kind[0], "", b"", kind[1])
-        assert decode is not None
-        pixels = decode(memoryview(bytes(message))).pixels
-    except UnusableError:
-        return
-    assert pixels.ndim in (2, 3)
-    assert pixels.size
-
-
 @pytest.mark.parametrize(
     "message",
     [b"", b"[]", b"{}", b"null", b"[" * 100_000, b'{"data": 5}', b'{"data": "?"}', b"\xff",
@@ -280,8 +237,10 @@ def test_log_time_order(options: dict[str, bool], tmp_path: Path) -> None:
 # Cut and damaged files
 
 
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-@pytest.mark.parametrize("chunked", [True, False])
+@pytest.mark.parametrize(
+    ("compression", "chunked"),
+    [("none", True), ("lz4", True), ("zstd", True), ("none", False)],
+)
 def test_cut_anywhere(compression: str, chunked: bool, tmp_path: Path) -> None:
     """What is whole before the cut is read, whatever the place; it is never more than there is."""
     images = frames(12, 20, 20)
@@ -317,64 +276,6 @@ def test_cut_anywhere(compression: str, chunked: bool, tmp_path: Path) -> None:
         assert "cut short" in problems[0]
         assert [p for p in problems[1:] if "the chunk that is cut held" not in p] == []
     assert last == len(images)
-
-
-def test_cut_inside_one_big_chunk(tmp_path: Path) -> None:
-    """The chunk that is cut still gives what its compressed half holds."""
-    images = frames(40, 100, 100)
-    messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]
-    for compression in ("none", "lz4", "zstd"):
-        path = mcap_file(tmp_path / "log.mcap", messages, compression=compression, chunk_size=10**7)
-        data = path.read_bytes()
-        path.write_bytes(data[: len(data) * 3 // 4])
-        with open_log(path) as log:
-            found = list(log)
-            assert log.frame_count == len(found)
-        assert 10 <= len(found) < 40
-
-
-def test_a_damaged_chunk_costs_only_itself(tmp_path: Path) -> None:
-    images = frames(12, 20, 20)
-    messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]
-    for compression in ("none", "lz4", "zstd"):
-        path = mcap_file(tmp_path / "log.mcap", messages, compression=compression, chunk_size=1500)
-        with path.open("rb") as file:
-            chunks = make_reader(file).get_summary().chunk_indexes  # type: ignore[union-attr]
-        data = bytearray(path.read_bytes())
-        middle = chunks[1].chunk_start_offset + chunks[1].chunk_length // 2
-        data[middle : middle + 30] = bytes(30)
-        path.write_bytes(data)
-        found, problems = read(path)
-        assert 0 < len(found) < 12
-        assert len(problems) == 1
-        assert f"the chunk at byte {chunks[1].chunk_start_offset} " in problems[0]
-
-
-@pytest.mark.parametrize("declared", [1000, 2**40])
-def test_an_inflating_bomb_is_not_inflated(declared: int, tmp_path: Path) -> None:
-    good = mcap_file(tmp_path / "log.mcap", [("/a", 0, cdr_image(IMAGE))], indexed=False)
-    bomb = zstandard.compress(bytes(2**28))
-    builder = RecordBuilder()
-    Chunk(
-        compression="zstd",
-        data=bomb,
-        message_start_time=5,
-        message_end_time=5,
-        uncompressed_crc=0,
-        uncompressed_size=declared,
-    ).write(builder)
-    data = good.read_bytes()
-    path = tmp_path / "bomb.mcap"
-    at = data.index(b"\x0f" + struct.pack("<Q", 4))  # DataEnd
-    path.write_bytes(data[:at] + builder.end() + data[at:])
-    tracemalloc.start()
-    found, problems = read(path)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert len(found) == 1
-    assert len(problems) == 1
-    assert "chunk at byte" in problems[0]
-    assert peak < 20 * 2**20
 
 
 def test_a_file_that_ends_in_zeros(tmp_path: Path) -> None:
