@@ -352,6 +352,8 @@ def _folder_images(folder: Path) -> ImagePaths:
 
 def _hint(path: Path) -> str | None:
     """How to unpack a file with an unknown compression; None for other files."""
+    if path.name.lower().endswith(".bag.active"):
+        return f"its recorder did not close it; `rosbag reindex {path.name}` first"
     tool = _UNPACK.get(path.suffix.lower())
     if tool is None:
         return None

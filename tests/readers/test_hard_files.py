@@ -272,7 +272,8 @@ def test_frames_that_a_video_loses_are_told(suffix: str, tmp_path: Path) -> None
         except SonarrecError:
             continue
         lost += count < 12
-        assert count == 12 or opened.diagnostics.problems, start
+        told = opened.diagnostics
+        assert count == 12 or told.problems or told.notes, start
     for cut in range(1, 2000, 100):
         path.write_bytes(whole[:-cut])
         try:
@@ -347,3 +348,39 @@ def test_a_stack_among_images(tmp_path: Path) -> None:
         assert opened.diagnostics.problems == [
             "frame1.tif: a TIFF of several images; one image a file is read, skipped"
         ]
+
+
+CASES = Path(__file__).parents[3] / "shared" / "data" / "cases"
+
+
+def test_a_jpeg_with_stray_bytes_in_its_header() -> None:
+    whole = jpeg(0)
+    at = whole.index(b"\xff\xdb")  # of the tables
+    stray = whole[:at] + b"abc" + whole[at:]
+    np.testing.assert_array_equal(decode_image(stray), decode_image(whole))
+
+
+def test_a_tiff_of_planes_of_16_bit_is_refused() -> None:
+    """The decoder would give garbage."""
+    colour = np.dstack([frame.astype(np.uint16) * 257 for frame in frames(3)])
+    data = bytearray(cv2.imencode(".tiff", colour, [cv2.IMWRITE_TIFF_COMPRESSION, 1])[1].tobytes())
+    at = data.index(struct.pack("<HHI", 284, 3, 1))
+    struct.pack_into("<H", data, at + 8, 2)
+    with pytest.raises(UnusableError, match=r"planes of their own|unreadable"):
+        decode_image(bytes(data))
+
+
+def test_a_bag_that_is_still_recorded_has_a_hint(tmp_path: Path) -> None:
+    (tmp_path / "dive.bag.active").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(SonarrecError, match="`rosbag reindex dive"):
+        open_log(tmp_path / "dive.bag.active")
+
+
+@pytest.mark.skipif(not CASES.exists(), reason="the recordings are not here")
+@pytest.mark.parametrize("name", ["drops", "one_pause", "starts_at_5_s"])
+def test_a_matroska_of_uneven_times_is_not_cut(name: str) -> None:
+    sonar = {"range_min_m": 1.0, "range_max_m": 4.0, "field_of_view_deg": 30.0, "tilt_deg": 20.0}
+    with open_log(CASES / "mkv_vfr" / f"{name}.mkv", sonar=sonar) as opened:
+        assert len(list(opened)) == 12
+    assert not opened.diagnostics.problems
+    assert any("frames by its length and rate, 12 read" in n for n in opened.diagnostics.notes)

@@ -17,6 +17,7 @@ import pytest
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Channel, Header, Schema
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -204,6 +205,18 @@ def test_topics(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found[0].image, second)
     with open_log(path, topic="/a") as log:
         assert log.frame_count == 2
+
+
+def test_a_topic_without_a_message_is_not_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    with (tmp_path / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"")
+        a, _ = (writer.register_channel(topic, "cdr", schema) for topic in ("/a", "/b"))
+        writer.add_message(a, 0, cdr_image(IMAGE), 0)
+        writer.finish()
+    assert len(read(tmp_path / "log.mcap")[0]) == 1
 
 
 def test_no_image_channel_lists_what_there_is(tmp_path: Path) -> None:

@@ -85,7 +85,9 @@ def _listed(folder: Path, diagnostics: Diagnostics) -> tuple[list[Path], dict[st
     if isinstance(names, list) and names:
         # Old bags put the folder in front of the names. Nothing outside of the folder is read.
         listed = Counter(
-            _as_stored(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names
+            _as_stored(folder / (PurePosixPath(name).name or "unnamed"))
+            for name in names
+            if isinstance(name, str)  # one of aliases within aliases would be a text of gigabytes
         )
         parts = list(listed)
         for part in _stored_parts(folder):

@@ -11,6 +11,8 @@ import cv2
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.readers.raw import RawFrame, RawLog
 
+_CUES, _CLUSTER = b"\x1c\x53\xbb\x6b", b"\x1f\x43\xb6\x75"  # elements of Matroska
+_TAIL_BYTES = 2**20
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
 
 
@@ -68,12 +70,25 @@ class VideoFrames(RawLog):
             yield RawFrame(f"frame {index}", timestamp_ns, pixels)
             index += 1
         count = max(self.frame_count or 0, self._packets())
-        if index < count:
+        if index < count and self._is_estimate():
+            self.diagnostics.note(
+                f"{count} frames by its length and rate, {index} read: some were dropped as it was "
+                "recorded, or it is damaged, so that numbers of later frames may be wrong"
+            )
+        elif index < count:
             self.diagnostics.fault(
                 f"{index} of {count} frames could be read; cut short or damaged, so the numbers of "
                 "later frames may be wrong",
                 self._path.name,
             )
+
+    def _is_estimate(self) -> bool:
+        """Whether this is a whole Matroska, which states its length, not how many frames it has."""
+        with self._path.open("rb") as file:
+            file.seek(max(file.seek(0, 2) - _TAIL_BYTES, 0))
+            tail = file.read()
+        ending = tail.rfind(_CUES) > tail.rfind(_CLUSTER)  # which a cut one lacks
+        return self._path.suffix.lower() == ".mkv" and ending
 
     def _packets(self) -> int:
         """How many frames the container holds, whether they decode or not; 0 if unknown.

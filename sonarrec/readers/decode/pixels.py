@@ -46,6 +46,7 @@ def _warnings_file() -> BinaryIO:
 
 _JPEG = b"\xff\xd8"
 _EXTRA = re.compile(rb"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
+_IN_HEAD = re.compile(rb"Corrupt JPEG data: \d+ extraneous bytes before marker 0x(?:[^d].|d[abd])")
 
 
 def _jpeg_is_damaged(data: np.ndarray, warning: bytes) -> bool:
@@ -54,6 +55,7 @@ def _jpeg_is_damaged(data: np.ndarray, warning: bytes) -> bool:
     libjpeg gives an image all the same. Zeros before the end marker are padding: some cameras
     write them.
     """
+    warning = _IN_HEAD.sub(b"", warning)  # no pixel is lost there
     if b"Corrupt JPEG" not in warning and b"Premature end" not in warning:
         return False
     extra = _EXTRA.search(warning)
@@ -117,6 +119,7 @@ _TIFFS = {
 """By the first bytes of the file."""
 _SUBFILE_TYPE, _PART_OF_ANOTHER = 254, 0b101  # bits: a smaller copy of another image, its mask
 _PHOTOMETRIC, _WHITE_IS_ZERO = 262, 0
+_PLANES, _APART = 284, 2
 
 
 def _tiff_holds_several(data: memoryview) -> bool:
@@ -140,18 +143,21 @@ def _tiff_holds_several(data: memoryview) -> bool:
     return False
 
 
-def _tiff_white_is_zero(data: memoryview) -> bool:
-    """Whether this is a TIFF in which 0 is white. It must be whole."""
+def _tiff_fields(data: memoryview) -> dict[int, int]:
+    """The first value of each field of a TIFF's first image, by its tag; empty for other files.
+
+    It must be whole.
+    """
     tiff = _TIFFS.get(data[:4].tobytes())
     if tiff is None:
-        return False
+        return {}
     (at,) = tiff.unpack(tiff.offset, data, tiff.first_at)
     (entries,) = tiff.unpack(tiff.length, data, at)
     at += struct.calcsize(tiff.order + tiff.length)
     fields = (
         tiff.unpack(f"HH{tiff.offset}H", data, at + k * tiff.entry_bytes) for k in range(entries)
     )
-    return any((tag, value) == (_PHOTOMETRIC, _WHITE_IS_ZERO) for tag, _, _, value in fields)
+    return {tag: value for tag, _, _, value in fields}
 
 
 # Of any type, and turned by EXIF data as viewers and annotation tools show it. A TIFF is turned in
@@ -193,8 +199,12 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
         raise UnusableError("a JPEG that is damaged inside")
     # OpenCV itself inverts such images of 8 bits.
-    if image.dtype == np.uint16 and _tiff_white_is_zero(buffer.data):
-        image = np.bitwise_not(image)
+    if image.dtype == np.uint16:
+        fields = _tiff_fields(buffer.data)
+        if image.ndim == 3 and fields.get(_PLANES) == _APART:
+            raise UnusableError("a TIFF of 16 bit whose colours lie in planes of their own")
+        if fields.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
+            image = np.bitwise_not(image)
     return np.asarray(image)
 
 

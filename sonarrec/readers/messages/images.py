@@ -87,6 +87,9 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
             f"{', '.join(held_channels) or 'no channel'}, and this reads {READABLE}{damage}"
         )
     if topic is None and len(topics) > 1:
+        used = {log.channels[c].topic for c in decoders if log.counts.get(c)}
+        topics = sorted(used) or topics
+    if topic is None and len(topics) > 1:
         raise UsageError(
             f"{log.path}: several image channels; choose one with --topic: " + ", ".join(topics)
         )
