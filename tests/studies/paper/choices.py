@@ -41,15 +41,16 @@ THRESHOLDS = np.arange(0.25, 0.7, 0.01).round(2)
 
 Table = Mapping[str, Mapping[str, Any]]
 
+OPEN = {"z_hit": 0.95, "z_rand": 0.05, "count_strikes": "in_a_row"}
 LITERAL: Table = {
-    "continuity": {"hit_power": 1.0, "least_in_view": 0.0, "z_hit": 0.95, "z_rand": 0.05},
+    "continuity": {"hit_power": 1.0, "least_in_view": 0.0, **OPEN},
     "features": {"distance_power": 1.0, "least_ring": 0.0},
 }
 """Each formula as it is printed: P_hit the map itself, the inverse of the distance itself, a
 group deleted for its spread alone, and every measurement taken for one."""
 STAGE_2: dict[str, Table] = {
     f"hit^{power:g} view {view:g}": {
-        "continuity": {"hit_power": power, "least_in_view": view, "z_hit": 0.95, "z_rand": 0.05},
+        "continuity": {"hit_power": power, "least_in_view": view, **OPEN},
         "features": {"distance_power": 6.0, "least_ring": 0.5},
     }
     for power in (4.0, 8.0)
