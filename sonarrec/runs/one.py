@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from heapq import nlargest
@@ -204,10 +204,16 @@ def _recognise(
 ) -> None:
     """Recognise every frame and write the results, also those waiting when the run is stopped."""
     stamps = deque[Stamps]()  # of frames that have no result yet
+
+    def looked_at() -> Iterator[Frame]:
+        for frame in job.frames:
+            stamps.append(frame.stamps)
+            plausibility.look(frame)
+            yield frame
+
     try:
-        frames = _noted(job.frames, stamps, plausibility)
         with two_cores() if ahead else nullcontext((map, map)) as (anywhere, in_order):
-            for result in job.recogniser.recognise(frames, anywhere, in_order):
+            for result in job.recogniser.recognise(looked_at(), anywhere, in_order):
                 writer.write(result, stamps.popleft())
                 if observe is not None:
                     observe(result, job.frame_count)
@@ -223,16 +229,6 @@ def _recognise(
         raise
 
 
-def _noted(
-    frames: Iterable[Frame], stamps: deque[Stamps], plausibility: Plausibility
-) -> Iterator[Frame]:
-    """Pass the frames on; their times are added to `stamps`, their pictures to `plausibility`."""
-    for frame in frames:
-        stamps.append(frame.stamps)
-        plausibility.look(frame)
-        yield frame
-
-
 def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
     """Tell the user what showed at the end of the run."""
     note = job.log.diagnostics.note
@@ -240,9 +236,32 @@ def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibil
     if doubts:
         look = f"`sonarrec info {job.log.path} --preview FILE.png`, with the same geometry"
         note(f"{'; '.join(doubts)}; look at {look}")
-    note(*job.recogniser.about_pictures(job.log.found_white))
+    _tell_restored(job)
     if job.log.untimed:
         note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
+
+
+def _tell_restored(job: PreparedRun) -> None:
+    """Tell what was done to the pictures."""
+    note, restored, white = job.log.diagnostics.note, job.recogniser.restored, job.log.found_white
+    if restored.static:
+        note(
+            f"{restored.static:.1%} of the picture never changes, like drawn lines and text, or "
+            "dead beams; it is filled from the pixels beside it"
+        )
+    if restored.saturated:
+        better = "a lower gain"
+        if white is not None:
+            better = f"a higher --full-scale than {white:.4g}, as the first frame has it,"
+        note(
+            f"{restored.saturated:.0%} of the frames are saturated; how strong the strongest "
+            f"echoes are is estimated from how many there are; {better} is better"
+        )
+    if restored.equalised:
+        note(
+            f"in {restored.equalised:.0%} of the frames all levels are equally frequent, as after "
+            "histogram equalisation; they are spread as a sonar's; pictures as recorded are better"
+        )
 
 
 def _doubts(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics
@@ -17,6 +18,14 @@ from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 from sonarrec.recogniser.together import Mapped, Together, UntilBroken
+
+
+class Restored(NamedTuple):
+    """Shares, 0 to 1: of the picture's pixels, which are static, and of frames by their levels."""
+
+    static: float
+    saturated: float
+    equalised: float
 
 
 class SideBySide:
@@ -120,33 +129,11 @@ class SideBySide:
         for recogniser in self._recognisers.values():
             recogniser.odometry.tell(diagnostics)
 
-    def about_pictures(self, found_white: float | None = None) -> list[str]:
-        """What was done to the pictures before stage 1, so far: see `Unchanging` and `Levels`.
-
-        found_white: the full_scale of their pixels, where it follows from the first frame.
-        """
-        done = []
-        if self._unchanging.share:
-            done.append(
-                f"{self._unchanging.share:.1%} of the picture never changes, like drawn lines and "
-                "text, or dead beams; it is filled from the pixels beside it"
-            )
-        levels = self._levels
-        if levels.saturated:
-            better = "a lower gain"
-            if found_white is not None:
-                better = f"a higher --full-scale than {found_white:.4g}, as the first frame has it,"
-            done.append(
-                f"{levels.saturated / levels.seen:.0%} of the frames are saturated; how strong the "
-                f"strongest echoes are is estimated from how many there are; {better} is better"
-            )
-        if levels.equalised:
-            done.append(
-                f"in {levels.equalised / levels.seen:.0%} of the frames all levels are equally "
-                "frequent, as after histogram equalisation; they are spread as a sonar's; pictures "
-                "as recorded are better"
-            )
-        return done
+    @property
+    def restored(self) -> Restored:
+        """What was done to the pictures before stage 1, so far."""
+        levels, seen = self._levels, max(self._levels.seen, 1)
+        return Restored(self._unchanging.share, levels.saturated / seen, levels.equalised / seen)
 
     def _final(self) -> FrameResult:
         """The results of the oldest frame that waits, put together."""
