@@ -288,13 +288,12 @@ def test_truth_whose_pixels_are_of_another_fan_is_told(tmp_path):
 def test_a_proposal_that_nobody_checked_is_told(tmp_path):
     header, *rows = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()[:30]
     proposed = [
-        f"{header},source,Log",
-        *(f"{row},{'tracked' * (k < 5)},a" for k, row in enumerate(rows)),
+        f"{header},source",
+        *(f"{row},{'tracked' * (k < 5)}" for k, row in enumerate(rows)),
     ]
     truth = labelled(tmp_path / "gt.csv", "\n".join(proposed))
     words = ("--ground-truth", truth, "-o", tmp_path / "m.toml")
     told = sonarrec("calibrate", SAMPLES / "pan" / "00000*.png", *words, code=3).stderr
-    assert "gt.csv: columns Log are not read" in told
     assert "5 of 29 rows for pan are unchecked proposals of `truth propose`; they teach" in told
 
 

@@ -27,10 +27,19 @@ forks = pytest.mark.skipif(not CAN_FORK, reason="this system has no processes of
 either = pytest.mark.parametrize("which", [0, pytest.param(1, marks=forks)])
 
 
-def nothing_is_left() -> bool:
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
-    return threading.active_count() == 1
+def running() -> tuple[set[int], set[threading.Thread]]:
+    """The children and the threads of this process, in which other tests may have left some."""
+    children = (task.read_text().split() for task in Path("/proc/self/task").glob("*/children"))
+    return {int(pid) for pids in children for pid in pids}, {*threading.enumerate()}
+
+
+@pytest.fixture(autouse=True)
+def _nothing_is_left() -> Iterator[None]:
+    before = running()
+    yield
+    children, threads = (now - then for now, then in zip(running(), before, strict=True))
+    assert not children
+    assert not threads
 
 
 def is_gone(pid: int) -> bool:
@@ -63,7 +72,6 @@ def test_a_run_is_the_same_on_one_core_and_on_two(
             told[cores] += (tables(out / "log"),)
     assert told[1] == told[2]
     assert told[1][0] == (1 if len(damaged) == 12 else 3 if damaged else 0)
-    assert nothing_is_left()
 
 
 @forks
@@ -85,7 +93,6 @@ def test_where_the_process_is_killed_the_frames_so_far_are_kept(
     assert f"{log}: the process that follows its objects was killed" in done.stderr
     frames = (tmp_path / "out" / "log.part" / "frames.csv").read_text().splitlines()
     assert len(frames) == 1 + 2 * FRAMES_AT_ONCE
-    assert nothing_is_left()
 
 
 @either
@@ -102,7 +109,6 @@ def test_results_in_order_of_a_few_items_at_a_time(which: int) -> None:
             assert told == bytes([n]) * 2**17  # more than a pipe holds
             assert len(asked) <= n + 1 + WINDOW
     assert n == 99
-    assert nothing_is_left()
 
 
 @either
@@ -129,7 +135,6 @@ def test_a_fault_comes_behind_the_results_before_it(
     with pytest.raises(fault, match="power cut"):
         told.extend(results())
     assert told == [*range(10)]
-    assert nothing_is_left()
 
 
 @forks
@@ -156,7 +161,6 @@ def test_a_process_that_is_killed_is_told() -> None:
     with two_cores() as (_, in_order), pytest.raises(BrokenProcessPool):
         told.extend(in_order(dies, range(10_000)))
     assert told == [0, 1, 2]
-    assert nothing_is_left()
 
 
 @forks
@@ -175,7 +179,6 @@ def test_signals_to_all_do_not_stop_the_process() -> None:
 def test_closed_early_none_is_left(which: int) -> None:
     with two_cores() as ways:
         assert [*islice(ways[which](lambda n: 2 * n, count()), 50)] == [*range(0, 100, 2)]
-    assert nothing_is_left()
 
 
 @either
