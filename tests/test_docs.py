@@ -156,7 +156,8 @@ def test_commands_in_order_print_what_is_shown(
 ) -> None:
     monkeypatch.chdir(fresh.folder)
     found = examples(document)
-    assert any("sonarrec" in command for command, _ in found)
+    without = document.stem in ("changes", "develop")  # which tell no command of the program
+    assert without or any("sonarrec" in command for command, _ in found)
     for command, shown in found:
         words = command.split()
         if words[0] == "cat" and not Path(words[1]).exists():

@@ -420,7 +420,7 @@ def pose_log(
 
 @pytest.mark.parametrize(
     ("schema", "told"),
-    [("nav_msgs/msg/Odometry", True), ("geometry_msgs/msg/PoseStamped", False)],
+    but_first([("nav_msgs/msg/Odometry", True), ("geometry_msgs/msg/PoseStamped", False)]),
     ids=["defined in the file", "known"],
 )
 def test_a_topic_is_as_good_as_a_table(pings, schema, told):

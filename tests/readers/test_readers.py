@@ -389,6 +389,7 @@ def test_many_images_take_little_room_and_lie_in_order() -> None:
     assert paths[-2:] == [Path("/dives/today/ping19998.png"), Path("/dives/today/ping19999.png")]
 
 
+@pytest.mark.slow
 def test_a_folder_of_many_images_is_looked_through_one_by_one(tmp_path: Path) -> None:
     """What logs it holds is asked of every name in it; a list of paths took 380 bytes an image."""
     for i in range(3000):

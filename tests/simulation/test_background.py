@@ -183,6 +183,7 @@ def test_discs_lie_on_the_floor_also_where_paper_runs_there(
     assert paper.unknown == 0
 
 
+@pytest.mark.slow
 def test_told_poses_carry_the_discs(recording: Path, tmp_path: Path) -> None:
     """A sonar told to go 2 cm ahead a frame: a disc comes 2 cm nearer over the ground."""
     rate = open_log(recording).sonar.frame_rate_hz or 1.0

@@ -129,6 +129,7 @@ def test_the_copy_comes_as_late_as_stated(delay: float) -> None:
     assert delay_of(mean_power(scene, 20)) == pytest.approx(delay, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_copy_is_as_weak_as_stated_and_behind_the_delay() -> None:
     scene = replace(POLAR, multipath=MultipathSection(copy_db=-6.0, delay_m=0.5))
     late = mean_power(scene, 20).mean(axis=1) - mean_power(POLAR, 20).mean(axis=1)
@@ -148,6 +149,7 @@ def test_delays_drift() -> None:
         assert delays[n] + delays[n + 4] == pytest.approx(0.9, abs=0.08)
 
 
+@pytest.mark.slow
 def test_bands_lie_across_at_their_ranges() -> None:
     late = MultipathSection(band_db=6.0, band_m=1.9, band_step_m=0.8, band_width_m=0.04)
     seen = mean_power(replace(POLAR, multipath=late), 30)

@@ -136,7 +136,7 @@ def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], ...]
     """95 % intervals of a method's TPR and FPR, strict, over recordings (bootstrap)."""
     counts = np.array([astuple(r.counts["strict", name]) for r in rows])
     weights = bootstrap_weights(len(counts), np.random.default_rng(0), RESAMPLED)
-    tp, tn, fp, fn = (weights @ counts).T
+    tp, tn, fp, fn, _ = (weights @ counts).T
     return tuple(interval(ratio(n, n + of), len(counts)) for n, of in ((tp, fn), (fp, tn)))
 
 

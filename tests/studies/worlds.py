@@ -69,7 +69,7 @@ def counted(log: Path, results: Path) -> tuple[int, dict[str, Count]]:
 def world(name: str, logs: Sequence[Path], out: Path) -> dict[str, str]:
     """A line of the table: the recordings of one world, pooled."""
     frames = 0
-    total = dict.fromkeys(PRESETS, np.zeros(4, np.int64))
+    total = dict.fromkeys(PRESETS, np.zeros(5, np.int64))
     for log in logs:
         more, counts = counted(log, recognise(log, out / log.parent.name))
         frames += more
