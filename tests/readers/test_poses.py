@@ -269,6 +269,7 @@ def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:
     return rows(path, "\n".join(["timestamp,yaw", *lines]) + "\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", but_first(["default", "paper"]))
 def test_the_same_table_gives_the_same_bytes_again(pings, name):
     table = pan_table(Path("odometry.csv"))
@@ -450,6 +451,7 @@ def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     assert again == Path("sonarrec_out/dive/estimates.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_topic_whose_z_points_down_is_noted(pings):
     """As of many vehicles (NED): its turns are to the right, where ROS has them to the left."""
     yaw = [-p.pan_deg for p in poses(replace(load_scene("sample_pan"), frames=16))]

@@ -241,6 +241,7 @@ def test_what_is_measured_carries_a_landmark_s_place_along() -> None:
         assert np.hypot(*(plane.moved(place, motion) - exact).T) < 2  # pixels: .17 disc radii
 
 
+@pytest.mark.slow
 def test_a_motion_that_was_not_found_at_first_is_searched_for_again() -> None:
     """The first frame is noise: how little it is like the second says nothing of the third."""
     run, images = run_of(8702)

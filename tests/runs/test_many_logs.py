@@ -185,6 +185,7 @@ def test_a_call_is_stopped_though_a_log_hangs(
     sonarrec(*call)
 
 
+@pytest.mark.slow
 def test_shares_make_up_the_whole(tmp_path: Path) -> None:
     logs = made(tmp_path, *"abcde", frames=3)
     out = tmp_path / "out"

@@ -22,6 +22,7 @@ from sonarrec.recogniser.together import FRAMES_AT_ONCE, Mapped, UntilBroken
 from sonarrec.runs import two_cores as module
 from sonarrec.runs.two_cores import CAN_FORK, WINDOW, BrokenProcessPool, two_cores
 from tests.support.batch import made, tables
+from tests.support.slow import but_first
 
 forks = pytest.mark.skipif(not CAN_FORK, reason="this system has no processes of this kind")
 either = pytest.mark.parametrize("which", [0, pytest.param(1, marks=forks)])
@@ -47,7 +48,7 @@ def is_gone(pid: int) -> bool:
     return not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
 
 
-@pytest.mark.parametrize("damaged", [(), (0, 7, 8), range(12)])
+@pytest.mark.parametrize("damaged", but_first([[0, 7, 8], [], [*range(12)]]))
 @pytest.mark.parametrize("fork", [False, pytest.param(True, marks=forks)])
 def test_a_run_is_the_same_on_one_core_and_on_two(
     fork: bool, damaged: Sequence[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

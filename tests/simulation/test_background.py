@@ -361,6 +361,7 @@ def test_black_floor_has_no_room() -> None:
         draw_layout(dark, BASIN, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not LAMPREY.exists(), reason="no river recording beside the repository")
 def test_a_real_river(tmp_path: Path) -> None:
     sonarrec(
