@@ -35,7 +35,7 @@ A row marked † was measured when the program gave other results on the sample 
 
 def page(now: Mapping[str, str]) -> str:
     """RESULTS.md, from all files of this folder and today's digests."""
-    return "\n".join([HEAD, *(_section(read(name), now) for name in ORDER)])
+    return "\n".join([HEAD, *(_section(name, read(name), now) for name in ORDER)])
 
 
 def read(name: str) -> dict[str, Any]:
@@ -43,14 +43,16 @@ def read(name: str) -> dict[str, Any]:
     return tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def _section(study: Mapping[str, Any], now: Mapping[str, str]) -> str:
+def _section(name: str, study: Mapping[str, Any], now: Mapping[str, str]) -> str:
     stale = [of for of, digest in study["digest"].items() if now[of] != digest]
     since = f"; since then other results: {', '.join(stale)}" if stale else ""
     source = f"`{study['command']}`, commit {study['commit']}{since}."
     lines = [f"## {study['title']}", "", source, *study["words"].strip().splitlines()]
     mark = "† " if stale else ""
-    # A study may keep some of its tables in its file alone.
-    for table in study["table"][: study.get("on_page")]:
+    shown = study["table"][: study.get("on_page")]
+    if len(shown) < len(study["table"]):
+        lines.append(f"More tables: `tests/studies/results/{name}.toml`.")
+    for table in shown:
         lines += ["", *([table["caption"], ""] if table["caption"] else [])]
         columns, *rows = csv.reader(table["csv"].strip().splitlines())
         lines += [_row(columns), "|---" * len(columns) + "|"]
