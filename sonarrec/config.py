@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.files.toml import (
+from sonarrec.tables.toml import (
     Count,
     NotNegative,
     Share,

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.files.toml import (
+from sonarrec.tables.toml import (
     Positive,
     Share,
     Whole,

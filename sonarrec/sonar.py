@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.files.toml import Finite, from_table, read_toml
 from sonarrec.nouns import ColourMap
+from sonarrec.tables.toml import Finite, from_table, read_toml
 
 MIN_WINDOW_M = 0.01
 STEEPEST_TILT_DEG = 89.0  # of tilts that are assumed; at 90 every disc would be a line (Eq. 1)

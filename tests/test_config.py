@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sonarrec import config
 from sonarrec.cli import main
 from sonarrec.errors import UsageError
-from sonarrec.files.toml import checked, types_of
+from sonarrec.tables.toml import checked, types_of
 
 NUMBERS = [
     f"{section}.{field.name}"

@@ -256,7 +256,7 @@ def test_the_example_is_valid_and_comes_back(tmp_path: Path) -> None:
         ("[sonar]\napex_px = [1]", r"sonar.apex_px must be a list of 2, each a finite number, not"),
         ('[sonar]\nbearings_deg = ["a"]', "bearings_deg must be a list, each a finite number, not"),
     ],
-)  # numbers, and files that cannot be read: tests/files/test_toml.py
+)  # numbers, and files that cannot be read: tests/tables/test_toml.py
 def test_a_sonar_toml_that_cannot_be_meant(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "sonar.toml"
     path.write_text(text)

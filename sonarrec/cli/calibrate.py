@@ -58,9 +58,9 @@ def calibrate(
       sonarrec run next.mcap --model model.toml
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """
-    from sonarrec.files.outputs import check_output, write_text, writing
     from sonarrec.learning.calibrate import learn
     from sonarrec.results.run_file import LogOptions, read_run
+    from sonarrec.tables.outputs import check_output, write_text, writing
 
     check_output(out, "model", [*log, ground_truth])
     config = settings.config()

@@ -230,7 +230,7 @@ def _check_preview(preview: Path, logs: Sequence[str]) -> None:
         raise UsageError(f"--preview {preview}: draws one log, but {len(logs)} are given")
     if preview.suffix.lower() != ".png":
         raise UsageError(f"--preview {preview}: the name must end in .png")
-    from sonarrec.files.outputs import check_output
+    from sonarrec.tables.outputs import check_output
 
     check_output(preview, "picture", logs)
 

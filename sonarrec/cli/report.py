@@ -156,8 +156,8 @@ def _compare(
     """Write the page of a comparison; returns what could not be used, and a line to print."""
     from sonarrec.cli.evaluate import compare_sides
     from sonarrec.evaluation.matching.pairs import read_pairs
-    from sonarrec.files.outputs import check_output
     from sonarrec.report.compare import write_comparison_page
+    from sonarrec.tables.outputs import check_output
 
     check_output(page, "comparison", [ground_truth, pairs])
     truth = ground_truth if pairs is None else read_pairs(pairs)

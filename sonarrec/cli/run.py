@@ -239,10 +239,10 @@ def run(
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
     from sonarrec.cli.run_watch import RunWatch
-    from sonarrec.files.parquet import check_parquet
     from sonarrec.runs.cores import cores
     from sonarrec.runs.logs_table import LogsTable
     from sonarrec.runs.prepare import RunOptions
+    from sonarrec.tables.parquet import check_parquet
 
     log_options = log_choice.log_options(odometry, odometry_topic, frames)
     if tables == "parquet":
@@ -307,7 +307,7 @@ def _unquoted_glob_notes(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
 
 def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None) -> None:
     """Raise UsageError if the path of the sonar cannot be written to this file."""
-    from sonarrec.files.outputs import check_output
+    from sonarrec.tables.outputs import check_output
 
     if len(tasks) > 1:
         raise UsageError(

@@ -195,9 +195,9 @@ def check(
       sonarrec truth check sample_data/pan.gt.csv sample_data/pan.mcap
       sonarrec truth check gt_proposed.csv pings/ --sheet look.png --max-pan 10
     """
-    from sonarrec.files.outputs import check_output
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
+    from sonarrec.tables.outputs import check_output
     from sonarrec.truth.check import check_truth
     from sonarrec.truth.contact_sheet import draw_contact_sheet
 

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.files.outputs import replaced, with_mark, writing
 from sonarrec.geometry import (
     STEEPEST,
     floor_depth,
@@ -19,6 +18,7 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.nouns import Fan
+from sonarrec.tables.outputs import replaced, with_mark, writing
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""

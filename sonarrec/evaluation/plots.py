@@ -18,7 +18,7 @@ from sonarrec.evaluation.counting.pooled import PooledScored
 from sonarrec.evaluation.counting.reliability import BINS, FEW, Reliability
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.roc import Point, fpr_end, roc
-from sonarrec.files.outputs import plain, write_figure
+from sonarrec.tables.outputs import plain, write_figure
 
 # Okabe and Ito's colours, for any colour vision; line styles distinguish methods in grey print.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

@@ -15,7 +15,7 @@ from sonarrec.evaluation.counting.reliability import BINS
 from sonarrec.evaluation.matching.joined import PAPER_MIN_VISIBLE
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.summary import Summary
-from sonarrec.files.outputs import (
+from sonarrec.tables.outputs import (
     check_no_recording,
     check_output,
     check_tables,

@@ -11,7 +11,6 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
-from sonarrec.files.outputs import MODEL_MARK
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
 from sonarrec.learning.left_out import FOLDS, gain_on_the_rest, part_of
@@ -24,6 +23,7 @@ from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
+from sonarrec.tables.outputs import MODEL_MARK
 from sonarrec.truth.fits import (
     misfit,
     notes_on_fit,

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.join import MappedLog, frame_shares
@@ -24,6 +23,7 @@ from sonarrec.mapping.passes import (
     SAME_FRAMES,
     Pass,
 )
+from sonarrec.tables.outputs import write_csv, write_text
 
 FACTOR_COLUMNS = (
     *("log", "frame", "timestamp_ns", "pose_vertex", "landmark_vertex", "number", "landmark"),

@@ -14,7 +14,6 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.files.tables import line_number
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
@@ -22,6 +21,7 @@ from sonarrec.nouns import Fan
 from sonarrec.results.read import estimate_tables
 from sonarrec.results.sightings import PASS_GAP, ROWS
 from sonarrec.results.stream import SIGMAS, positions
+from sonarrec.tables.read import line_number
 
 # How errors are correlated within a pass, chosen on tuning seeds of `make maps`.
 COMMON_SHARE = 0.5

@@ -16,9 +16,9 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError
-from sonarrec.files.outputs import write_csv, writing
-from sonarrec.files.tables import Kind, Table, read_table
 from sonarrec.poses import PoseTable
+from sonarrec.tables.outputs import write_csv, writing
+from sonarrec.tables.read import Kind, Table, read_table
 
 # Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
 # depend on the stated height and on the floor being flat. The rotation of a sonar that stands

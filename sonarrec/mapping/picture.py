@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of
-from sonarrec.files.outputs import plain, write_figure
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.axes import Axes, ellipse
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.join import Landmark, MappedLog
+from sonarrec.tables.outputs import plain, write_figure
 
 LINES = "#333333"
 """Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""

@@ -12,15 +12,6 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import number_of
-from sonarrec.files.outputs import (
-    check_no_recording,
-    check_output,
-    check_tables,
-    is_filled,
-    write_csv,
-    write_text,
-    writing,
-)
 from sonarrec.mapping.axes import Axes, GeographicOrigin, cut_at_180, ellipse, rings_at_180
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.factors import (
@@ -33,6 +24,15 @@ from sonarrec.mapping.factors import (
 from sonarrec.mapping.join import Landmark, frames_of
 from sonarrec.mapping.passes import Pass
 from sonarrec.mapping.picture import draw_map
+from sonarrec.tables.outputs import (
+    check_no_recording,
+    check_output,
+    check_tables,
+    is_filled,
+    write_csv,
+    write_text,
+    writing,
+)
 
 _POSITION = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2")
 _ORIENTATION = ("orientation_deg", "orientation_sigma_deg")

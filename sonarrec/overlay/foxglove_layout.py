@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from sonarrec.files.outputs import write_text, writing
 from sonarrec.overlay.foxglove_mcap import ANNOTATIONS_TOPIC, DETECTIONS_TOPIC
+from sonarrec.tables.outputs import write_text, writing
 
 _IMAGE = "Image!sonarrec"
 LAYOUT_BEGIN = f'{{\n  "configById": {{\n    "{_IMAGE}": '

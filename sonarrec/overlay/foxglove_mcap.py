@@ -17,11 +17,11 @@ from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
 from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
 from sonarrec.overlay import detections
 from sonarrec.readers.messages.foxglove_schemas import json_schema
+from sonarrec.tables.outputs import OVERLAY_LIBRARY, writing
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"

@@ -15,7 +15,6 @@ import numpy as np
 from sonarrec.drawing.pen import draw_picture
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
 from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError
-from sonarrec.files.outputs import Kind, check_output, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
 from sonarrec.overlay.foxglove_layout import LAYOUT_BEGIN, write_layout
@@ -30,6 +29,7 @@ from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.same_log import check_same_log, last_frame
 from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.sonar import Sonar
+from sonarrec.tables.outputs import Kind, check_output, writing
 from sonarrec.truth.fits import misfit, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth

@@ -11,8 +11,8 @@ import cv2
 from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import write_png
 from sonarrec.errors import SonarrecError, UsageError, number_of
-from sonarrec.files.outputs import VIDEO_MARK, check_output
 from sonarrec.readers.containers.video import opencv_name
+from sonarrec.tables.outputs import VIDEO_MARK, check_output
 
 
 class VideoFile:

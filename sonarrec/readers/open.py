@@ -21,7 +21,6 @@ from sonarrec.errors import (
     UsageError,
     name_as_text,
 )
-from sonarrec.files.order import natural_order
 from sonarrec.nouns import IMAGE_SUFFIXES, PART
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf.frames import DdfFrames
@@ -33,6 +32,7 @@ from sonarrec.readers.containers.recording import Recording
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.readers.raw import RawLog
 from sonarrec.sonar import Sonar, load_sonar
+from sonarrec.tables.order import natural_order
 
 SONAR_FILE = "sonar.toml"
 _UNPACK = {".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz", ".zst": "zstd -d", ".lz4": "lz4 -d"}

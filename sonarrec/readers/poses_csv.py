@@ -14,7 +14,7 @@ from sonarrec.errors import SonarrecError
 from sonarrec.poses import PoseTable, pose_table
 
 if TYPE_CHECKING:
-    from sonarrec.files.tables import Table
+    from sonarrec.tables.read import Table
 
 POSES_FILE = "poses.csv"
 """Poses beside a log (or NAME.poses.csv), used if the user gives none."""
@@ -41,7 +41,7 @@ def read_poses(path: Path) -> PoseTable:
     counts. Raises SonarrecError if the table cannot be used.
     """
     # Not at the top, because it loads pandas, which few runs need.
-    from sonarrec.files.tables import Kind, read_header, read_table
+    from sonarrec.tables.read import Kind, read_header, read_table
 
     kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "place")
     kinds |= {"timestamp_ns": "whole", "timestamp": "time"}

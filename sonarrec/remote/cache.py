@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
-from sonarrec.files.locks import is_there, locked
+from sonarrec.tables.locks import is_there, locked
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
 _POLL_S = 0.2

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sonarrec.errors import MissingError, SonarrecError, UsageError
-from sonarrec.files.order import natural_order
 from sonarrec.readers.containers.bag_folder import METADATA, are_parts
 from sonarrec.readers.containers.images import MAX_FILE_BYTES, names_an_image
 from sonarrec.readers.named_logs import RESULTS
 from sonarrec.readers.open import log_name, names_a_log
 from sonarrec.remote.urls import HIDDEN, Url, parse_url
+from sonarrec.tables.order import natural_order
 
 if TYPE_CHECKING:
     from sonarrec.remote.store import Item, Store

@@ -14,12 +14,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sonarrec.errors import MissingError, SonarrecError
-from sonarrec.files.outputs import is_output
 from sonarrec.nouns import Origin
 from sonarrec.remote.cache import Cache, key_of, only_one
 from sonarrec.remote.store import Item, Store, writable
 from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, MADE, OURS, PAGES, TABLES, estimates_of
+from sonarrec.tables.outputs import is_output
 
 _MARK = "run.toml"
 

@@ -14,7 +14,6 @@ from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.evaluate import DEFAULT, Evaluation, evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
-from sonarrec.files.outputs import check_output, write_page
 from sonarrec.report import frames
 from sonarrec.report.logs import (
     MOST_LOGS,
@@ -32,6 +31,7 @@ from sonarrec.report.pictures import Picture, PictureRequest
 from sonarrec.report.recordings import match_recordings, open_recording
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.sonar import Sonar
+from sonarrec.tables.outputs import check_output, write_page
 from sonarrec.truth.table import read_truth
 
 MOST_SEEN = 6

@@ -15,8 +15,8 @@ from sonarrec.evaluation.compare.compare import Comparison, PassChange
 from sonarrec.evaluation.compare.screen import outcome, settings_lines
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.files.outputs import write_page
 from sonarrec.report.templates import filled
+from sonarrec.tables.outputs import write_page
 
 MOST = 10
 """So many passes and runs of frames that got better are shown, and as many that got worse."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from sonarrec.nouns import Estimate, FrameResult, Stamps
 
 if TYPE_CHECKING:
-    from sonarrec.files.tables import Kind  # imports pandas, which a run does not need
+    from sonarrec.tables.read import Kind  # imports pandas, which a run does not need
 
 Part = TypeVar("Part")
 

@@ -19,9 +19,9 @@ from sonarrec.errors import (
     name_as_text,
     number_of,
 )
-from sonarrec.files.locks import is_there, locked
-from sonarrec.files.outputs import Kind, is_output
 from sonarrec.nouns import PART
+from sonarrec.tables.locks import is_there, locked
+from sonarrec.tables.outputs import Kind, is_output
 
 LONGEST_NAME = 255
 """Bytes of a file name, on common file systems."""

@@ -13,9 +13,6 @@ import pandas as pd
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import MissingError, SonarrecError, printable
-from sonarrec.files.order import natural_order
-from sonarrec.files.parquet import PARQUET, read_parts
-from sonarrec.files.tables import Table, cut, line_number, position_pair, read_table, read_tables
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import PART, Fan
@@ -31,6 +28,9 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import aside_of, estimates_of, log_of, part_of
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
+from sonarrec.tables.order import natural_order
+from sonarrec.tables.parquet import PARQUET, read_parts
+from sonarrec.tables.read import Table, cut, line_number, position_pair, read_table, read_tables
 
 METHODS = ("smi", "framework")
 """The methods of a run of one preset, even if one of them has no estimate."""

@@ -11,12 +11,12 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.files.tables import POSITION_KINDS, Table, line_number, read_tables
 from sonarrec.geometry import pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan
 from sonarrec.results.columns import ESTIMATES_HEADER, belief_names, estimate_columns, needed
 from sonarrec.results.read import estimate_tables
+from sonarrec.tables.read import POSITION_KINDS, Table, line_number, read_tables
 
 ROWS = 500
 """Read at a time."""

@@ -14,14 +14,14 @@ from typing import Any, Self
 import tomli_w
 
 from sonarrec.errors import SonarrecError, name_as_text, number_of
-from sonarrec.files.outputs import replaced
-from sonarrec.files.parquet import convert
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import NO_STAMPS, FrameResult, Stamps
 from sonarrec.results.columns import FRAME_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.run_file import rows_written
 from sonarrec.results.sightings import SIGHTING_COLUMNS, Sighting, Sightings
+from sonarrec.tables.outputs import replaced
+from sonarrec.tables.parquet import convert
 
 
 class _Table:

@@ -15,9 +15,9 @@ from time import monotonic
 from typing import Any, get_args
 
 from sonarrec.errors import SonarrecError
-from sonarrec.files.outputs import is_filled, replaced
 from sonarrec.results.folders import LockedError, part_of
 from sonarrec.runs.task import Outcome, Status, Task
+from sonarrec.tables.outputs import is_filled, replaced
 
 NAME = "logs.csv"
 WRITE_EVERY_S = 1.0

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.arrays import ByteImage
-from sonarrec.files.outputs import write_csv, writing
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.background import Background
 from sonarrec.simulation.composite import Composer
@@ -19,6 +18,7 @@ from sonarrec.simulation.layout import Layout, truth_of
 from sonarrec.simulation.simulate import check_free, write_documents, write_image
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
+from sonarrec.tables.outputs import write_csv, writing
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,12 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.files.outputs import writing
 from sonarrec.readers.messages import foxglove_schemas
 from sonarrec.readers.messages.ros import known_messages
 from sonarrec.simulation import mcap_fields as fields
 from sonarrec.simulation.mcap_fields import MakeFields
 from sonarrec.sonar import Geometry
+from sonarrec.tables.outputs import writing
 
 _COMPRESSIONS = {
     "none": CompressionType.NONE,

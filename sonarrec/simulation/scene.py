@@ -15,7 +15,12 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.files.toml import (
+from sonarrec.geometry import fan_for_image, fan_for_polar
+from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
+from sonarrec.nouns import Fan
+from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
+from sonarrec.sonar import Sonar
+from sonarrec.tables.toml import (
     AtLeastOne,
     Count,
     Finite,
@@ -29,11 +34,6 @@ from sonarrec.files.toml import (
     named_file,
     read_toml,
 )
-from sonarrec.geometry import fan_for_image, fan_for_polar
-from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.nouns import Fan
-from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
-from sonarrec.sonar import Sonar
 
 BUILT_IN = Path(__file__).parent / "scenes"
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.files.tables import line_numbers
 from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.results.folders import possible_names
+from sonarrec.tables.read import line_numbers
 from sonarrec.truth.fits import columns_not_read, in_other_unit, unit_of_times
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart

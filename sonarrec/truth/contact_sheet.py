@@ -13,8 +13,8 @@ import numpy as np
 from sonarrec.arrays import ByteImage, FloatArray, IntArray
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
 from sonarrec.errors import name_as_text, number_of
-from sonarrec.files.outputs import plain, write_figure, writing
 from sonarrec.nouns import Frame
+from sonarrec.tables.outputs import plain, write_figure, writing
 from sonarrec.truth.check import CheckedTruth
 
 TILES = 8

@@ -13,7 +13,6 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
-from sonarrec.files.order import natural_order
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
@@ -22,6 +21,7 @@ from sonarrec.readers.guess.times import times_in_names
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.sonar import Sonar
+from sonarrec.tables.order import natural_order
 from sonarrec.truth.annotations import read_annotations
 from sonarrec.truth.annotations.shapes import Annotations, Shape
 from sonarrec.truth.in_view import share_in_image

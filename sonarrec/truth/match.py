@@ -9,10 +9,10 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.files.tables import line_number
 from sonarrec.geometry import pixel_from_plane, pixel_from_polar, plane_position
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
+from sonarrec.tables.read import line_number
 from sonarrec.truth.table import TruthTable
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.files.outputs import replaced
-from sonarrec.files.tables import (
+from sonarrec.tables.outputs import replaced
+from sonarrec.tables.read import (
     POSITION_KINDS,
     Kind,
     line_number,

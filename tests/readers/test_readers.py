@@ -20,7 +20,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec.errors import MAX_PROBLEM_LINES, SonarrecError, UsageError
-from sonarrec.files.order import natural_order
 from sonarrec.geometry import PolarToFan
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
@@ -31,6 +30,7 @@ from sonarrec.readers.named_logs import NamedLog, logs_named
 from sonarrec.readers.raw import RawFrame
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.sonar import Sonar, load_sonar
+from sonarrec.tables.order import natural_order
 from tests.support.bags import bag, messages, ros1_bag, split_bag
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 from tests.support.sonar_files import aris_file, gemini_log, gemini_record, oculus_ping

@@ -18,12 +18,12 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
-from sonarrec.files import parquet
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import FrameResult
 from sonarrec.results.folders import estimates_of, part_of
 from sonarrec.results.read import estimate_tables, read_log, read_results
 from sonarrec.results.write import ResultsWriter
+from sonarrec.tables import parquet
 from tests.support.command import SAMPLE, sonarrec
 
 TRUTH = SAMPLE / "gt.csv"

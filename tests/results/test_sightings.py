@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
-from sonarrec.files import toml
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.poses import pose_table
@@ -27,6 +26,7 @@ from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import MOST_SIGHTINGS, run
+from sonarrec.tables import toml
 from tests.results.test_write import tables
 from tests.support.drawn import make_fan
 

@@ -10,8 +10,8 @@ import pytest
 from sonarrec.errors import SonarrecError, printable
 from sonarrec.evaluation.evaluate import evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
-from sonarrec.files.tables import read_table
 from sonarrec.landmarks import load_landmarks
+from sonarrec.tables.read import read_table
 from sonarrec.truth.annotations import cvat, read_annotations
 from sonarrec.truth.convert import convert
 from sonarrec.truth.table import read_truth

@@ -20,11 +20,11 @@ from sonarrec.evaluation.matching.pairs import (
     truth_by_folder,
     truth_note,
 )
-from sonarrec.files.tables import read_header
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import find_logs, read_frames, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.same_log import Recording, check_one_log, counted_once, recording
+from sonarrec.tables.read import read_header
 from sonarrec.truth.table import HEADER
 
 Folders = tuple[Path, Path]

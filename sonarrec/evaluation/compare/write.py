@@ -10,7 +10,7 @@ from textwrap import indent
 
 from sonarrec.evaluation.compare.compare import Comparison
 from sonarrec.evaluation.write import as_record, finite_or_none, json_text, write_table
-from sonarrec.files.outputs import (
+from sonarrec.tables.outputs import (
     check_no_recording,
     check_output,
     check_tables,

@@ -15,12 +15,12 @@ from sonarrec.errors import (
     name_from_text,
     number_of,
 )
-from sonarrec.files.tables import line_numbers, read_header, read_table
 from sonarrec.readers.containers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.open import Source, find_log, log_name
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
+from sonarrec.tables.read import line_numbers, read_header, read_table
 from sonarrec.truth.table import HEADER
 
 TRUTH_FILE = "gt.csv"

@@ -19,9 +19,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
-from sonarrec.files.order import natural_order
 from sonarrec.readers.containers.packed import PACKINGS
 from sonarrec.readers.containers.recording import Channel, Message, Recording
+from sonarrec.tables.order import natural_order
 
 METADATA = "metadata.yaml"
 _ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))

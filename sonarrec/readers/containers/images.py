@@ -11,11 +11,11 @@ from typing import overload
 import numpy as np
 
 from sonarrec.errors import Diagnostics
-from sonarrec.files.order import natural_order
 from sonarrec.nouns import IMAGE_SUFFIXES
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
 from sonarrec.readers.guess.times import name_without_time, times_in_names
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
+from sonarrec.tables.order import natural_order
 from sonarrec.times import date_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes

@@ -19,8 +19,8 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import UsageError
-from sonarrec.files.toml import Finite, brief, checked, from_table, length, parse_toml, read_text
 from sonarrec.recogniser.stage3.description import FEATURES
+from sonarrec.tables.toml import Finite, brief, checked, from_table, length, parse_toml, read_text
 
 BUILT_IN = Path(__file__).parent / "appearance.toml"
 

@@ -13,8 +13,8 @@ from sonarrec.arrays import ByteImage
 from sonarrec.errors import Diagnostics, number_of
 from sonarrec.evaluation.by_range import Rate, RecognitionRates
 from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, unseen_share
-from sonarrec.files.outputs import write_csv, write_text, writing
 from sonarrec.simulation.layout import Layout
+from sonarrec.tables.outputs import write_csv, write_text, writing
 
 ENOUGH = 0.9
 """Landmarks count as recognised at a contrast if they are in this share of their frames."""

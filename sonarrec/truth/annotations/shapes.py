@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.errors import SonarrecError
-from sonarrec.files.tables import LARGEST
+from sonarrec.tables.read import LARGEST
 
 PARTLY_HIDDEN = 0.5
 """`visible` of a shape flagged as occluded; the flag does not say by how much."""

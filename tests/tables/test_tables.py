@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sonarrec.errors import SonarrecError
-from sonarrec.files.tables import Kind, line_number, read_header, read_table, read_tables
+from sonarrec.tables.read import Kind, line_number, read_header, read_table, read_tables
 
 
 def times(path: Path, *cells: str) -> list[int]:

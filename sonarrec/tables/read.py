@@ -16,7 +16,7 @@ import pandas as pd
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, printable
-from sonarrec.files.parquet import PARQUET, read_names, read_parts
+from sonarrec.tables.parquet import PARQUET, read_names, read_parts
 
 Kind = Literal[
     "whole",

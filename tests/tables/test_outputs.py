@@ -17,8 +17,8 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.plots import draw_roc
-from sonarrec.files.outputs import replaced, with_mark, write_csv, write_text, writing
 from sonarrec.mapping.picture import draw_map
+from sonarrec.tables.outputs import replaced, with_mark, write_csv, write_text, writing
 from tests.support.slow import but_first
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"

@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from sonarrec.cli import main
 from sonarrec.config import SECTIONS, Config, configs, with_assignments
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.files import toml
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.stage3.description import FEATURES
 from sonarrec.recogniser.stage3.model import read_model
 from sonarrec.results.run_file import read_run
 from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar import load_sonar
+from sonarrec.tables import toml
 
 CURVE = "{ at = [0, 1], log_odds = [0, 1], smeared_log_odds = [0, 1] }"
 LINES = ["smeared_bias = 0\n", *(f"{name} = {CURVE}\n" for name in FEATURES)]

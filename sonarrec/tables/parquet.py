@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.errors import SonarrecError, name_as_text
-from sonarrec.files.outputs import replaced
+from sonarrec.tables.outputs import replaced
 
 PARQUET = ".parquet"
 ROWS = 50_000
