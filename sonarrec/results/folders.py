@@ -110,13 +110,8 @@ def estimates_of(folder: Path) -> Path:
 
 
 def part_of(folder: Path) -> Path:
-    """The folder that a run writes; at its end it replaces `folder`, or what that links to."""
-    place = _place(folder)
-    return place.with_name(place.name + PART)
-
-
-def _place(folder: Path) -> Path:
-    return folder.resolve() if folder.is_symlink() else folder
+    """The folder that a run writes; at its end it replaces `folder`."""
+    return folder.with_name(folder.name + PART)
 
 
 def check_name(folder: Path) -> None:
@@ -154,14 +149,12 @@ def release(folder: Path, lock_file: IO[bytes]) -> None:
 
 
 def _lock_file(folder: Path) -> Path:
-    place = _place(folder)
-    return place.with_name(f".{place.name}.lock")
+    return folder.with_name(f".{folder.name}.lock")
 
 
 def aside_of(folder: Path) -> Path:
     """Where a run lays old results while it replaces them; one that fails there leaves them."""
-    place = _place(folder)
-    return place.with_name(f".{place.name}.old")
+    return folder.with_name(f".{folder.name}.old")
 
 
 def restore(folder: Path) -> None:
@@ -171,17 +164,17 @@ def restore(folder: Path) -> None:
     all of the user's files in them were moved.
     Raises OSError if that fails, SonarrecError if a file is in both places.
     """
-    place, old = _place(folder), aside_of(folder)
+    old = aside_of(folder)
     if old.is_dir():
-        if place.exists():
+        if folder.exists():
             try:
-                _clear(old, place)
+                _clear(old, folder)
             except FileExistsError as error:
                 raise SonarrecError(
                     f"{error.filename}: also in {old}, left by an earlier run; move one of the two"
                 ) from None
         else:
-            old.rename(place)
+            old.rename(folder)
 
 
 def exchange(folder: Path) -> list[str]:
@@ -189,14 +182,14 @@ def exchange(folder: Path) -> list[str]:
 
     Returns a note if these could not be moved. Raises OSError if the part could not be moved.
     """
-    place, old = _place(folder), aside_of(folder)
-    if place.exists():
-        place.rename(old)
-    part_of(folder).rename(place)
+    old = aside_of(folder)
+    if folder.exists():
+        folder.rename(old)
+    part_of(folder).rename(folder)
     try:
-        _sync(place.parent)
+        _sync(folder.parent)
         if old.is_dir():
-            _clear(old, place)
+            _clear(old, folder)
     except OSError as error:  # the new results are in place
         return [f"{folder}: other files of the old folder are left in {old} ({error.strerror})"]
     return []

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import LockedError
-from sonarrec.runs.many import Watch, Worker
+from sonarrec.runs.many import Processes, Watch
 from sonarrec.runs.task import GRACE_S, Outcome, Task
 
 RETRIES = 2
@@ -47,7 +48,7 @@ def run_on_cluster(
             watch.started(i)  # only the worker knows when a task really starts
         running = {
             client.submit(
-                _run_on_worker, task.absolute(), timeout_s, pure=False, retries=RETRIES
+                _run_on_worker, task, Path.cwd(), timeout_s, pure=False, retries=RETRIES
             ): i
             for i, task in enumerate(tasks)
         }
@@ -89,19 +90,16 @@ def _check_address(dask: Any, address: str) -> None:
         )
 
 
-def _run_on_worker(task: Task, timeout_s: float | None) -> Outcome:
-    """Run a task in a process of its own; called on a worker."""
-    worker = Worker(timeout_s)
+def _run_on_worker(task: Task, folder: Path, timeout_s: float | None) -> Outcome:
+    """Run a task in a process of its own; called on a worker. folder: to which its paths relate."""
+    processes = Processes(timeout_s, folder if folder.is_dir() else None)
     give_up = monotonic() + 2 * GRACE_S
-    try:
-        while True:
-            outcome = worker.run(task)
-            # The process of a lost worker may still be writing its results.
-            if not isinstance(outcome.error, LockedError) or monotonic() > give_up:
-                return outcome
-            sleep(1)
-    finally:
-        worker.close()
+    while True:
+        outcome = processes.run(task)
+        # The process of a lost worker may still be writing its results.
+        if not isinstance(outcome.error, LockedError) or monotonic() > give_up:
+            return outcome
+        sleep(1)
 
 
 def _loss(task: Task, future: Any) -> SonarrecError:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import errno
-import io
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +15,7 @@ from typing import Any, get_args
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError, part_of
 from sonarrec.runs.task import Outcome, Status, Task
-from sonarrec.tables.outputs import is_filled, replaced
+from sonarrec.tables.outputs import is_filled, write_csv
 
 NAME = "logs.csv"
 WRITE_EVERY_S = 1.0
@@ -36,6 +34,11 @@ class Row:
     seconds: float = 0.0  # duration of its last run; 0: not known
     declared: int = 0  # passes in sightings.csv, of methods that track objects
     message: str = ""  # what could not be used, or why it failed; or "stopped"
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Two rows of one key are of one log."""
+        return self.log, self.path
 
 
 COLUMNS = tuple(f.name for f in fields(Row))
@@ -112,12 +115,11 @@ class LogsTable:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
                 before, added = _read_rows(self._path) if is_filled(self._path) else ([], {})
-                rows = self._merged(before)
-                lines = [_line([*COLUMNS, *added])]
-                for key, row in rows.items():
-                    own = map(_harmless, astuple(row))
-                    lines.append(_line([*own, *(of.get(key, "") for of in added.values())]))
-                _exchange(self._path, "".join(lines).encode(errors="surrogateescape"))
+                rows = (
+                    [*map(_harmless, astuple(row)), *(of.get(key, "") for of in added.values())]
+                    for key, row in self._merged(before).items()
+                )
+                write_csv(self._path, [*COLUMNS, *added], rows)
         except OSError as error:
             self.fault = f"{self._path}: cannot be written ({error.strerror})"
         except SonarrecError as error:  # the file there is another kind of table
@@ -126,19 +128,12 @@ class LogsTable:
     def _merged(self, before: Sequence[Row]) -> dict[tuple[str, str], Row]:
         """The rows of this call and those that other calls wrote before, by key."""
         usable = {row.log for row in before if row.status in USABLE}
-        own = {_key(row): row for row in self._rows if row.log not in self._run_elsewhere & usable}
+        own = {row.key: row for row in self._rows if row.log not in self._run_elsewhere & usable}
         # A log may be refused because another log of its name has results there. Then both keep a
         # row, until this log has results too.
         ended = {row.log for row in own.values() if row.status in USABLE}
-        others = (row for row in before if row.log not in ended or _key(row) in own)
-        return {_key(row): row for row in others} | own
-
-
-def _line(cells: Sequence[object]) -> str:
-    """A line of the file. The csv module quotes a carriage return only where one ends its lines."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\r\n").writerow(cells)
-    return text.getvalue().removesuffix("\r\n") + "\n"
+        others = (row for row in before if row.log not in ended or row.key in own)
+        return {row.key: row for row in others} | own
 
 
 FORMULA = ("=", "+", "-", "@")
@@ -156,28 +151,13 @@ def _text(cell: str) -> str:
     return cell[1:] if quoted else cell
 
 
-def _exchange(path: Path, contents: bytes) -> None:
-    """Replace the file. On a full disk, write into the room of the old one; otherwise logs that
-    failed because the disk is full would remain listed as running."""
-    try:
-        with replaced(path) as new:
-            new.write_bytes(contents)
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT) and path.exists()
-        if not full or getattr(path.stat(), "st_blocks", 0) * 512 < len(contents):
-            raise
-        with path.open("r+b") as file:
-            file.write(contents)
-            file.truncate()
-
-
 def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
     """The tasks that failed or were partial by logs.csv, and how many are waiting or running.
 
     Results of another log of the same name are not replaced.
     """
     rows = read_logs(out / NAME)
-    of_path = {_key(row): row.status for row in rows}
+    of_path = {row.key: row.status for row in rows}
     of_name = {row.log: row.status for row in rows}  # for paths that are written differently now
     chosen, unfinished = [], 0
     for task in tasks:
@@ -187,10 +167,6 @@ def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
             chosen.append(replace(task, overwrite=task.overwrite or is_partial))
         unfinished += state in ("waiting", "running")
     return chosen, unfinished
-
-
-def _key(row: Row) -> tuple[str, str]:
-    return row.log, row.path
 
 
 @contextmanager
@@ -217,20 +193,15 @@ def read_logs(path: Path) -> list[Row]:
     return _read_rows(path)[0]
 
 
-def _seconds(cell: str) -> float:
-    """The duration in a cell; 0, not known, if it is not positive and finite."""
-    seconds = float(cell)
+def _positive(seconds: float) -> float:
+    """A duration; 0, not known, for one that is not positive and finite."""
     return seconds if 0 < seconds < math.inf else 0.0
 
 
 def _read_rows(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], str]]]:
     """The rows, and for each column that a user added its cells by the keys of the rows."""
-    kinds: dict[str, Callable[[str], Any]] = {
-        "frames": int,
-        "unusable": int,
-        "seconds": _seconds,
-        "declared": int,
-    }
+    whole: dict[str, Callable[[str], Any]] = dict.fromkeys(("frames", "unusable", "declared"), int)
+    kinds = whole | {"seconds": lambda cell: _positive(float(cell))}
     rows = []
     added: dict[str, dict[tuple[str, str], str]] = {}
     try:
@@ -246,7 +217,7 @@ def _read_rows(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], s
                     raise ValueError
                 rows.append(Row(**values))
                 for name, of in added.items():
-                    of[_key(rows[-1])] = cells[name] or ""
+                    of[rows[-1].key] = cells[name] or ""
     except FileNotFoundError:
         return [], {}
     except OSError as error:

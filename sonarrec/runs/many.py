@@ -1,4 +1,7 @@
-"""Runs logs in separate processes, so that a crash or a lack of memory costs one log only."""
+"""Runs logs, each in a process of its own, so that a crash or a lack of memory costs one log only.
+
+Tasks, the numbers of frames done and Outcomes are pickled: both ends are the same program.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
-from queue import SimpleQueue
+from pathlib import Path
 from tempfile import TemporaryFile
 from threading import Lock, Thread, Timer
-from time import monotonic
-from typing import IO
+from time import monotonic, sleep
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import FrameResult
@@ -25,144 +27,17 @@ from sonarrec.runs.task import GRACE_S, Outcome, Task, run_task
 # The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the
 # cores, and OpenCV's threads would only compete.
 _START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-_START += "from sonarrec.runs.worker import main; main()"
+_START += "from sonarrec.runs.many import main; main()"
 _ONE_THREAD = {"OPENCV_FOR_THREADS_NUM": "1"}
+_REPORT_EVERY_S = 0.2
 
+Child = subprocess.Popen[bytes]
 Frames = Callable[[int, int | None], None]
 """Called now and then with the number of frames done and the total, None if not known."""
 
 
-class Worker:
-    """Runs logs in a process apart, one after the other; a new process after one that ended.
-
-    One thread calls `run`; others may call `stop`.
-    """
-
-    def __init__(self, timeout_s: float | None = None) -> None:
-        """timeout_s: how long one log may take; None: no limit."""
-        self._timeout_s = timeout_s
-        self._child: subprocess.Popen[bytes] | None = None
-        self._printed: IO[bytes] | None = None  # what the process prints, such as a traceback
-        self._starting = Lock()
-        self._stopped = False
-
-    def run(self, task: Task, frames: Frames | None = None) -> Outcome:
-        """Run a task; its outcome says if the process died."""
-        start_s = monotonic()
-        with self._starting:
-            if self._stopped:
-                return Outcome("waiting")
-            try:
-                child = self._child = self._child or self._start()
-            except OSError as error:  # no memory, file descriptors or disk space
-                why = f"no process could be started for it ({error.strerror})"
-                return Outcome("failed", error=SonarrecError(f"{task.path}: {why}"))
-        late = False
-
-        def overdue() -> None:
-            nonlocal late
-            late = True
-            _end(child)
-
-        timer = Timer(self._timeout_s or 0, overdue)
-        if self._timeout_s is not None:
-            timer.start()
-        outcome = _listen(child, task, frames)
-        timer.cancel()
-        if outcome is not None and not late:
-            return outcome
-        fault = self._wait_for_end()
-        if self._stopped:
-            return Outcome("waiting")
-        why = f"took more than {self._timeout_s:g} s (--timeout)" if late else _why(child)
-        fault = fault if child.returncode > 0 and not late else ""
-        failed = SonarrecError(f"{task.path}: {why}")
-        return Outcome("failed", monotonic() - start_s, error=failed, fault=fault)
-
-    def stop(self) -> None:
-        """End the running process and start none; the log keeps its frames so far.
-
-        Returns at once. A process that does not end is killed after GRACE_S.
-        """
-        with self._starting:
-            self._stopped = True
-            if self._child is not None:
-                Thread(target=_end, args=(self._child,), daemon=True).start()
-
-    def close(self) -> None:
-        """Wait for the process to end; one that does not is killed after GRACE_S."""
-        with self._starting:
-            self._stopped = True
-        if self._child is not None:
-            self._wait_for_end()
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        """A process that waits for tasks."""
-        self._printed = TemporaryFile()  # noqa: SIM115 - as long as the process
-        return subprocess.Popen(
-            [sys.executable, "-c", _START, json.dumps(sys.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._printed,
-            env=os.environ | _ONE_THREAD,
-            start_new_session=True,
-        )
-
-    def _wait_for_end(self) -> str:
-        """Wait for the process to end; what it has printed."""
-        child, printed = self._child, self._printed
-        assert child is not None
-        assert printed is not None
-        with child, printed:
-            assert child.stdin is not None
-            with suppress(OSError):
-                child.stdin.close()  # no more tasks
-            _wait_or_kill(child)
-            self._child = None
-            printed.seek(0)
-            return printed.read().decode(errors="replace")
-
-
-def _listen(child: subprocess.Popen[bytes], task: Task, frames: Frames | None) -> Outcome | None:
-    """Send the task and report its frames until it ends; None if the process dies before."""
-    assert child.stdin is not None
-    assert child.stdout is not None
-    try:
-        pickle.dump(task, child.stdin)
-        child.stdin.flush()
-        while True:
-            message = pickle.load(child.stdout)
-            if isinstance(message, Outcome):
-                return message
-            if frames is not None:
-                frames(*message)
-    except (EOFError, OSError, pickle.UnpicklingError):
-        return None
-
-
-def _end(child: subprocess.Popen[bytes]) -> None:
-    child.terminate()
-    _wait_or_kill(child)
-
-
-def _wait_or_kill(child: subprocess.Popen[bytes]) -> None:
-    """Wait for a process to end; one that does not within GRACE_S is killed."""
-    try:
-        child.wait(GRACE_S)
-    except subprocess.TimeoutExpired:
-        child.kill()
-
-
-def _why(child: subprocess.Popen[bytes]) -> str:
-    code = child.returncode
-    if code >= 0:
-        return "a bug in sonarrec ended its process; the traceback is above"
-    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-    return f"its process was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
-
-
 class Watch:
-    """Gets events while logs are run, always in the caller's thread. i: index of the task."""
+    """Gets events while logs are run, one at a time. i: index of the task."""
 
     def note(self, line: str) -> None:
         """A line about the call as a whole."""
@@ -189,70 +64,192 @@ def run_here(tasks: list[Task], watch: Watch) -> None:
             nonlocal done
             done += 1
             watch.frames(i, done, total)
-            if done == 1:
-                _fetch_next(tasks[i + 1 :])
+            later = (other.remote for other in tasks[i + 1 :]) if done == 1 else ()
+            if ahead := next((remote for remote in later if remote and remote.log), None):
+                assert ahead.log is not None
+                fetch_ahead(ahead.log, ahead.cache)
 
         watch.started(i)
         watch.ended(i, run_task(task, observe, partial(watch.fetching, i)))
 
 
-def _fetch_next(tasks: list[Task]) -> None:
-    for remote in (task.remote for task in tasks):
-        if remote is not None and remote.log is not None:
-            fetch_ahead(remote.log, remote.cache)
-            return
-
-
 def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | None = None) -> None:
-    """Run tasks in separate processes, `jobs` at a time, started in their order.
+    """Run tasks in processes of their own, `jobs` at a time, started in their order.
 
     An exception in the caller's thread, such as Ctrl-C, ends the processes; their logs keep the
     frames so far.
     """
-    tasks_left = iter(enumerate(tasks))
-    turn = Lock()
-    events: SimpleQueue[Callable[[], None] | None] = SimpleQueue()  # None: a worker has ended
+    processes, turn = Processes(timeout_s), Lock()
 
-    def report_frames(i: int, done: int, total: int | None) -> None:
-        events.put(partial(watch.frames, i, done, total))
+    def tell(event: Callable[..., None], *about: object) -> None:
+        with turn:
+            event(*about)
 
-    def work(worker: Worker) -> None:
+    def work(i: int, task: Task) -> None:
+        tell(watch.started, i)
+        outcome = processes.run(task, partial(tell, watch.frames, i))
+        if outcome.status != "waiting":
+            tell(watch.ended, i, outcome)
+
+    with ThreadPoolExecutor(jobs) as threads:
         try:
-            while True:
-                with turn:
-                    i, task = next(tasks_left, (-1, None))
-                if task is None:
-                    return
-                events.put(partial(watch.started, i))
-                outcome = worker.run(task, partial(report_frames, i))
-                if outcome.status == "waiting":
-                    return
-                events.put(partial(watch.ended, i, outcome))
-        except BaseException as error:  # a bug: the call must not end as if all were done
-            events.put(partial(_raise, error))
-        finally:
-            events.put(None)
+            futures = [threads.submit(work, i, task) for i, task in enumerate(tasks)]
+            for ended in as_completed(futures):
+                ended.result()
+        except BaseException:
+            threads.shutdown(wait=False, cancel_futures=True)
+            processes.stop()
+            raise
 
-    workers = [Worker(timeout_s) for _ in range(min(jobs, len(tasks)))]
-    threads = [Thread(target=work, args=(worker,), daemon=True) for worker in workers]
-    for thread in threads:
-        thread.start()
-    working = len(threads)
+
+class Processes:
+    """Runs logs in processes of their own; each call of `run` waits for its one."""
+
+    def __init__(self, timeout_s: float | None = None, folder: Path | None = None) -> None:
+        """timeout_s: how long one log may take; None: no limit. folder: to which paths relate."""
+        self._timeout_s = timeout_s
+        self._folder = folder
+        self._running = set[Child]()
+        self._starting = Lock()
+        self._stopped = False
+
+    def stop(self) -> None:
+        """End the processes and start none; logs keep their frames so far. Returns at once."""
+        with self._starting:
+            self._stopped = True
+            for child in self._running:
+                Thread(target=_end, args=(child,), daemon=True).start()
+
+    def run(self, task: Task, frames: Frames | None = None) -> Outcome:
+        """Run a task; its outcome says if the process died."""
+        start_s, limit_s = monotonic(), self._timeout_s
+
+        def failed(why: str, fault: str = "") -> Outcome:
+            error = SonarrecError(f"{task.path}: {why}")
+            return Outcome("failed", monotonic() - start_s, error=error, fault=fault)
+
+        with self._starting:
+            if self._stopped:
+                return Outcome("waiting")
+            try:
+                printed = TemporaryFile()  # noqa: SIM115 - closed below
+                child = self._start(printed.fileno())
+            except OSError as error:  # no memory, file descriptors or disk space
+                return failed(f"no process could be started for it ({error.strerror})")
+            self._running.add(child)
+        timer = Timer(limit_s or 0, _end, [child])
+        with printed, child:
+            try:
+                if limit_s is not None:
+                    timer.start()
+                outcome = _listen(child, task, frames)
+            finally:
+                timer.cancel()
+                _wait_or_kill(child)
+                self._running.discard(child)
+            if outcome is not None:
+                return outcome
+            if self._stopped:
+                return Outcome("waiting")
+            if limit_s is not None and monotonic() - start_s >= limit_s:
+                return failed(f"took more than {limit_s:g} s (--timeout)")
+            if child.returncode >= 0:
+                printed.seek(0)
+                fault = printed.read().decode(errors="replace")
+                return failed("a bug in sonarrec ended its process; the traceback is above", fault)
+            number = -child.returncode
+            name = (
+                signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
+            )
+            memory = " (out of memory?)" if name == "SIGKILL" else ""
+            return failed(f"its process was ended by {name}{memory}")
+
+    def _start(self, printed: int) -> Child:
+        """A process that waits for its task. printed: the file of what it prints."""
+        return subprocess.Popen(
+            [sys.executable, "-c", _START, json.dumps(sys.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=printed,
+            cwd=self._folder,
+            env=os.environ | _ONE_THREAD,
+            start_new_session=True,
+        )
+
+
+def _listen(child: Child, task: Task, frames: Frames | None) -> Outcome | None:
+    """Send the task and report its frames until it ends; None if the process dies before."""
+    assert child.stdin is not None
+    assert child.stdout is not None
     try:
-        while working:
-            if (tell := events.get()) is None:
-                working -= 1
-            else:
-                tell()
-    except BaseException:
-        for worker in workers:
-            worker.stop()
-        raise
-    finally:
-        for thread, worker in zip(threads, workers, strict=True):
-            thread.join()
-            worker.close()
+        pickle.dump(task, child.stdin)
+        child.stdin.flush()
+        while not isinstance(message := pickle.load(child.stdout), Outcome):
+            if frames is not None:
+                frames(*message)
+    except (EOFError, OSError, pickle.UnpicklingError):
+        return None
+    return message
 
 
-def _raise(error: BaseException) -> None:
-    raise error
+def _end(child: Child) -> None:
+    child.terminate()
+    _wait_or_kill(child)
+
+
+def _wait_or_kill(child: Child) -> None:
+    """Wait for a process to end; one that does not within GRACE_S is killed."""
+    try:
+        child.wait(GRACE_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+
+
+def main() -> None:
+    """The process of a log: its task comes on stdin, the outcome goes to stdout.
+
+    After SIGTERM, or if the parent dies, the frames so far are kept.
+    """
+    pipe = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints must not mix with the pickles
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C on the terminal; the parent sends SIGTERM
+    signal.signal(signal.SIGTERM, _stop)
+    Thread(target=_watch_parent, args=(os.getppid(),), daemon=True).start()
+    frames, last = 0, 0.0
+
+    def send(message: object) -> None:
+        pickle.dump(message, pipe)
+        pipe.flush()
+
+    def observe(_: FrameResult, total: int | None) -> None:
+        nonlocal frames, last
+        frames += 1
+        if monotonic() > last + _REPORT_EVERY_S:
+            last = monotonic()
+            send((frames, total))
+
+    try:
+        task: Task = pickle.load(sys.stdin.buffer)
+        try:
+            outcome = run_task(task, observe)
+        except MemoryError:
+            outcome = Outcome("failed", error=SonarrecError(f"{task.path}: not enough memory"))
+        send(outcome)
+    except KeyboardInterrupt:
+        os._exit(128 + signal.SIGTERM)
+    except BrokenPipeError:
+        os._exit(1)
+
+
+def _watch_parent(parent: int) -> None:
+    """End when the parent is gone: another process may be asked to run the same log."""
+    while os.getppid() == parent:
+        sleep(_REPORT_EVERY_S)
+    os.kill(os.getpid(), signal.SIGTERM)
+    sleep(GRACE_S)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _stop(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough: let the results be written
+    raise KeyboardInterrupt

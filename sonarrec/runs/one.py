@@ -12,19 +12,13 @@ from typing import Any
 
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import SonarrecError, number_of
-from sonarrec.nouns import (
-    Clock,
-    Frame,
-    FrameResult,
-    Stamps,
-)
+from sonarrec.nouns import Clock, Frame, FrameResult, Stamps
 from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.remote.find import RemoteLog
 from sonarrec.remote.urls import local
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import (
-    ExistingResults,
     LogOptions,
     existing_results,
     frame_span,
@@ -98,14 +92,15 @@ def run(
     """
     log_options = LogOptions(
         sonar=sonar_from(sonar),
-        sonar_file=_path(sonar_file),
+        sonar_file=None if sonar_file is None else Path(sonar_file),
         topic=topic,
         time=time,
-        odometry=_path(odometry),
+        odometry=None if odometry is None else Path(odometry),
         # By the text that run.toml will hold: what it could not give back is refused.
         frames=None if frames is None else frame_span(span_text(frames)),
     )
-    run_options = RunOptions(configs_of(preset), landmarks, _path(model))
+    learned = None if model is None else Path(model)
+    run_options = RunOptions(configs_of(preset), landmarks, learned)
     return process(log, local(out), log_options, run_options, observe, overwrite=overwrite)
 
 
@@ -114,21 +109,20 @@ def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str]:
 
     Raises UsageError if two logs cannot be told apart.
     """
-    return folder_names([_named_at(log) for log in logs])
-
-
-def _named_at(log: str | Path | RemoteLog) -> tuple[str, Path]:
-    """(the name of a log's results, where the log is)."""
-    if isinstance(log, RemoteLog):
-        return results_name(log.name), log.path
-    try:
-        source = find_log(log)
-    except SonarrecError:  # reported when the log is run
-        name, place = results_name(log_name(Path(log))), Path(log)
-        with suppress(OSError):  # the current folder is gone
-            place = place.absolute()
-        return name, place
-    return source.name, source.place.resolve()
+    named = []  # (the name of a log's results, where the log is)
+    for log in logs:
+        if isinstance(log, RemoteLog):
+            named.append((results_name(log.name), log.path))
+            continue
+        try:
+            source = find_log(log)
+            named.append((source.name, source.place.resolve()))
+        except SonarrecError:  # reported when the log is run
+            place = Path(log)
+            with suppress(OSError):  # the current folder is gone
+                place = place.absolute()
+            named.append((results_name(log_name(Path(log))), place))
+    return folder_names(named)
 
 
 def process(
@@ -155,7 +149,16 @@ def process(
         if not overwrite:
             existing = existing_results(job.folder, job.table)
             if existing.up_to_date:
-                return _summary_of_existing(job, existing)
+                return Summary(
+                    job.folder,
+                    existing.frames,
+                    existing.unusable,
+                    existing.candidates,
+                    existing.problems,
+                    [],
+                    *_longest(job.folder, job.recogniser.tracking),
+                    up_to_date=True,
+                )
             if existing.reason:
                 told.note(f"earlier results are replaced ({existing.reason})", about=job.folder)
         renamed = log_options.origin.with_server_names if log_options.origin else str
@@ -178,20 +181,6 @@ def process(
             [renamed(line) for line in (*told.notes, *replaced)],
             *_longest(job.folder, job.recogniser.tracking),
         )
-
-
-def _summary_of_existing(job: PreparedRun, existing: ExistingResults) -> Summary:
-    """The summary of results that are there already."""
-    return Summary(
-        job.folder,
-        existing.frames,
-        existing.unusable,
-        existing.candidates,
-        existing.problems,
-        [],
-        *_longest(job.folder, job.recogniser.tracking),
-        up_to_date=True,
-    )
 
 
 def _recognise(
@@ -231,19 +220,18 @@ def _recognise(
 
 def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
     """Tell the user what showed at the end of the run."""
-    note = job.log.diagnostics.note
-    doubts = _doubts(job, writer, plausibility)
+    log, note, restored = job.log, job.log.diagnostics.note, job.recogniser.restored
+    doubts = plausibility.contradictions(height_stated=log.sonar.height_m is not None)
+    if not writer.candidates:
+        width = disc_width_px(job.fan, job.landmarks)
+        hint = "" if width >= 1 else " (are the ranges in metres?)"
+        doubts.append(
+            f"0 candidates in {number_of(writer.frames, 'frame')}: a disc of {job.landmarks.name} "
+            f"would be {width:.0f} px wide here{hint}"
+        )
     if doubts:
-        look = f"`sonarrec info {job.log.path} --preview FILE.png`, with the same geometry"
+        look = f"`sonarrec info {log.path} --preview FILE.png`, with the same geometry"
         note(f"{'; '.join(doubts)}; look at {look}")
-    _tell_restored(job)
-    if job.log.untimed:
-        note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
-
-
-def _tell_restored(job: PreparedRun) -> None:
-    """Tell what was done to the pictures."""
-    note, restored, white = job.log.diagnostics.note, job.recogniser.restored, job.log.found_white
     if restored.static:
         note(
             f"{restored.static:.1%} of the picture never changes, like drawn lines and text, or "
@@ -251,7 +239,7 @@ def _tell_restored(job: PreparedRun) -> None:
         )
     if restored.saturated:
         better = "a lower gain"
-        if white is not None:
+        if (white := log.found_white) is not None:
             better = f"a higher --full-scale than {white:.4g}, as the first frame has it,"
         note(
             f"{restored.saturated:.0%} of the frames are saturated; how strong the strongest "
@@ -262,19 +250,8 @@ def _tell_restored(job: PreparedRun) -> None:
             f"in {restored.equalised:.0%} of the frames all levels are equally frequent, as after "
             "histogram equalisation; they are spread as a sonar's; pictures as recorded are better"
         )
-
-
-def _doubts(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:
-    """Contradictions between pictures and geometry, and a line if there is no candidate at all."""
-    doubts = plausibility.contradictions(height_stated=job.log.sonar.height_m is not None)
-    if not writer.candidates:
-        width = disc_width_px(job.fan, job.landmarks)
-        frames = number_of(writer.frames, "frame")
-        doubts.append(
-            f"0 candidates in {frames}: a disc of {job.landmarks.name} would be {width:.0f} px "
-            f"wide here{'' if width >= 1 else ' (are the ranges in metres?)'}"
-        )
-    return doubts
+    if log.untimed:
+        note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
 
 
 def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list[Sighting]]:
@@ -292,7 +269,3 @@ def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list
         longest = nlargest(MOST_SIGHTINGS, of_method(method), key=lambda s: s.frames_declared)
         sightings += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
     return passes, sightings
-
-
-def _path(path: str | Path | None) -> Path | None:
-    return None if path is None else Path(path)

@@ -92,17 +92,29 @@ def prepare(
         table = run_table(
             configs, recogniser.methods, log.stated, fan, landmarks, identity, log.reading()
         )
-        table["input"] |= _where(path, folder, log_options)
+        if log_options.origin is not None:
+            table["input"] |= dict.fromkeys(("path", "place"), log_options.origin.url)
+        else:
+            place = os.path.relpath(path.resolve(), folder.resolve())
+            table["input"] |= {"path": name_as_text(path), "place": name_as_text(place)}
+        if log_options.frames is not None:
+            table["input"]["frames"] = span_text(span)
         if run_options.parquet:
             table["program"]["tables"] = "parquet"
         if poses is not None:
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
+        frame_count = None  # not known
+        if log.frame_count is not None:
+            end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
+            frame_count = max(end - span[0], 0)
+        # The first frames leave the list as they are used: none is kept as long as the run.
+        first = (begin.pop(0) for _ in range(len(begin)))
         yield PreparedRun(
             log=log,
-            frames=chain(_each_once(begin), frames),
-            frame_count=_count(log, span),
+            frames=chain(first, frames),
+            frame_count=frame_count,
             fan=fan,
             landmarks=landmarks,
             poses=poses,
@@ -135,15 +147,6 @@ def is_same_log(earlier: RunFile, source: Source, digest: tuple[int, str] | None
     return is_same
 
 
-def _where(path: Path, folder: Path, log_options: LogOptions) -> dict[str, str]:
-    """`path`, `place` and, if they were asked for, `frames` of run.toml's [input]."""
-    frames = {} if log_options.frames is None else {"frames": span_text(log_options.frames)}
-    if log_options.origin is not None:
-        return {**dict.fromkeys(("path", "place"), log_options.origin.url), **frames}
-    place = os.path.relpath(path.resolve(), folder.resolve())
-    return {"path": name_as_text(path), "place": name_as_text(place), **frames}
-
-
 def _results_of(log: Source, out: Path, name: str) -> Path:
     """The folder of a log's results in `out`; a note is told if another command writes there, too.
 
@@ -157,6 +160,11 @@ def _results_of(log: Source, out: Path, name: str) -> Path:
     if itself:
         raise UsageError(f"{folder}: this is the log itself; choose another --out")
     check_name(folder)
+    if folder.is_symlink():
+        raise SonarrecError(
+            f"{folder}: a link, through which no results are written; remove it, or choose another "
+            "--out, which may be a link itself"
+        )
     if folder.exists() and not folder.is_dir():
         raise SonarrecError(
             f"{folder}: a file is where the folder of the results would be; move it "
@@ -169,20 +177,6 @@ def _results_of(log: Source, out: Path, name: str) -> Path:
             about=folder,
         )
     return folder
-
-
-def _each_once(frames: list[Frame]) -> Iterator[Frame]:
-    """The frames, which leave the list: none is kept as long as the run."""
-    while frames:
-        yield frames.pop(0)
-
-
-def _count(log: Log, span: tuple[int, int | None]) -> int | None:
-    """How many frames lie in the span; None if the log does not say how many it has."""
-    if log.frame_count is None:
-        return None
-    end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
-    return max(end - span[0], 0)
 
 
 def _with_companions(source: Source, log_options: LogOptions, again: bool) -> LogOptions:

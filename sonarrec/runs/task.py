@@ -35,34 +35,6 @@ class Task:
     remote: RemotePlaces | None = None  # set if the log or its results lie on a server
     ahead: bool = False  # on two cores, see `two_cores`
 
-    def absolute(self) -> Task:
-        """The same task with absolute paths, for another working folder."""
-        log_options, run_options = self.log_options, self.run_options
-        landmarks = run_options.landmarks  # a file or a built-in set
-        if landmarks is not None and Path(landmarks).is_file():
-            landmarks = Path(landmarks).absolute()
-        return replace(
-            self,
-            path=self.path if "://" in self.path else str(Path(self.path).absolute()),
-            out=self.out if "://" in self.out else str(Path(self.out).absolute()),
-            log_options=replace(
-                log_options,
-                sonar_file=_absolute(log_options.sonar_file),
-                odometry=_absolute(log_options.odometry),
-                up_to=_absolute(log_options.up_to),
-            ),
-            run_options=replace(
-                run_options,
-                landmarks=landmarks,
-                model=_absolute(run_options.model),
-                earlier_run=_absolute(run_options.earlier_run),
-            ),
-        )
-
-
-def _absolute(path: Path | None) -> Path | None:
-    return None if path is None else path.absolute()
-
 
 @dataclass(frozen=True, slots=True)
 class Outcome:

@@ -17,7 +17,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TextIO
 
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.nouns import IMAGE_SUFFIXES
@@ -207,11 +207,24 @@ def plain(name: str) -> str:
 
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
-    """Write a CSV table with our line ends. Raises OSError."""
-    with replaced(path) as new, new.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
+    """Write a CSV table with our line ends. Names need not be UTF-8. Raises OSError."""
+    with (
+        replaced(path) as new,
+        new.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,
+    ):
+        table = csv.writer(_Lines(file), lineterminator="\r\n")
         table.writerow(header)
         table.writerows(rows)
+
+
+class _Lines:
+    """For csv.writer, which quotes a carriage return in a cell only where one ends its lines."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def write(self, line: str) -> None:
+        self._file.write(f"{line.removesuffix(chr(13) + chr(10))}\n")
 
 
 def write_page(path: Path, page: str) -> None:

@@ -505,24 +505,19 @@ def test_files_of_the_user_that_cannot_be_moved_are_kept_and_told(tmp_path: Path
     assert not list(tmp_path.glob(".*"))
 
 
-def test_results_behind_a_link_stay_there(log: Path, tmp_path: Path) -> None:
+def test_nothing_is_written_through_a_link_in_the_place_of_the_results(
+    log: Path, tmp_path: Path
+) -> None:
+    """It led to any folder of who planted it there; OUT itself may be a link."""
     short, out, disk = shorter(log, tmp_path / "short"), tmp_path / "out", tmp_path / "disk"
-    out.mkdir()
-    (out / "short").symlink_to(disk / "short")  # nothing is there yet
-    for _ in range(2):
-        done = run(short, out, overwrite=True)
-        assert done.folder == out / "short"
-        assert done.notes == []
-        assert (out / "short").is_symlink()
-        assert finished(disk / "short")
-        assert [p.name for p in (*disk.iterdir(), *out.iterdir())] == ["short", "short"]
-
-
-def test_a_part_behind_a_link_is_found(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    link, part = tmp_path / "out" / "dive", tmp_path / "disk" / "dive.part"
-    link.symlink_to(tmp_path / "disk" / "dive")
-    part.mkdir(parents=True)
-    (part / "frames.csv").touch()
-    assert part_of(link) == part
-    assert find_logs(tmp_path / "out") == [part]
+    disk.mkdir()
+    out.symlink_to(disk)
+    assert run(short, out).folder == out / "short"
+    assert finished(disk / "short")
+    (disk / "short").rename(disk / "elsewhere")
+    (disk / "elsewhere" / "run.toml").unlink()
+    (out / "short").symlink_to(disk / "elsewhere")
+    before = sorted(p.name for p in disk.rglob("*"))
+    with pytest.raises(SonarrecError, match=r"out/short: a link, through which no results"):
+        run(short, out, overwrite=True)
+    assert sorted(p.name for p in disk.rglob("*")) == before

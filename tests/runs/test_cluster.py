@@ -18,10 +18,11 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.results.run_file import LogOptions
+from sonarrec.runs import cluster as cluster_module
 from sonarrec.runs.cluster import run_on_cluster
 from sonarrec.runs.many import Watch
 from sonarrec.runs.prepare import RunOptions
-from sonarrec.runs.task import Outcome, Task, run_task
+from sonarrec.runs.task import Outcome, Task
 from tests.support.batch import SAMPLE, answers, command, environment, made, rows, tables, until
 from tests.support.command import sonarrec
 
@@ -138,11 +139,9 @@ def test_a_worker_in_another_folder_finds_the_geometry_above_the_log(
     (log / "sonar.toml").rename(tmp_path / "campaign" / "sonar.toml")
     monkeypatch.chdir(tmp_path)
     log_options = LogOptions(up_to=Path("campaign"))
-    task = Task(
-        "campaign/day1/dive", "dive", "out", log_options, RunOptions([preset("default")])
-    ).absolute()
+    task = Task("campaign/day1/dive", "dive", "out", log_options, RunOptions([preset("default")]))
     monkeypatch.chdir(log.parent)
-    assert run_task(task).error is None
+    assert cluster_module._run_on_worker(task, tmp_path, None).error is None
     assert (tmp_path / "out" / "dive" / "run.toml").is_file()
 
 

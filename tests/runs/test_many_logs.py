@@ -18,7 +18,7 @@ import pytest
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError
 from sonarrec.results.run_file import LogOptions
-from sonarrec.runs import logs_table, many
+from sonarrec.runs import many
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.runs.task import Outcome, Task
@@ -72,10 +72,10 @@ def test_logs_whose_process_cannot_be_started_have_failed(
 ) -> None:
     """Their threads ended, and the call with 0, as if all were done."""
 
-    def refused(_: object) -> None:
+    def refused(*_: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    monkeypatch.setattr(many.Worker, "_start", refused)
+    monkeypatch.setattr(many.Processes, "_start", refused)
     call = ["run", *made(tmp_path, "a", "b", frames=1), "-j", "2", "-o", tmp_path / "out"]
     told = sonarrec(*call, code=1).stderr
     assert f"{tmp_path / 'a'}: no process could be started for it (Too many open files)" in told
@@ -86,7 +86,7 @@ def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch)
     def broken(*_: object) -> Outcome:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(many.Worker, "run", broken)
+    monkeypatch.setattr(many.Processes, "run", broken)
     tasks = [Task(name, name, "out", LogOptions(), RunOptions([])) for name in "ab"]
     with pytest.raises(ZeroDivisionError):
         many.run_apart(tasks, 2, many.Watch())
@@ -294,27 +294,6 @@ def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Pat
     first.write()
     second.write()
     assert rows(tmp_path)["a"]["status"] == "done"
-
-
-def test_what_failed_by_a_full_disk_does_not_stay_as_running(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The row has room where the table is; a whole new table has not."""
-    table = LogsTable(tmp_path, [Task("a", "a", str(tmp_path), LogOptions(), RunOptions([]))])
-    table.started(0)
-    table.write()
-
-    def full(_: Path) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(logs_table, "replaced", full)
-    table.ended(0, Outcome("failed", error=SonarrecError("no space")))
-    table.write()
-    assert table.fault is None
-    assert rows(tmp_path)["a"] | {"status": "failed", "message": "no space"} == rows(tmp_path)["a"]
-    table.ended(0, Outcome("failed", error=SonarrecError("no space " * 1000)))
-    table.write()
-    assert table.fault == f"{tmp_path / 'logs.csv'}: cannot be written (No space left on device)"
 
 
 def test_an_empty_logs_csv_holds_nothing_to_lose(tmp_path: Path) -> None:
