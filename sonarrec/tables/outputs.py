@@ -71,7 +71,13 @@ def check_output(
                 f"{name_as_text(path)}: it would become part of the recording; write somewhere else"
             )
     if not path.exists():
-        _check_folder(path)
+        above = next(place for place in path.parents if place.exists())
+        if not above.is_dir():
+            raise UsageError(f"{name_as_text(path)}: {name_as_text(above)} is not a folder")
+        if not os.access(above, os.W_OK | os.X_OK):
+            raise UsageError(
+                f"{name_as_text(path)}: no permission to write in {name_as_text(above)}"
+            )
         return
     if not path.is_dir() and not path.is_file():
         return  # a device, such as /dev/null
@@ -82,15 +88,6 @@ def check_output(
             f"{name_as_text(path)}: exists and is no {kind} of sonarrec, so it is not overwritten; "
             "choose another name, or remove it first"
         )
-
-
-def _check_folder(path: Path) -> None:
-    """Raise UsageError if the folder of a new file can neither be written nor created."""
-    above = next(place for place in path.parents if place.exists())
-    if not above.is_dir():
-        raise UsageError(f"{name_as_text(path)}: {name_as_text(above)} is not a folder")
-    if not os.access(above, os.W_OK | os.X_OK):
-        raise UsageError(f"{name_as_text(path)}: no permission to write in {name_as_text(above)}")
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -169,9 +166,6 @@ def replaced(path: Path) -> Iterator[Path]:
     try:
         if target.exists():
             target.open("r+b").close()  # a file that is read-only must not be replaced either
-            if not os.access(target.parent, os.W_OK):
-                yield path  # in place, since no file can be created beside it
-                return
             new.touch()
             shutil.copymode(target, new)
         for folder in new_folders:

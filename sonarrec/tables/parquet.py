@@ -112,22 +112,10 @@ def _plain(table: Any) -> Any:
     for k, field in enumerate(table.schema):
         category = pa.types.is_dictionary(field.type)
         values = field.type.value_type if category else field.type
-        if _is_bytes(values):
+        if "binary" in str(values):  # in one of several types
             as_text = table.column(k).cast(values).cast(pa.binary()).cast(pa.string())
             table = table.set_column(k, field.name, as_text)
     return table.to_pandas(ignore_metadata=True)
-
-
-def _is_bytes(kind: Any) -> bool:
-    """Whether an Arrow type is one of those of bytes."""
-    from pyarrow import types
-
-    return bool(
-        types.is_binary(kind)
-        or types.is_large_binary(kind)
-        or types.is_binary_view(kind)
-        or types.is_fixed_size_binary(kind)
-    )
 
 
 def _unreadable(path: Path, error: Exception) -> SonarrecError:

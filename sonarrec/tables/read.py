@@ -67,15 +67,12 @@ _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
 _WORDS = {
     "whole": "a whole number",
-    "number": "a finite number",
     "time": "a finite number, or a time with its UTC offset such as 2024-05-01T12:00:00Z",
-    "place": "a finite number",
-    "blank or number": "a finite number",
-    "blank or place": "a finite number",
     "share": "0 to 1",
     "flag": "0 or 1",
     "text": "a name",
 }
+"""What a cell must be; of other kinds a finite number."""
 
 
 def read_table(
@@ -284,7 +281,7 @@ def _wrong_cell(cell: object, value: Any, kind: Kind) -> str:
         bounds = " below 2^63"
     elif kind in _PLACES and np.isfinite(size):
         bounds = " from -1e9 to 1e9"
-    return f"must be {_WORDS[kind]}{bounds}, not {found}"
+    return f"must be {_WORDS.get(kind, 'a finite number')}{bounds}, not {found}"
 
 
 def cut(table: Table, rows: int) -> Table:
@@ -347,14 +344,13 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolArray]:
     """(the values of a column, which of its cells are invalid)."""
     blank = column.isna().to_numpy()
-    if kind == "text":
-        return column.array, blank
-    if kind == "blank or text":
-        return column.array, np.zeros(len(column), dtype=bool)
+    none = np.zeros(len(column), dtype=bool)
+    if kind in _TEXTS:
+        return column.array, blank if kind == "text" else none
     if kind == "label":
-        return _numbered(column, blank, labels), np.zeros(len(column), dtype=bool)
+        return _numbered(column, blank, labels), none
     if column.dtype.kind == "b" and kind == "flag":
-        return column.to_numpy(), np.zeros(len(column), dtype=bool)
+        return column.to_numpy(), none
     if column.dtype.kind in "iu" and column.dtype != np.uint64:
         values = column.to_numpy(dtype=np.int64)
     elif column.dtype.kind in "mM" or (column.dtype.kind == "O" and kind == "time"):

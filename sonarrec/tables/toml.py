@@ -74,36 +74,24 @@ def parse_toml(text: str, where: str, error: type[SonarrecError] = SonarrecError
     """The tables of a TOML text. where: its name in errors. Raises `error` if it is not TOML."""
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as fault:
+    except (ValueError, RecursionError) as fault:  # also of Python's own limit on digits
         raise error(f"{where}: not a readable TOML file ({fault})") from None
-    except RecursionError:
-        raise error(
-            f"{where}: not a readable TOML file (tables or lists nested too deep)"
-        ) from None
-    except ValueError:  # Python's own limit on the digits of a whole number
-        raise error(f"{where}: not a readable TOML file (a number of too many digits)") from None
-    if found := _beyond_toml(table):
-        *keys, what = found
-        named = ".".join(_key(k) for k in keys[:3])
-        raise error(f"{where}: not a readable TOML file ({named}: {what})")
+    if why := _beyond_toml(table):
+        raise error(f"{where}: not a readable TOML file ({why})")
     return table
 
 
-def _beyond_toml(value: Any, depth: int = 0) -> list[str]:
-    """The keys that lead to a value beyond the limits of TOML, and a description; [] if none.
+def _beyond_toml(value: Any, depth: int = 0) -> str:
+    """What is beyond the limits of TOML; "" if nothing is.
 
     Without such values a table is safe to print, to convert to floats and to traverse.
     """
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        return ["a whole number of more than 64 bits"]
-    if depth == MAX_DEPTH and isinstance(value, dict | list):
-        return ["nested too deep"]
-    if isinstance(value, list):
-        return next(filter(None, (_beyond_toml(v, depth + 1) for v in value)), [])
-    if isinstance(value, dict):
-        found = ((k, _beyond_toml(v, depth + 1)) for k, v in value.items())
-        return next(([k, *fault] for k, fault in found if fault), [])
-    return []
+        return "a whole number of more than 64 bits"
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if parts and depth == MAX_DEPTH:
+        return "tables or lists nested too deep"
+    return next(filter(None, (_beyond_toml(part, depth + 1) for part in parts)), "")
 
 
 def named_file(source: str | Path, built_in: Path) -> Path | None:
@@ -154,7 +142,7 @@ def from_table(
                 f"known{inside or ' keys'}: {known}"
             )
         name = names[key].name
-        wanted = types[name]
+        wanted: Any = types[name]
         rows: Any = get_args(wanted)[0] if get_origin(wanted) is tuple else None
         if _has_keys(wanted):
             part = None if over is None else getattr(over, name)
@@ -172,7 +160,12 @@ def from_table(
         values[name] = value
     if over is not None:
         return dataclasses.replace(over, **values)  # type: ignore[type-var]
-    lacks = [key for key, f in names.items() if f.name not in values and _needed(f)]
+    needed = (dataclasses.MISSING, dataclasses.MISSING)
+    lacks = [
+        key
+        for key, f in names.items()
+        if f.name not in values and (f.default, f.default_factory) == needed
+    ]
     if lacks:
         raise error(f"{place} lacks {', '.join(lacks)}")
     return kind(**values)
@@ -189,7 +182,7 @@ def checked(
     value: object, wanted: Any, label: str, error: type[SonarrecError] = SonarrecError
 ) -> Any:
     """`value` as the type `wanted`. Raises `error`, which begins with `label`, if it is invalid."""
-    whole = _without_meta(wanted) is int and isinstance(value, float) and value.is_integer()
+    whole = _bare(wanted)[0] is int and isinstance(value, float) and value.is_integer()
     try:  # 1e3 is a whole number too
         return msgspec.convert(int(value) if whole else value, wanted)  # type: ignore[call-overload]
     except msgspec.ValidationError:
@@ -199,44 +192,43 @@ def checked(
 @functools.cache
 def types_of(kind: Any) -> dict[str, Any]:
     """The fields' types with their bounds, by name; X for `X | None`, since TOML has no None."""
+
+    def without_none(hint: Any) -> Any:
+        if get_origin(hint) in (Annotated, tuple, Literal):
+            return hint
+        return next((a for a in get_args(hint) if a is not NoneType), hint)
+
     hints = get_type_hints(kind, include_extras=True)
-    return {name: _toml_type(hint) for name, hint in hints.items()}
-
-
-def _toml_type(hint: Any) -> Any:
-    if get_origin(hint) in (Annotated, tuple, Literal):
-        return hint
-    return next((a for a in get_args(hint) if a is not NoneType), hint)
+    return {name: without_none(hint) for name, hint in hints.items()}
 
 
 def _has_keys(wanted: Any) -> bool:
     return dataclasses.is_dataclass(wanted)
 
 
-def metas(wanted: Any) -> list[msgspec.Meta]:
-    """The annotations of a type."""
-    return list(get_args(wanted)[1:]) if get_origin(wanted) is Annotated else []
-
-
-def _without_meta(wanted: Any) -> Any:
-    return get_args(wanted)[0] if get_origin(wanted) is Annotated else wanted
+def _bare(wanted: Any) -> tuple[Any, tuple[msgspec.Meta, ...]]:
+    """(a type without its annotations, the annotations)."""
+    if get_origin(wanted) is not Annotated:
+        return wanted, ()
+    bare, *metas = get_args(wanted)
+    return bare, tuple(metas)
 
 
 def choices(wanted: Any) -> tuple[Any, ...]:
     """The values of a Literal type, else ()."""
-    bare = _without_meta(wanted)
+    bare, _ = _bare(wanted)
     return get_args(bare) if get_origin(bare) is Literal else ()
 
 
 def described(wanted: Any) -> str:
     """A type in words, such as "a number from 0 to 1"."""
-    bare = _without_meta(wanted)
+    bare, metas = _bare(wanted)
     if few := [f'"{c}"' if isinstance(c, str) else str(c) for c in choices(wanted)]:
         return " or ".join(filter(None, (", ".join(few[:-1]), few[-1])))
     if get_origin(bare) is tuple:
         each, *more = get_args(bare)
         count = f" of {1 + len(more)}" if Ellipsis not in more else ""
-        for meta in metas(wanted):
+        for meta in metas:
             count = f" of {meta.min_length} to {meta.max_length}"
         return f"a list{count}, each {described(each)}"
     if isinstance(bare, UnionType):
@@ -249,25 +241,18 @@ def described(wanted: Any) -> str:
     }
     if (kind := get_origin(bare) or bare) in words:
         return words[kind]
-    return _number_in_words(wanted)
-
-
-def _number_in_words(wanted: Any) -> str:
-    is_whole = _without_meta(wanted) is int
-    noun = "a whole number" if is_whole else "a number"
+    noun = "a whole number" if bare is int else "a number"
     least = most = beyond = ""
-    for meta in metas(wanted):
+    for meta in metas:
         if meta.gt is not None:
             beyond = f" above {meta.gt:g}"
         if meta.ge is not None and meta.ge > -(2**63):
             least = f"{meta.ge:g}"
         if meta.le is not None and meta.le < 2**63 - 1:
             most = f"{meta.le:g}"
-    if least and most:
-        return f"{noun} from {least} to {most}"
     if least:
-        return f"{noun}, {least} or more"
-    return noun + beyond if beyond or is_whole else "a finite number"
+        return f"{noun} from {least} to {most}" if most else f"{noun}, {least} or more"
+    return noun + beyond if beyond or bare is int else "a finite number"
 
 
 _short = reprlib.Repr()
@@ -282,7 +267,3 @@ def brief(value: object) -> str:
 def _key(key: str) -> str:
     """A key for a message, quoted if TOML requires it."""
     return key if re.fullmatch(r"[A-Za-z0-9_-]{1,60}", key) else brief(key)
-
-
-def _needed(field: dataclasses.Field[Any]) -> bool:
-    return field.default is field.default_factory is dataclasses.MISSING

@@ -117,8 +117,8 @@ def test_what_cannot_be_meant(reader: str, tmp_path: Path) -> None:
         ("[sonar]\nrange_min_m = 'near'", "sonar.range_min_m must be a finite number, not 'near'"),
         ("[fan]\napex_px = [1]", "fan.apex_px must be a list of 2, each a finite number, not [1]"),
         ("[odometry]\nname = 3", "odometry.name must be a text, not 3"),
-        (f"x = {'9' * 400}", "(x: a whole number of more than 64 bits)"),
-        (f"x.{'y.' * 5000}z = 1", "(x.y.y: nested too deep)"),
+        (f"x = {'9' * 400}", "(a whole number of more than 64 bits)"),
+        (f"x.{'y.' * 5000}z = 1", "(tables or lists nested too deep)"),
         ("x = 1\0", "(at line 1, column 6)"),
     ],
 )
