@@ -1,4 +1,4 @@
-"""Fetches logs, tables and results into the cache, if wanted in the background.
+"""Fetches logs, tables and results into the cache.
 
 Files have the same relative paths in the cache as on the server, so that a log's companions are
 found beside it. In messages the paths of the cache are replaced by those of the server.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
@@ -31,10 +31,6 @@ Progress = Callable[[int, int | None], None]
 """Called as bytes arrive with how many have arrived, and how many there are, None if unknown."""
 
 
-def no_progress(_arrived: int, _all: int | None) -> None:
-    pass
-
-
 @dataclass(frozen=True, slots=True)
 class CachedCopy:
     """A log or results in the cache.
@@ -52,35 +48,21 @@ class CachedCopy:
 
 @contextmanager
 def fetched(
-    log: RemoteLog | str, cache: Cache, progress: Progress = no_progress, *, wait: bool = True
+    log: RemoteLog | str, cache: Cache, progress: Progress | None = None
 ) -> Iterator[CachedCopy]:
     """A log in the cache: fetched if it is missing or has changed, and kept while it is used.
 
     Several processes or threads may call it at once for one log; it is fetched once.
-    progress: called as bytes arrive. wait: until other logs make room, instead of raising
-    NoRoomError. Raises SonarrecError if it cannot be fetched. In a SonarrecError raised inside,
-    paths of the cache are replaced by those of the server.
+    It waits until other logs make room. progress: called as bytes arrive.
+    Raises SonarrecError if it cannot be fetched. In a SonarrecError raised inside, paths of the
+    cache are replaced by those of the server.
     """
     from sonarrec.remote.store import Store
 
     log = log if isinstance(log, RemoteLog) else RemoteLog(with_literal_name(parse_url(log)))
     root, name, items = items_of(log, Store(log.url))
-    with _kept(log.url, root, items, cache, progress, wait) as (files, origin):
+    with _kept(log.url, root, items, cache, progress) as (files, origin):
         yield CachedCopy(files / name, origin, files if log.up_to else None)
-
-
-def fetch_ahead(log: RemoteLog, cache: Cache) -> None:
-    """Fetch a log in the background, if there is room beside the logs in use.
-
-    `fetched` then finds it, or reports the error.
-    """
-
-    def fetch() -> None:
-        with suppress(Exception), fetched(log, cache, wait=False):
-            pass
-
-    # A daemon, so that a run that is stopped does not wait for the transfer.
-    threading.Thread(target=fetch, daemon=True).start()
 
 
 @contextmanager
@@ -137,8 +119,7 @@ def _kept(
     root: Url,
     items: Sequence[Item],
     cache: Cache,
-    progress: Progress = no_progress,
-    wait: bool = True,
+    progress: Progress | None = None,
 ) -> Iterator[tuple[Path, Origin]]:
     """The folder in the cache with exactly these files, which are not deleted inside.
 
@@ -163,7 +144,7 @@ def _kept(
                 with cache.hold(key, alone=True) as entry:
                     _fill(entry, url.redacted, wanted, cache, progress)
             except NoRoomError:
-                if not wait or not lasting:
+                if not lasting:
                     raise
                 sleep(1.0)
             except OSError as error:  # the disk is full
@@ -178,15 +159,18 @@ def _is_whole(entry: Path, name: str, item: Item) -> bool:
     return path.is_file() and item.size in (None, path.stat().st_size)
 
 
-def _fill(entry: Path, url: str, wanted: dict[str, Item], cache: Cache, progress: Progress) -> None:
+def _fill(
+    entry: Path, url: str, wanted: dict[str, Item], cache: Cache, progress: Progress | None
+) -> None:
     """Fetch the missing files, several at once. Raises SonarrecError."""
     from sonarrec.remote.store import AT_ONCE, BLOCK_BYTES, Store
 
     sizes = [item.size for item in wanted.values()]
     room = sum(size or 0 for size in sizes)
     cache.reserve(entry, room, url)
-    lacks = [name for name, item in wanted.items() if not _is_whole(entry, name, item)]
-    total = None if None in sizes else sum(wanted[name].size or 0 for name in lacks)
+    missing = [name for name, item in wanted.items() if not _is_whole(entry, name, item)]
+    total = None if None in sizes else sum(wanted[name].size or 0 for name in missing)
+    lacks = iter(missing)
     arrived, lock, errors = 0, threading.Lock(), list[BaseException]()
 
     def count(more: int) -> None:
@@ -198,22 +182,19 @@ def _fill(entry: Path, url: str, wanted: dict[str, Item], cache: Cache, progress
             if arrived > room and total is None:  # by files whose server states no size
                 room = arrived + BLOCK_BYTES if arrived + BLOCK_BYTES < cache.limit else arrived
                 cache.reserve(entry, room, url)
-            progress(arrived, total)
+            if progress is not None:
+                progress(arrived, total)
 
     def work() -> None:
-        while not errors:
-            with lock:
-                if not lacks:
-                    return
-                name = lacks.pop()
-            item = wanted[name]
-            try:
+        try:
+            while not errors and (name := next(lacks, None)):
+                item = wanted[name]
                 Store(item.url).fetch(item, entry / "files" / name, count, resume=True)
-            except BaseException as error:  # raised below
-                errors.append(error)
+        except BaseException as error:  # raised below
+            errors.append(error)
 
     # Daemons, so that a run that is stopped does not wait for transfers.
-    threads = [threading.Thread(target=work, daemon=True) for _ in lacks[:AT_ONCE]]
+    threads = [threading.Thread(target=work, daemon=True) for _ in missing[:AT_ONCE]]
     try:
         for thread in threads:
             thread.start()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from sonarrec.errors import MissingError, SonarrecError, UsageError
 from sonarrec.readers.containers.bag_folder import METADATA, are_parts
-from sonarrec.readers.containers.images import MAX_FILE_BYTES, names_an_image
+from sonarrec.readers.containers.images import names_an_image
 from sonarrec.readers.named_logs import RESULTS
 from sonarrec.readers.open import log_name, names_a_log
 from sonarrec.remote.urls import HIDDEN, Url, parse_url
@@ -54,28 +54,24 @@ def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
     Raises UsageError if the URL is invalid, or if a folder holds images and other logs.
     """
     url = parse_url(text)
+    from sonarrec.remote.store import Store
+
     try:
-        return _find(with_literal_name(url), recursive)
+        found = with_literal_name(url)
+        if _is_glob(found):
+            logs, up_to = _bags_as_one(Store(found), found), _fixed(found)
+        elif _is_file(found):
+            return [RemoteLog(found)]
+        else:
+            found = up_to = replace(found, literal=True)
+            logs = list(_below(Store(found), found, recursive))
     except SonarrecError as error:
         if isinstance(error, UsageError) and not isinstance(error, MissingError):
             raise
         return [RemoteLog(url)]
-
-
-def _find(url: Url, recursive: bool) -> list[RemoteLog]:
-    from sonarrec.remote.store import Store
-
-    if _is_glob(url):
-        logs, up_to = _bags_as_one(Store(url), url), _fixed(url)
-    elif _is_file(url):
-        return [RemoteLog(url)]
-    else:
-        url = replace(url, literal=True)
-        logs, up_to = list(_below(Store(url), url, recursive)), url
-    if not logs or [log.path.rstrip("/") for log in logs] == [url.path.rstrip("/")]:
-        return [RemoteLog(logs[0] if logs else url)]
-    logs.sort(key=lambda log: natural_order(log.path))
-    return [RemoteLog(log, up_to) for log in logs]
+    if not logs or [log.path.rstrip("/") for log in logs] == [found.path.rstrip("/")]:
+        return [RemoteLog(logs[0] if logs else found)]
+    return [RemoteLog(log, up_to) for log in sorted(logs, key=lambda log: natural_order(log.path))]
 
 
 def _bags_as_one(store: Store, pattern: Url) -> list[Url]:
@@ -154,7 +150,13 @@ def items_of(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
         if _is_glob(url):
             items = [i for i in store.glob(url) if names_an_image(i.url.name)]
         else:
-            items = [i for i in store.listing(url)[0] if _belongs(i.url.name)]
+            items = [
+                i
+                for i in store.listing(url)[0]
+                if names_a_log(i.url.name)
+                or names_an_image(i.url.name)
+                or i.url.name.endswith((METADATA, *COMPANIONS))
+            ]
         if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
             raise SonarrecError(f"{url.redacted}: no log and no image here")
         items = store.described(items)
@@ -167,8 +169,8 @@ def items_of(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
 def beside(text: str, name: str) -> tuple[Item | None, int | None]:
     """(the companion `name` of the log at a URL, None if there is none; the log's size).
 
-    The size is counted as in run.toml, and None if not known.
-    Raises SonarrecError if the log is missing or the server cannot be read.
+    The size is None if not known, as that of a folder.
+    Raises SonarrecError if a file is missing or the server cannot be read.
     """
     from sonarrec.remote.store import Store
 
@@ -176,31 +178,9 @@ def beside(text: str, name: str) -> tuple[Item | None, int | None]:
         raise SonarrecError(f"{text}: run.toml does not keep the secret that gives access there")
     log = RemoteLog(with_literal_name(parse_url(text)))
     store = Store(log.url)
-    size = _bytes(log.url, store)
+    size = store.file(log.url).size if _is_file(log.url) else None
     companions = map(store.item, _companions(log, (name,)))
     return next((item for item in companions if item is not None), None), size
-
-
-def _bytes(log: Url, store: Store) -> int | None:
-    if _is_file(log):
-        return store.file(log).size
-    files = store.glob(log) if _is_glob(log) else store.listing(log)[0]
-    images = [item for item in files if names_an_image(item.url.name)]
-    if not images or any(names_a_log(item.url.name) for item in files):
-        return None  # a bag: only its metadata say which files belong to it
-    total = 0
-    for item in images:
-        if item.size is None:  # read from an index page
-            return None
-        total += item.size if item.size <= MAX_FILE_BYTES else 0
-    return total
-
-
-def _belongs(name: str) -> bool:
-    """Whether a file of this name in the folder of a log is a part or a companion of it."""
-    return (
-        names_a_log(name) or names_an_image(name) or name == METADATA or name.endswith(COMPANIONS)
-    )
 
 
 def _around(log: RemoteLog) -> tuple[Url, Url]:

@@ -5,7 +5,6 @@ Errors of the libraries become one line without secrets. Broken transfers are tr
 
 from __future__ import annotations
 
-import glob
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +14,7 @@ from pathlib import Path
 from time import sleep
 from typing import Any, TypeVar
 
-from sonarrec.errors import MissingError, SonarrecError, UsageError
+from sonarrec.errors import MissingError, SonarrecError
 from sonarrec.remote.cache import unwritable
 from sonarrec.remote.urls import Url
 
@@ -88,20 +87,23 @@ class Store:
 
     def listing(self, folder: Url) -> tuple[list[Item], list[str]]:
         """(files, names of folders) in a folder."""
-        path = f"{_page(folder).rstrip('/')}/" if folder.is_web else _path(folder)
+        path = f"{folder.front}{folder.path.rstrip('/')}/" if folder.is_web else folder.path
+        inside = folder.plain_path.rstrip("/")
         files, folders = [], []
         for entry in _retried(folder, lambda: self._fs.ls(path, detail=True)):
             url = _listed(folder, entry["name"])
             if entry["type"] == "directory":
                 folders.append(url.name)
             # Index pages have other links too.
-            elif not url.path.endswith("/") and (not folder.is_web or _is_inside(url, folder)):
+            elif not url.path.endswith("/") and (
+                not folder.is_web or url.parent.plain_path.endswith(inside)
+            ):
                 files.append(_item(url, entry))
         return files, folders
 
     def glob(self, pattern: Url) -> list[Item]:
         """The files that match."""
-        path = _page(pattern) if pattern.is_web else _path(pattern)
+        path = pattern.front * pattern.is_web + pattern.path
         found = _retried(pattern, lambda: self._fs.glob(path, detail=True))
         return [
             _item(_listed(pattern, name), entry)
@@ -134,13 +136,12 @@ class Store:
 
         def ask() -> None:
             nonlocal counted, whole_only
-            at = part.stat().st_size if part.exists() and (resume or counted) else 0
-            at = 0 if whole_only or at > (item.size or 0) else at
+            left = part.stat().st_size if part.exists() and (resume or counted) else 0
+            at = 0 if whole_only or left > (item.size or 0) else left
             options = {"block_size": 0 if whole_only else BLOCK_BYTES, "cache_type": "none"}
+            options = {} if item.url.scheme == "sftp" else options
             with (
-                self._fs.open(
-                    _path(item.url), "rb", **options if item.url.scheme != "sftp" else {}
-                ) as file,
+                self._fs.open(_path(item.url), "rb", **options) as file,
                 part.open("r+b" if at else "wb") as out,
             ):
                 if at:
@@ -149,8 +150,6 @@ class Store:
                 while True:
                     progress(at - counted)
                     counted = at
-                    if at == item.size:
-                        return
                     try:
                         block = file.read(min(BLOCK_BYTES, (item.size or 2**63) - at))
                     except ValueError:  # so fsspec says that a web server sends no parts
@@ -164,7 +163,7 @@ class Store:
                     except OSError as error:
                         raise unwritable(part, error) from None
                     at += len(block)
-            if item.size is not None:
+            if item.size not in (None, at):
                 raise BrokenError(f"{at} of {item.size} bytes came")
 
         try:
@@ -180,15 +179,10 @@ class Store:
             raise unwritable(part, error) from None
 
     def put(self, file: Path, url: Url) -> None:
-        """Upload a file, which appears only when it is complete."""
+        """Upload a file."""
 
         def ask() -> None:
-            # SFTP shows files while they grow.
-            to = url.parent.child(f"{url.name}.part") if url.scheme == "sftp" else url
-            self._fs.put_file(str(file), _path(to))
-            if to != url:
-                self.remove(url)
-                self._fs.mv(_path(to), _path(url))
+            self._fs.put_file(str(file), _path(url))
             there = self.item(url)
             if there is None or there.size != file.stat().st_size:
                 raise BrokenError("the server does not have the whole file")
@@ -196,11 +190,9 @@ class Store:
         _retried(url, ask)
 
     def remove(self, url: Url) -> None:
-        """Delete a file, or a folder and its contents, if it exists."""
-        # s3fs and gcsfs treat the path as a glob, which could delete other files.
-        path = _path(url) if url.scheme == "sftp" else glob.escape(_path(url))
+        """Delete a file, if it exists."""
         with suppress(MissingError):
-            _retried(url, lambda: self._fs.rm(path, recursive=True))
+            _retried(url, lambda: self._fs.rm_file(_path(url)))
 
 
 def _filesystem(url: Url) -> Any:
@@ -223,10 +215,6 @@ def _path(url: Url) -> str:
     return str(url) if url.is_web else url.path
 
 
-def _page(url: Url) -> str:
-    return f"{url.front}{url.path}"
-
-
 def _listed(near: Url, name: str) -> Url:
     """The URL of a listed name: a URL, quoted somehow, of a web server, else a path."""
     if not near.is_web:
@@ -237,24 +225,10 @@ def _listed(near: Url, name: str) -> Url:
     return replace(near, path=path)
 
 
-def _is_inside(url: Url, folder: Url) -> bool:
-    return url.parent.plain_path.endswith(folder.plain_path.rstrip("/"))
-
-
 def _item(url: Url, info: Mapping[str, Any]) -> Item:
     tag = next((info[k] for k in ("ETag", "etag", "Last-Modified", "mtime") if info.get(k)), None)
     named = replace(url, literal=True)
     return Item(named, info.get("size"), None if tag is None else str(tag))
-
-
-def writable(url: Url) -> Url:
-    """The URL itself. Raises UsageError if results cannot be written there."""
-    if url.is_web:
-        raise UsageError(
-            f"{url.redacted}: results cannot be written to a web server; give a local --out, "
-            "or s3://, gs://, sftp://"
-        )
-    return url
 
 
 def _retried(url: Url, ask: Callable[[], T]) -> T:

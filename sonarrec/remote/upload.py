@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sonarrec.errors import MissingError, SonarrecError
+from sonarrec.errors import MissingError, SonarrecError, UsageError
 from sonarrec.nouns import Origin
 from sonarrec.remote.cache import Cache, key_of, only_one
-from sonarrec.remote.store import Item, Store, writable
+from sonarrec.remote.store import Item, Store
 from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, MADE, OURS, PAGES, TABLES, estimates_of
 from sonarrec.tables.outputs import is_output
@@ -33,7 +33,7 @@ class Outbox:
 
     def __init__(self, out: Url, cache: Cache) -> None:
         """Raises UsageError if nothing can be written there."""
-        self.url = writable(out)
+        self.url = _writable(out)
         self.folder = cache.folder / "out" / key_of(self.url.redacted)
         self.origin = Origin(self.url.redacted, str(self.folder), self.url.redacted.rstrip("/"))
 
@@ -97,30 +97,20 @@ def _listing(store: Store, remote: Url) -> tuple[dict[str, Item], list[str]]:
 
 def _upload(store: Store, local: Path, remote: Url) -> None:
     before, folders = _listing(store, remote)
-    for old in sorted(before.keys() & set(OURS), key=lambda name: name != _MARK):
-        store.remove(remote.child(old))
-    for place in (*_made_inside(store, remote, folders), *_pages(store, before)):
+    old = [remote.child(name) for name in sorted(before.keys() & set(OURS), key=_MARK.__ne__)]
+    for folder in (remote.child(name) for name in MADE.keys() & set(folders)):
+        files, _ = _listing(store, folder)
+        old += [folder.child(name) for name in files.keys() & set(MADE[folder.name])]
+    # Pages are known by their mark; others belong to the user.
+    with tempfile.TemporaryDirectory(prefix="sonarrec-") as temporary:
+        for name in PAGES.keys() & before.keys():
+            store.fetch(before[name], page := Path(temporary) / name)
+            old += [before[name].url] if is_output(page, PAGES[name]) else []
+    for place in old:
         store.remove(place)
     paths = sorted(p for p in local.rglob("*") if p.is_file())
     for path in sorted(paths, key=lambda p: p == local / _MARK):
         store.put(path, remote.child(path.relative_to(local).as_posix()))
-
-
-def _made_inside(store: Store, remote: Url, folders: Sequence[str]) -> Iterator[Url]:
-    """Files of evaluations and maps of the old results; the folder itself if it holds no others."""
-    for name in MADE.keys() & set(folders):
-        files, below = store.listing(remote.child(name))
-        ours = [item.url for item in files if item.url.name in MADE[name]]
-        yield from ours if below or len(ours) < len(files) else [remote.child(name)]
-
-
-def _pages(store: Store, files: Mapping[str, Item]) -> Iterator[Url]:
-    """The pages made from the old results, known by their mark; others belong to the user."""
-    with tempfile.TemporaryDirectory(prefix="sonarrec-") as temporary:
-        for name in PAGES.keys() & files.keys():
-            store.fetch(files[name], page := Path(temporary) / name)
-            if is_output(page, PAGES[name]):
-                yield files[name].url
 
 
 def _fetch_held(store: Store, remote: Url, local: Path) -> None:
@@ -137,13 +127,23 @@ def _fetch_held(store: Store, remote: Url, local: Path) -> None:
         (local / large).touch()
 
 
+def _writable(url: Url) -> Url:
+    """The URL itself. Raises UsageError if results cannot be written there."""
+    if url.is_web:
+        raise UsageError(
+            f"{url.redacted}: results cannot be written to a web server; give a local --out, "
+            "or s3://, gs://, sftp://"
+        )
+    return url
+
+
 @contextmanager
 def uploaded(out: str, name: str = "") -> Iterator[tuple[Path, Origin]]:
     """A local place for an output that is uploaded to `out` at the end.
 
     name: of the file, "" for a folder. Raises SonarrecError if it cannot be uploaded.
     """
-    url = writable(parse_url(out))
+    url = _writable(parse_url(out))
     with tempfile.TemporaryDirectory(prefix="sonarrec-") as temporary:
         folder = Path(temporary)
         place = folder / name if name else folder

@@ -21,7 +21,6 @@ from time import monotonic, sleep
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import FrameResult
-from sonarrec.remote.fetch import fetch_ahead
 from sonarrec.runs.task import GRACE_S, Outcome, Task, run_task
 
 # The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the
@@ -56,7 +55,7 @@ class Watch:
 
 
 def run_here(tasks: list[Task], watch: Watch) -> None:
-    """Run tasks one after the other in this process; the next remote log is fetched meanwhile."""
+    """Run tasks one after the other in this process."""
     for i, task in enumerate(tasks):
         done = 0
 
@@ -64,10 +63,6 @@ def run_here(tasks: list[Task], watch: Watch) -> None:
             nonlocal done
             done += 1
             watch.frames(i, done, total)
-            later = (other.remote for other in tasks[i + 1 :]) if done == 1 else ()
-            if ahead := next((remote for remote in later if remote and remote.log), None):
-                assert ahead.log is not None
-                fetch_ahead(ahead.log, ahead.cache)
 
         watch.started(i)
         watch.ended(i, run_task(task, observe, partial(watch.fetching, i)))

@@ -10,7 +10,7 @@ from time import monotonic
 from typing import Literal
 
 from sonarrec.errors import SonarrecError, name_as_text
-from sonarrec.remote.fetch import Progress, fetched, no_progress
+from sonarrec.remote.fetch import Progress, fetched
 from sonarrec.remote.run import RemotePlaces
 from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import LogOptions, existing_results
@@ -75,7 +75,7 @@ def plan_task(task: Task) -> str:
 
 
 def run_task(
-    task: Task, observe: Observe | None = None, fetching: Progress = no_progress
+    task: Task, observe: Observe | None = None, fetching: Progress | None = None
 ) -> Outcome:
     """Run a task in this process. A fault of the input becomes an outcome; a bug raises.
 
@@ -107,7 +107,7 @@ def run_task(
 
 @contextmanager
 def _at_hand(
-    task: Task, fetching: Progress = no_progress, *, upload: bool = True
+    task: Task, fetching: Progress | None = None, *, upload: bool = True
 ) -> Iterator[tuple[Path, LogOptions, Callable[[str], str]]]:
     """What to open, how to read it, and a function that puts a server's names into a line.
 

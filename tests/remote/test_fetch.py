@@ -16,7 +16,7 @@ import pytest
 from sonarrec.errors import SonarrecError
 from sonarrec.remote import store
 from sonarrec.remote.cache import Cache, size_bytes
-from sonarrec.remote.fetch import fetch_ahead, fetched
+from sonarrec.remote.fetch import fetched
 from sonarrec.remote.find import RemoteLog, find
 from sonarrec.remote.urls import parse_url
 from tests.support.logs import SONAR_TOML
@@ -413,37 +413,3 @@ def test_sizes() -> None:
     for text in ("", "many", "-1GB", "1XB"):
         with pytest.raises(SonarrecError, match="--cache-size"):
             size_bytes(text)
-
-
-# Ahead
-
-
-def test_a_log_that_was_fetched_ahead_is_not_fetched_again(site: Path, cache: Cache) -> None:
-    noise(site / "a.mcap")
-    with web_server(site) as web:
-        log = RemoteLog(parse_url(f"{web.url}/a.mcap"))
-        fetch_ahead(log, cache)
-        for _ in range(200):
-            if web.gets("a.mcap"):
-                break
-            time.sleep(0.01)
-        with fetched(log, cache) as found:  # waits until it is whole
-            assert found.path.read_bytes() == (site / "a.mcap").read_bytes()
-        assert len(web.gets("a.mcap")) == 1
-
-
-def test_one_that_does_not_fit_beside_the_log_in_use_comes_later(
-    site: Path, tmp_path: Path
-) -> None:
-    cache = Cache(tmp_path / "cache", 60_000)
-    for n in range(2):
-        noise(site / f"{n}.mcap", seed=n)
-    with web_server(site) as web:
-        logs = [RemoteLog(parse_url(f"{web.url}/{n}.mcap")) for n in range(2)]
-        with fetched(logs[0], cache) as first:
-            fetch_ahead(logs[1], cache)
-            time.sleep(0.2)
-            assert first.path.read_bytes() == (site / "0.mcap").read_bytes()
-            assert not web.gets("1.mcap")
-        with fetched(logs[1], cache) as second:
-            assert second.path.read_bytes() == (site / "1.mcap").read_bytes()
