@@ -6,25 +6,18 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import LEARNING, NEW_FILE, command, file_names, option
-from sonarrec.cli.options import (
-    SettingsChoice,
-    ground_truth_option,
-    landmarks_option,
-    out_option,
-    quiet_option,
-    settings_options,
-)
 from sonarrec.cli.options_log import LogChoice, log_options
 
 
 @command(short_help="Learn from labelled logs how landmarks look.")
 @click.argument("log", shell_complete=file_names, nargs=-1, required=True)
-@ground_truth_option("gt.csv with positions.", required=True)
+@options.ground_truth("gt.csv with positions.", required=True)
 @log_options(time=True)
-@landmarks_option
+@options.landmarks
 @option(
     LEARNING,
     "--from-scratch",
@@ -32,16 +25,16 @@ from sonarrec.cli.options_log import LogChoice, log_options
     help="Do not start from the built-in model. This needs thousands of labelled frames that show "
     "everything that may occur.",
 )
-@settings_options
-@out_option(NEW_FILE, "The model, for `sonarrec run --model`.", required=True)
-@quiet_option
+@options.settings
+@options.out(NEW_FILE, "The model, for `sonarrec run --model`.", required=True)
+@options.quiet
 def calibrate(
     log: tuple[str, ...],
     ground_truth: Path,
     log_choice: LogChoice,
     landmarks: str | None,
     from_scratch: bool,
-    settings: SettingsChoice,
+    settings: options.SettingsChoice,
     out: Path,
     quiet: bool,
 ) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.groups import command
-from sonarrec.cli.options import SettingsChoice, settings_options
 
 
 @command(short_help="Print every setting, as a file for --config.")
-@settings_options
-def config(settings: SettingsChoice) -> None:
+@options.settings
+def config(settings: options.SettingsChoice) -> None:
     """Print the configuration, with units and meanings, as a file for --config.
 
     \b

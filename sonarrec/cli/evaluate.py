@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, leave, say, tell
 from sonarrec.cli.groups import BATCH, OUTPUT, SCORING, FiniteRange, command, option
-from sonarrec.cli.options import (
-    compare_option,
-    ground_truth_option,
-    out_option,
-    pairs_option,
-    quiet_option,
-    scoring_options,
-)
-from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
 from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,16 +21,14 @@ if TYPE_CHECKING:
     from sonarrec.evaluation.matching.pairs import Pair
     from sonarrec.remote.run import RemoteFiles
 
-    Truth = Path | list[Pair] | None  # one table, pairs, or None: that beside each log
-
 
 @command(short_help="Score results against ground truth, or compare two.")
-@click.argument("results", type=ANY_OR_URL, required=False)
-@ground_truth_option(
-    "gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.", kind=FILE_OR_URL
+@click.argument("results", type=options.ANY_OR_URL, required=False)
+@options.ground_truth(
+    "gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.", kind=options.FILE_OR_URL
 )
-@pairs_option
-@compare_option("what got better or worse from OLD to NEW, frame by frame.")
+@options.pairs
+@options.compare("what got better or worse from OLD to NEW, frame by frame.")
 @option(
     SCORING,
     "--fail-on-regression",
@@ -55,7 +45,7 @@ if TYPE_CHECKING:
     help="Independent unit: a pass of a landmark, or a log.  "
     "[default: log if there are ten or more]",
 )
-@scoring_options
+@options.scoring
 @option(
     BATCH,
     "-j",
@@ -79,11 +69,12 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Print evaluation.json (compare.json with --compare), and nothing else, on stdout.",
 )
-@out_option(
-    ANY_OR_URL, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]"
+@options.out(
+    options.ANY_OR_URL,
+    "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]",
 )
-@cache_options
-@quiet_option
+@options.cache
+@options.quiet
 def evaluate(
     results: Path | str | None,
     ground_truth: Path | str | None,
@@ -97,7 +88,7 @@ def evaluate(
     det: bool,
     as_json: bool,
     out: Path | str | None,
-    cache: CacheChoice,
+    cache: options.GetCache,
     quiet: bool,
 ) -> None:
     """Score RESULTS against ground truth: rates, ROC, intervals and tests, per method and ID.
@@ -128,125 +119,75 @@ def evaluate(
 
     results = results or Path("sonarrec_out")
     beside = results if pairs is None else pairs.parent
+    out = out or inside(beside if compare is None else compare[1], "evaluation")
+    worse: Sequence[str] = ()
     with ExitStack() as stack:  # outputs are uploaded as it closes, so leave() comes after it
-        remote = RemoteFiles(stack, cache.cache)
-        call = _Call(
-            truth=remote.file(ground_truth) if pairs is None else read_pairs(pairs),
-            scoring=scoring,
-            unit=unit,
-            jobs=jobs,
-            out=out or inside(beside if compare is None else compare[1], "evaluation"),
-            remote=remote,
-            as_json=as_json,
-            quiet=quiet,
-        )
+        remote = RemoteFiles(stack, cache)
+        truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
         if compare is not None:
-            code = _compare(call, compare, band)
+            from sonarrec.evaluation.compare.screen import screen
+            from sonarrec.evaluation.compare.write import comparison_json, write_comparison
+
+            compared = compare_sides(compare, truth, scoring, remote, unit, jobs)
+            folder = remote.output(out)
+            files: Sequence[str] = write_comparison(folder, compared)
+            notes, unused = compared.notes, (*remote.unused, *compared.unused)
+            worse = [] if band is None else compared.regressions(band)
+            document: Iterable[str] = comparison_json(compared)
+            screens = [] if quiet or as_json else [screen(compared)]
         else:
-            code = _score(call, results, details=details, det=det)
-    if code:
+            from sonarrec.evaluation import tabulate, write
+            from sonarrec.evaluation.evaluate import evaluate_many
+            from sonarrec.evaluation.summary import summarise
+
+            if isinstance(truth, list):  # pairs name the results too
+                scored = evaluate_many(truth, None, scoring, jobs=jobs)
+            else:
+                place, find = remote.results(results), remote.beside
+                scored = evaluate_many(place, truth, scoring, jobs=jobs, find_beside=find)
+            there = remote.with_server_names
+            notes, unused = tuple(map(there, scored.notes)), tuple(map(there, scored.unused))
+            scored = replace(scored, notes=notes, unused=unused)
+            folder = remote.output(out)
+            summary = summarise(scored, unit)
+            files = write.write_evaluation(folder, scored, summary, det)
+            notes, unused = (*notes, *summary.notes), (*remote.unused, *unused)
+            document = [write.json_text(write.as_json(scored, summary))] if as_json else []
+            screens = [tabulate.screen(scored), tabulate.summary_screen(scored, summary, details)]
+        tell(unused, notes if quiet and not as_json else ())
+        if as_json:
+            for piece in document:
+                click.echo(piece, nl=False)
+        elif not quiet:
+            click.echo("\n".join(screens))
+            say(*(f"note: {note}" for note in notes))
+            say(f"{remote.with_server_names(str(folder))}: {', '.join(files)}")
+        tell(f"worse: {line}" for line in worse)
+    if code := 1 if worse else PARTLY if unused else 0:
         leave(code)
-
-
-@dataclass(frozen=True, slots=True)
-class _Call:
-    """What scoring and comparing have in common. unit: None to choose it by the number of logs."""
-
-    truth: Truth
-    scoring: ScoringOptions
-    unit: Any
-    jobs: int | None
-    out: Path | str
-    remote: RemoteFiles
-    as_json: bool
-    quiet: bool
-
-    def tell(self, unused: Sequence[str], notes: Sequence[str]) -> None:
-        """Print on stderr what could not be used, and the notes if stdout does not show them."""
-        tell(unused, notes if self.quiet and not self.as_json else ())
-
-    def say_written(self, notes: Sequence[str], folder: Path, files: Sequence[str]) -> None:
-        """Print the notes and the files that were written."""
-        for note in notes:
-            say(f"note: {note}")
-        say(f"{self.remote.with_server_names(str(folder))}: {', '.join(files)}")
-
-
-def _score(call: _Call, results: Path | str, *, details: bool, det: bool) -> int:
-    """Score and print; returns the exit code. results: not used if the truth is a list of pairs."""
-    from sonarrec.evaluation import tabulate, write
-    from sonarrec.evaluation.evaluate import evaluate_many
-    from sonarrec.evaluation.summary import summarise
-
-    truth, remote = call.truth, call.remote
-    if isinstance(truth, list):  # pairs name the results too
-        result = evaluate_many(truth, None, call.scoring, jobs=call.jobs)
-    else:
-        result = evaluate_many(
-            remote.results(results),
-            truth,
-            call.scoring,
-            jobs=call.jobs,
-            find_beside=remote.beside,
-        )
-    folder = remote.output(call.out)
-    result = replace(
-        result,
-        notes=tuple(map(remote.with_server_names, result.notes)),
-        unused=tuple(map(remote.with_server_names, result.unused)),
-    )
-    summary = summarise(result, call.unit)
-    files = write.write_evaluation(folder, result, summary, det)
-    unused, notes = [*remote.unused, *result.unused], [*result.notes, *summary.notes]
-    call.tell(unused, notes)
-    if call.as_json:
-        click.echo(write.json_text(write.as_json(result, summary)), nl=False)
-    elif not call.quiet:
-        click.echo(tabulate.screen(result))
-        click.echo(tabulate.summary_screen(result, summary, details))
-        call.say_written(notes, folder, files)
-    return PARTLY if unused else 0
-
-
-def _compare(call: _Call, sides: tuple[Path | str, Path | str], band: float | None) -> int:
-    """Compare and print; returns the exit code. band: of --fail-on-regression."""
-    from sonarrec.evaluation.compare.screen import screen
-    from sonarrec.evaluation.compare.write import comparison_json, write_comparison
-
-    remote = call.remote
-    result = compare_sides(sides, call.truth, call.scoring, remote, call.unit, call.jobs)
-    folder = remote.output(call.out)
-    files = write_comparison(folder, result)
-    unused = [*remote.unused, *result.unused]
-    call.tell(unused, result.notes)
-    if call.as_json:
-        for piece in comparison_json(result):
-            click.echo(piece, nl=False)
-    elif not call.quiet:
-        click.echo(screen(result))
-        call.say_written(result.notes, folder, files)
-    regressions = [] if band is None else result.regressions(band)
-    tell(f"worse: {line}" for line in regressions)
-    return 1 if regressions else PARTLY if unused else 0
 
 
 def compare_sides(
     sides: tuple[Path | str, Path | str],
-    truth: Truth,
+    truth: Path | list[Pair] | None,
     scoring: ScoringOptions,
     remote: RemoteFiles,
     unit: Any = None,
     jobs: int | None = None,
 ) -> Comparison:
-    """Compare two results, local or on servers, as `evaluation.compare.compare.compare`."""
+    """Compare two results, local or on servers, as `evaluation.compare.compare.compare`.
+
+    truth: one table, pairs, or None: that beside each log.
+    """
     from sonarrec.evaluation.compare.compare import compare
 
     old, new = map(remote.results, sides)
     result = compare(old, new, truth, scoring, unit=unit, jobs=jobs, find_beside=remote.beside)
+    there = remote.with_server_names
     return replace(
         result,
-        old=remote.with_server_names(result.old),
-        new=remote.with_server_names(result.new),
-        notes=tuple(map(remote.with_server_names, result.notes)),
-        unused=tuple(map(remote.with_server_names, result.unused)),
+        old=there(result.old),
+        new=there(result.new),
+        notes=tuple(map(there, result.notes)),
+        unused=tuple(map(there, result.unused)),
     )

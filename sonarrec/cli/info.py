@@ -11,13 +11,12 @@ from typing import IO, TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.bars import fetching, progress
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, leave, say, tell
 from sonarrec.cli.groups import INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.info_text import lines, radii_lines
-from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
-from sonarrec.cli.options_remote import CacheChoice, cache_options
 from sonarrec.errors import MissingError, SonarrecError, UsageError, name_as_text
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     help="Read the summary and the first frames only; do not check every frame and checksum.",
 )
 @log_options()
-@landmarks_option
+@options.landmarks
 @option(
     OUTPUT,
     "--preview",
@@ -53,9 +52,9 @@ if TYPE_CHECKING:
     help="Recognise a part of the log with radii from half to twice the landmark set's, and print "
     "in how many frames landmarks are declared with each.",
 )
-@option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
-@cache_options
-@quiet_option
+@options.json("Print JSON. Keys: sonarrec help info.")
+@options.cache
+@options.quiet
 def info(
     log: tuple[str, ...],
     recursive: bool,
@@ -66,7 +65,7 @@ def info(
     preview: Path | None,
     try_radii: bool,
     as_json: bool,
-    cache: CacheChoice,
+    cache: options.GetCache,
     quiet: bool,
 ) -> None:
     """Show what is in LOG, whether it is complete, and how `run` would read it.
@@ -153,7 +152,7 @@ def _show(
     preview: Path | None,
     try_radii: bool,
     as_json: bool,
-    cache: CacheChoice,
+    cache: options.GetCache,
     quiet: bool,
 ) -> _Shown:
     """Describe a log and print it. number: how many logs come before. reading: as for `open_log`.
@@ -211,7 +210,7 @@ def _name(log: NamedLog | RemoteLog) -> str:
 
 
 def _at_hand(
-    log: NamedLog | RemoteLog, cache: CacheChoice, quiet: bool, stack: ExitStack
+    log: NamedLog | RemoteLog, cache: options.GetCache, quiet: bool, stack: ExitStack
 ) -> tuple[str, Path | None, Origin | None]:
     """(path to open, highest folder with companions of the log, server that it is from)."""
     from sonarrec.readers.named_logs import NamedLog
@@ -220,7 +219,7 @@ def _at_hand(
     if isinstance(log, NamedLog):
         return log.path, log.up_to, None
     with fetching(quiet, log.url.redacted) as bar:
-        local_log = stack.enter_context(fetched(log, cache.cache(), bar))
+        local_log = stack.enter_context(fetched(log, cache(), bar))
     return str(local_log.path), local_log.up_to, local_log.origin
 
 

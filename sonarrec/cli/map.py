@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, FILE, FOLDER, INPUT, OUTPUT, command, option
-from sonarrec.cli.options import landmarks_option, out_option, quiet_option
 from sonarrec.cli.options_log import geometry_options
 from sonarrec.errors import UsageError, number_of
 
@@ -32,14 +32,13 @@ from sonarrec.errors import UsageError, number_of
     help="Standard error of the poses after one minute, in position and heading; it grows with "
     "the square root of time.  [default: 0,0]",
 )
-@landmarks_option
-@option(INPUT, "--method", help="Method of estimates.csv.  [default: framework]")
+@options.landmarks
+@options.method
 @option(
     INPUT,
     "--min-frames",
     type=click.IntRange(min=1),
     default=3,
-    show_default=True,
     help="Leave out landmarks declared in fewer frames.",
 )
 @geometry_options
@@ -50,8 +49,8 @@ from sonarrec.errors import UsageError, number_of
     help="Position of the poses' origin on Earth, deg, and the compass heading of yaw 0; writes "
     "map.geojson.",
 )
-@out_option(FOLDER, "Folder of the files.  [default: RESULTS/map]")
-@quiet_option
+@options.out(FOLDER, "Folder of the files.  [default: RESULTS/map]")
+@options.quiet
 def map_(
     results: tuple[Path, ...],
     odometry: tuple[Path, ...],

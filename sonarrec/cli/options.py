@@ -1,16 +1,18 @@
-"""Options that several commands share: truth, scoring, settings, output."""
+"""Options that several commands share: inputs, truth, scoring, settings, output, servers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli.groups import (
     FILE,
+    FOLDER,
     INPUT,
     OUTPUT,
     SCORING,
@@ -21,51 +23,71 @@ from sonarrec.cli.groups import (
     option,
 )
 from sonarrec.cli.options_log import GEOMETRY_OPTIONS, LogChoice
-from sonarrec.cli.options_remote import ANY_OR_URL
 from sonarrec.errors import UsageError
+
+if TYPE_CHECKING:
+    from sonarrec.config import Config
+    from sonarrec.evaluation.matching.options import ScoringOptions
+    from sonarrec.remote.cache import Cache
+
+
+class _OrUrl(click.Path):
+    """A local path as in click.Path, or a URL as text."""
+
+    def convert(self, value: Any, *context: Any) -> Any:
+        from sonarrec.remote.urls import is_url
+
+        return str(value) if is_url(value) else super().convert(value, *context)
+
+
+GetCache = Callable[[], "Cache"]
+FILE_OR_URL = _OrUrl(exists=True, dir_okay=False, path_type=Path)
+NEW_FILE_OR_URL = _OrUrl(dir_okay=False, path_type=Path)
+FOLDER_OR_URL = _OrUrl(file_okay=False, path_type=Path)
+ANY_OR_URL = _OrUrl(path_type=Path)
 
 # Results and truth
 
-landmarks_option = option(
+landmarks = option(
     INPUT,
     "--landmarks",
     shell_complete=file_names,
     help="Landmark set: a built-in name or a TOML file.  "
     "[default: that of run.toml if one is read, else basin]",
 )
-
-
-def frames_option(text: str, default: str | None = None) -> Decorator:
-    """--frames. text: what is done with these frames. default: in words; None: all frames."""
-    text = f"{text} A or B may be left out." + (f"  [default: {default}]" if default else "")
-    return option(INPUT, "--frames", metavar="A:B", help=text)
-
-
-def ground_truth_option(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
-    """--ground-truth. text: what it is for. kind: FILE_OR_URL if it may be on a server."""
-    text = f"{text} Columns: sonarrec help truth."
-    return option(INPUT, "--ground-truth", type=kind, required=required, help=text)
-
-
-pairs_option = option(
+pairs = option(
     INPUT,
     "--pairs",
     type=FILE,
     help="In place of RESULTS and truth: a CSV with the columns results,ground_truth[,log], a row "
     "per log. With --compare: the truth of each log.",
 )
+method = option(INPUT, "--method", help="Method of estimates.csv.  [default: framework]")
+model = option(
+    INPUT,
+    "--model",
+    type=FILE,
+    help="Appearance model that `sonarrec calibrate` wrote.  [default: built in]",
+)
 
 
-def compare_option(text: str) -> Decorator:
+def frames(text: str, default: str | None = None) -> Decorator:
+    """--frames. text: what is done with these frames. default: in words; None: all frames."""
+    text = f"{text} A or B may be left out." + (f"  [default: {default}]" if default else "")
+    return option(INPUT, "--frames", metavar="A:B", help=text)
+
+
+def ground_truth(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
+    """--ground-truth. text: what it is for. kind: FILE_OR_URL if it may be on a server."""
+    text = f"{text} Columns: sonarrec help truth."
+    return option(INPUT, "--ground-truth", type=kind, required=required, help=text)
+
+
+def compare(text: str) -> Decorator:
     """--compare OLD NEW. text: what is made of the two."""
-    return option(
-        INPUT,
-        "--compare",
-        type=(ANY_OR_URL, ANY_OR_URL),
-        shell_complete=file_names,
-        metavar="OLD NEW",
-        help=f"In place of RESULTS: {text}",
-    )
+    kind, text = (ANY_OR_URL, ANY_OR_URL), f"In place of RESULTS: {text}"
+    words: dict[str, Any] = {"metavar": "OLD NEW", "shell_complete": file_names, "help": text}
+    return option(INPUT, "--compare", type=kind, **words)
 
 
 _SCORING = {
@@ -74,7 +96,6 @@ _SCORING = {
         "--min-visible",
         type=float,
         default=0.9,
-        show_default=True,
         help="Protocol strict: share of the disc that must be in view for a landmark to count; "
         "with less it is ignored.",
     ),
@@ -87,11 +108,11 @@ _SCORING = {
         help="Longest time between a row of truth with timestamp_ns and its frame.  "
         "[default: half the time between frames]",
     ),
-    "landmarks": landmarks_option,
+    "landmarks": landmarks,
 }
 
 
-def _scoring(values: dict[str, Any]) -> Any:
+def _scoring(values: dict[str, Any]) -> ScoringOptions:
     from sonarrec.evaluation.matching.options import ScoringOptions
 
     chosen = {key: values[key] for key in _SCORING}
@@ -99,8 +120,7 @@ def _scoring(values: dict[str, Any]) -> Any:
 
 
 # --min-visible, --tolerance, --landmarks and the geometry, as one `scoring`: ScoringOptions.
-scoring_options = as_one("scoring", _SCORING | GEOMETRY_OPTIONS, _scoring)
-
+scoring = as_one("scoring", _SCORING | GEOMETRY_OPTIONS, _scoring)
 
 # Settings
 
@@ -148,16 +168,16 @@ class SettingsChoice:
         file: Path | None = self.values["config_file"]
         return file
 
-    def configs(self) -> Any:
+    def configs(self) -> list[Config]:
         """A Config per preset, changed by the file, then by --set, then by --seed."""
         from sonarrec import config
 
         preset, seed = self.values["preset"], self.values["seed"]
-        settings = config.configs(preset.split(",") if preset else [], self.file)
-        settings = [config.with_assignments(c, self.values["assignments"]) for c in settings]
-        return settings if seed is None else [replace(c, seed=seed) for c in settings]
+        chosen = config.configs(preset.split(",") if preset else [], self.file)
+        chosen = [config.with_assignments(c, self.values["assignments"]) for c in chosen]
+        return [c if seed is None else replace(c, seed=seed) for c in chosen]
 
-    def config(self) -> Any:
+    def config(self) -> Config:
         """The only Config. Raises UsageError if several presets are given."""
         first, *more = self.configs()
         if more:
@@ -167,20 +187,11 @@ class SettingsChoice:
         return first
 
 
-settings_options = as_one("settings", _SETTINGS, SettingsChoice)
-
-
-model_option = option(
-    INPUT,
-    "--model",
-    type=FILE,
-    help="Appearance model that `sonarrec calibrate` wrote.  [default: built in]",
-)
-
+settings = as_one("settings", _SETTINGS, SettingsChoice)
 
 # Output
 
-quiet_option = option(
+quiet = option(
     OUTPUT,
     "-q",
     "--quiet",
@@ -189,11 +200,48 @@ quiet_option = option(
 )
 
 
-verbose_option = option(
-    OUTPUT, "-v", "--verbose", is_flag=True, help="Print a line on stderr for each finished log."
-)
+def json(text: str = "Print one JSON document on stdout.") -> Decorator:
+    """--json, as `as_json`."""
+    return option(OUTPUT, "--json", "as_json", is_flag=True, help=text)
 
 
-def out_option(kind: click.Path, text: str, **options: Any) -> Decorator:
+def out(kind: click.Path, text: str, **options: Any) -> Decorator:
     """-o, --out. text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **options)
+
+
+# Servers
+
+
+def _bytes(_: click.Context, __: click.Parameter, size: str) -> int:
+    from sonarrec.remote.cache import size_bytes
+
+    return size_bytes(size)
+
+
+def _cache(folder: Path | None, limit: int) -> Cache:
+    from sonarrec.remote.cache import Cache, default_folder
+
+    return Cache((folder or default_folder()).resolve(), limit)
+
+
+_CACHE = {
+    "cache_folder": option(
+        INPUT,
+        "--cache",
+        "cache_folder",
+        type=FOLDER,
+        help="Folder for logs and results fetched from s3://, gs://, https:// and sftp://.  "
+        "[default: sonarrec in the user's cache folder]",
+    ),
+    "cache_size": option(
+        INPUT,
+        "--cache-size",
+        callback=_bytes,
+        metavar="SIZE",
+        default="20GB",
+        help="Maximum size of the cache; the least recently used logs are deleted first.",
+    ),
+}
+# As `cache`, a function that gives the Cache; raises SonarrecError if its folder is not found.
+cache = as_one("cache", _CACHE, lambda values: partial(_cache, *values.values()))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.groups import BACKGROUND, Decorator, FiniteRange, as_one, file_names, option
-from sonarrec.cli.options_log import LogChoice, odometry_options
+from sonarrec.cli.options_log import odometry_options
 from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
@@ -78,25 +78,14 @@ class LayoutChoice:
             raise UsageError(f"--contrast {text}: a value is given twice")
         return contrasts
 
-    @property
-    def count(self) -> int | None:
-        """Number of landmarks, if given."""
-        return None if self.values["count"] is None else int(self.values["count"])
-
     def look(self, background: Background) -> DiscLook:
         """How the discs look; by default smeared as by the recording's own beams."""
         from sonarrec.simulation.background_files import DiscLook
 
         plate_db, width_deg = self.values["plate"], self.values["beam_width"]
         return DiscLook(
-            -6.0 if plate_db is None else float(plate_db),
-            background.beam_width_deg if width_deg is None else float(width_deg),
-        )
-
-    def log_options(self, log_choice: LogChoice, frames: str | None) -> LogOptions:
-        """How the recording is to be read. Raises UsageError for values that are invalid."""
-        return log_choice.log_options(
-            self.values["odometry"], self.values["odometry_topic"], frames
+            -6.0 if plate_db is None else plate_db,
+            background.beam_width_deg if width_deg is None else width_deg,
         )
 
     def survey(
@@ -111,16 +100,9 @@ class LayoutChoice:
         from sonarrec.readers import open_log
         from sonarrec.simulation.background import poses_of, survey
 
-        arguments = log_options.arguments()
+        arguments, frames = log_options.arguments(), log_options.frames or (0, None)
         poses = poses_of(log, log_options.odometry, log_options.odometry_topic, arguments["time"])
-        return survey(
-            lambda: open_log(log, **arguments),
-            landmarks,
-            config,
-            poses,
-            log_options.frames or (0, None),
-            step,
-        )
+        return survey(lambda: open_log(log, **arguments), landmarks, config, poses, frames, step)
 
 
 def laying_options(contrast: str) -> Decorator:

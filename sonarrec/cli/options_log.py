@@ -120,22 +120,18 @@ _TIME = {
 }
 
 
-_RECURSIVE = option(
-    INPUT, "--recursive", is_flag=True, help="Also take the logs in all folders below a folder."
-)
-_FROM_FILE = option(
-    INPUT,
-    "--from-file",
-    type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
-    metavar="LIST",
-    help="File with one LOG per line; - for standard input. Empty lines and lines that begin with "
-    "# are skipped.",
-)
-
-
 def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """--recursive and --from-file, of commands that take many logs."""
-    return _RECURSIVE(_FROM_FILE(function))
+    from_file = option(
+        INPUT,
+        "--from-file",
+        type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
+        metavar="LIST",
+        help="File with one LOG per line; - for standard input. Empty lines and lines that begin "
+        "with # are skipped.",
+    )
+    text = "Also take the logs in all folders below a folder."
+    return option(INPUT, "--recursive", is_flag=True, help=text)(from_file(function))
 
 
 def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
@@ -146,22 +142,20 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
     from sonarrec.remote.run import all_logs
 
     if not logs and from_file is None:
-        raise click.UsageError(
-            "Missing argument 'LOG...' (or --from-file LIST)",
-            click.get_current_context(),
-        )
-    return all_logs(logs, () if from_file is None else _lines(from_file), recursive=recursive)
+        missing = "Missing argument 'LOG...' (or --from-file LIST)"
+        raise click.UsageError(missing, click.get_current_context())
 
+    def listed() -> Iterator[str]:
+        for line in from_file or ():
+            if from_file is not None and "\0" in line:
+                raise UsageError(
+                    f"--from-file {name_as_text(from_file.name)}: not a list of logs, "
+                    "which is UTF-8 text with one LOG per line; to run a single log leave out "
+                    "--from-file"
+                )
+            yield line
 
-def _lines(listed: IO[str]) -> Iterator[str]:
-    """The lines of a list. Raises UsageError if it is not text."""
-    for line in listed:
-        if "\0" in line:
-            raise UsageError(
-                f"--from-file {name_as_text(listed.name)}: not a list of logs, which is UTF-8 text "
-                "with one LOG per line; to run a single log leave out --from-file"
-            )
-        yield line
+    return all_logs(logs, listed(), recursive=recursive)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, say, tell
-from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, OUTPUT, command, file_names, option
-from sonarrec.cli.options import frames_option, ground_truth_option, landmarks_option, quiet_option
+from sonarrec.cli.groups import ANY, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
 
@@ -18,8 +18,8 @@ from sonarrec.errors import UsageError, number_of
 @click.argument("log", shell_complete=file_names)
 @click.argument("results", type=ANY, default=Path("sonarrec_out"))
 @log_options(pixels=False)
-@landmarks_option
-@ground_truth_option("gt.csv, drawn dashed.")
+@options.landmarks
+@options.ground_truth("gt.csv, drawn dashed.")
 @option(
     OUTPUT,
     "--mcap",
@@ -42,10 +42,10 @@ from sonarrec.errors import UsageError, number_of
     help="Draw the frames into a video (MPEG-4 Part 2).",
 )
 @option(OUTPUT, "--images", type=ANY, metavar="DIR", help="Draw the frames as DIR/000000.png, ...")
-@option(INPUT, "--method", help="Method of estimates.csv.  [default: framework]")
-@frames_option("Draw only the frames from A up to, not including, B.", default="those of the run")
+@options.method
+@options.frames("Draw only the frames from A up to, not including, B.", default="those of the run")
 @option(OUTPUT, "--grid", is_flag=True, help="Draw range rings and bearings in videos and images.")
-@quiet_option
+@options.quiet
 # Long by its options and its help.
 def overlay(
     log: str,

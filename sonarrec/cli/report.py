@@ -9,24 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import INPUT, OUTPUT, command, option
-from sonarrec.cli.options import (
-    compare_option,
-    ground_truth_option,
-    out_option,
-    pairs_option,
-    quiet_option,
-    scoring_options,
-)
 from sonarrec.cli.options_log import topic_option
-from sonarrec.cli.options_remote import (
-    ANY_OR_URL,
-    FILE_OR_URL,
-    NEW_FILE_OR_URL,
-    CacheChoice,
-    cache_options,
-)
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
@@ -36,34 +22,34 @@ if TYPE_CHECKING:
 
 
 @command(short_help="Write results as one HTML page.")
-@click.argument("results", type=ANY_OR_URL, required=False)
-@ground_truth_option("gt.csv; without it nothing is scored.", kind=FILE_OR_URL)
-@compare_option(
+@click.argument("results", type=options.ANY_OR_URL, required=False)
+@options.ground_truth("gt.csv; without it nothing is scored.", kind=options.FILE_OR_URL)
+@options.compare(
     "a page on what got better or worse from OLD to NEW. Truth is given, or found beside each log."
 )
-@pairs_option
+@options.pairs
 @option(
     INPUT,
     "--log",
     "recordings",
-    type=ANY_OR_URL,
+    type=options.ANY_OR_URL,
     multiple=True,
     help="The log that RESULTS came from, or a folder of logs, to show frames on the page; "
     "repeatable.",
 )
 @topic_option
-@scoring_options
+@options.scoring
 @option(
     OUTPUT,
     "--method",
     help="Method whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@out_option(
-    NEW_FILE_OR_URL,
+@options.out(
+    options.NEW_FILE_OR_URL,
     "The page.  [default: report.html in RESULTS or beside PAIRS; compare.html in NEW]",
 )
-@cache_options
-@quiet_option
+@options.cache
+@options.quiet
 def report(
     results: Path | str | None,
     ground_truth: Path | str | None,
@@ -74,7 +60,7 @@ def report(
     scoring: ScoringOptions,
     method: str | None,
     out: Path | str | None,
-    cache: CacheChoice,
+    cache: options.GetCache,
     quiet: bool,
 ) -> None:
     """Write RESULTS as one HTML page that needs no network and no other file.
@@ -112,7 +98,7 @@ def report(
     if compare is not None:
         beside, name = compare[1], "compare.html"
     with ExitStack() as stack:  # the page is uploaded as this closes
-        remote = RemoteFiles(stack, cache.cache)
+        remote = RemoteFiles(stack, cache)
         truth = remote.file(ground_truth)
         path = remote.output(out or inside(beside, name), name)
         unused: Sequence[str]

@@ -14,6 +14,7 @@ from typing import IO, TYPE_CHECKING
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.endings import (
     FAILED,
     INTERRUPTED,
@@ -24,16 +25,6 @@ from sonarrec.cli.endings import (
     tell,
 )
 from sonarrec.cli.groups import BATCH, INPUT, NEW_FILE, OUTPUT, as_one, command, file_names, option
-from sonarrec.cli.options import (
-    SettingsChoice,
-    frames_option,
-    landmarks_option,
-    model_option,
-    out_option,
-    quiet_option,
-    settings_options,
-    verbose_option,
-)
 from sonarrec.cli.options_log import (
     LogChoice,
     log_options,
@@ -41,7 +32,6 @@ from sonarrec.cli.options_log import (
     named_logs,
     odometry_options,
 )
-from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
 from sonarrec.errors import (
     SonarrecError,
     UsageError,
@@ -155,21 +145,18 @@ _batch_options = as_one("batch", _BATCH, lambda values: _Batch(**values))
 @click.argument("log", shell_complete=file_names, nargs=-1)
 @many_logs_options
 @log_options(time=True)
-@landmarks_option
+@options.landmarks
 @_ODOMETRY["odometry"]
 @_ODOMETRY["odometry_topic"]
-@frames_option("Process only the frames from A up to, not including, B.")
-@model_option
-@settings_options
-@out_option(
-    FOLDER_OR_URL, "Results go to OUT/<log name>.", default=Path("sonarrec_out"), show_default=True
-)
+@options.frames("Process only the frames from A up to, not including, B.")
+@options.model
+@options.settings
+@options.out(options.FOLDER_OR_URL, "Results go to OUT/<log name>.", default=Path("sonarrec_out"))
 @option(
     OUTPUT,
     "--tables",
     type=click.Choice(["csv", "parquet"]),
     default="csv",
-    show_default=True,
     help="Format of the estimates; parquet needs `pip install 'sonarrec[parquet]'`.",
 )
 @option(
@@ -187,10 +174,12 @@ _batch_options = as_one("batch", _BATCH, lambda values: _Batch(**values))
     help="Run logs again that are up to date, and replace results of another log of the same name.",
 )
 @_batch_options
-@option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
-@cache_options
-@verbose_option
-@quiet_option
+@options.json()
+@options.cache
+@option(
+    OUTPUT, "-v", "--verbose", is_flag=True, help="Print a line on stderr for each finished log."
+)
+@options.quiet
 # Long by its options and its help.
 def run(
     log: tuple[str, ...],
@@ -202,14 +191,14 @@ def run(
     odometry_topic: str | None,
     frames: str | None,
     model: Path | None,
-    settings: SettingsChoice,
+    settings: options.SettingsChoice,
     out: Path | str,
     tables: str,
     odometry_out: Path | None,
     overwrite: bool,
     batch: _Batch,
     as_json: bool,
-    cache: CacheChoice,
+    cache: options.GetCache,
     verbose: bool,
     quiet: bool,
 ) -> None:
@@ -316,16 +305,16 @@ def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None
     check_output(path, "table", [tasks[0].path, odometry], header="timestamp_ns,yaw,x,y")
 
 
-def _write_odometry(path: Path, out: Path | str, name: str, cache: CacheChoice) -> None:
+def _write_odometry(path: Path, out: Path | str, name: str, cache: options.GetCache) -> None:
     """Write the path of the sonar from the results of a log, which may be on a server."""
     from sonarrec.mapping.path import write_path
     from sonarrec.remote.run import RemoteFiles, inside
 
     with ExitStack() as stack:
-        write_path(RemoteFiles(stack, cache.cache).results(inside(out, name)), path)
+        write_path(RemoteFiles(stack, cache).results(inside(out, name)), path)
 
 
-def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:
+def _outbox(out: Path | str, cache: options.GetCache) -> Outbox | None:
     """The Outbox, if OUT is on a server."""
     from sonarrec.remote.urls import is_url, parse_url
 
@@ -333,7 +322,7 @@ def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:
         return None
     from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
 
-    return Outbox(parse_url(out), cache.cache())
+    return Outbox(parse_url(out), cache())
 
 
 def _tasks(
@@ -343,7 +332,7 @@ def _tasks(
     run_options: RunOptions,
     overwrite: bool,
     outbox: Outbox | None,
-    cache: CacheChoice,
+    cache: options.GetCache,
 ) -> list[Task]:
     """A task for each log. out: the local folder of the results."""
     from sonarrec.remote.find import RemoteLog
@@ -360,7 +349,7 @@ def _tasks(
             remote, path, up_to = None, log.path, log.up_to
         places = None
         if remote or outbox:
-            places = RemotePlaces(cache.cache(), remote, outbox.url if outbox else None)
+            places = RemotePlaces(cache(), remote, outbox.url if outbox else None)
         options = replace(log_options, up_to=up_to)
         tasks.append(Task(path, name, str(out), options, run_options, overwrite, places))
     return tasks

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, naming_leftovers, say, tell
 from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
-from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
@@ -68,12 +68,12 @@ from sonarrec.errors import UsageError, number_of
     type=click.Choice(["none", "lz4", "zstd"]),
     help="Compression of an MCAP.  [default: zstd]",
 )
-@out_option(
+@options.out(
     ANY,
     "Folder for the recording, or NAME.mcap for one file with its companions beside it.",
     required=True,
 )
-@quiet_option
+@options.quiet
 # Long by its options and its help.
 def simulate(
     source: str | None,
@@ -178,16 +178,18 @@ def _lay(
         folders = {contrasts[0]: out}
     check_free(*folders.values())
     with progress(quiet, title="motion") as step:
-        log_options = laying.log_options(log_choice, frames)
+        log_options = log_choice.log_options(
+            laying.values["odometry"], laying.values["odometry_topic"], frames
+        )
         background = laying.survey(log, log_options, landmarks, config, step)
-    layout = draw_layout(background, landmarks, seed, laying.count)
+    layout = draw_layout(background, landmarks, seed, laying.values["count"])
     with (
         naming_leftovers(*folders.values()),
         progress(quiet, len(background.path), "discs") as step,
     ):
         write_backgrounds(background, layout, laying.look(background), folders, step)
     told = background.diagnostics
-    tell(told.problems, [*told.notes, *without_room([layout], laying.count)])
+    tell(told.problems, [*told.notes, *without_room([layout], laying.values["count"])])
     if not quiet:
         frames = number_of(len(background.path), "frame")
         count = number_of(layout.landmark_count, "landmark")

@@ -9,17 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, naming_leftovers, say, tell
 from sonarrec.cli.groups import BACKGROUND, FOLDER, OUTPUT, command, file_names, option
-from sonarrec.cli.options import (
-    SettingsChoice,
-    frames_option,
-    model_option,
-    out_option,
-    quiet_option,
-    settings_options,
-)
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import number_of
@@ -33,22 +26,21 @@ if TYPE_CHECKING:
 @command(short_help="Estimate at which contrast and range landmarks would be recognised.")
 @click.argument("log", shell_complete=file_names)
 @log_options(time=True)
-@frames_option("Use only the frames from A up to, not including, B.")
+@options.frames("Use only the frames from A up to, not including, B.")
 @laying_options("0,3,6,10")
 @option(
     BACKGROUND,
     "--layouts",
     type=click.IntRange(min=1),
     default=4,
-    show_default=True,
     help="How many times discs are laid, each time at other positions; more give narrower "
     "intervals.",
 )
-@model_option
-@settings_options
-@out_option(FOLDER, "Folder for the output.  [default: sonarrec_site/<log name>]")
+@options.model
+@options.settings
+@options.out(FOLDER, "Folder for the output.  [default: sonarrec_site/<log name>]")
 @option(OUTPUT, "--keep", is_flag=True, help="Keep the images in OUT/recordings.")
-@quiet_option
+@options.quiet
 # Long by its options and its help.
 def site(
     log: str,
@@ -57,7 +49,7 @@ def site(
     laying: LayoutChoice,
     layouts: int,
     model: Path | None,
-    settings: SettingsChoice,
+    settings: options.SettingsChoice,
     out: Path | None,
     keep: bool,
     quiet: bool,
@@ -85,7 +77,11 @@ def site(
     contrasts, values = laying.contrasts(), laying.values
     earlier, source = read_run(settings.file), find_log(log)
     landmarks = earlier.landmark_set(values["landmarks"])
-    log_options = _completed(laying.log_options(log_choice, frames), earlier, source)
+    log_options = _completed(
+        log_choice.log_options(laying.values["odometry"], laying.values["odometry_topic"], frames),
+        earlier,
+        source,
+    )
     out = out or Path("sonarrec_site") / source.name
     check_free(out)
     with progress(quiet, title="motion") as step:
@@ -103,7 +99,7 @@ def site(
             RunOptions([config], values["landmarks"], model, settings.file),
             contrasts=contrasts,
             layouts=layouts,
-            count=laying.count,
+            count=laying.values["count"],
             seed=settings.values["seed"] or 0,
             keep=keep,
             step=lambda doing: step(note=doing),

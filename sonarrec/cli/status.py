@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.endings import say
-from sonarrec.cli.groups import OUTPUT, command, option
-from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
+from sonarrec.cli.groups import command
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 
 @command(short_help="Show the progress of a run over many logs, and what failed.")
-@click.argument("out", type=FOLDER_OR_URL, default=Path("sonarrec_out"))
-@option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
-@cache_options
-def status(out: Path | str, as_json: bool, cache: CacheChoice) -> None:
+@click.argument("out", type=options.FOLDER_OR_URL, default=Path("sonarrec_out"))
+@options.json()
+@options.cache
+def status(out: Path | str, as_json: bool, cache: options.GetCache) -> None:
     """Print how many logs of OUT (default: sonarrec_out) are done, and which failed and why.
 
     It reads OUT/logs.csv, which `sonarrec run` updates while it runs. So it can be called from
@@ -40,7 +40,7 @@ def status(out: Path | str, as_json: bool, cache: CacheChoice) -> None:
     from sonarrec.remote.run import RemoteFiles, inside
 
     with ExitStack() as stack:
-        path = RemoteFiles(stack, cache.cache).file(inside(out, "logs.csv"))
+        path = RemoteFiles(stack, cache).file(inside(out, "logs.csv"))
         assert path is not None
         _tell(path, out, as_json)
 

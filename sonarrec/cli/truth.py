@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli import options
 from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import (
     ANY,
@@ -25,7 +26,6 @@ from sonarrec.cli.groups import (
     file_names,
     option,
 )
-from sonarrec.cli.options import landmarks_option, out_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
 
@@ -52,7 +52,7 @@ def truth() -> None:
 
 def _new_file_option(default: str) -> Decorator:
     text = "A new file; an existing one is not overwritten."
-    return out_option(NEW_FILE, text, default=Path(default), show_default=True)
+    return options.out(NEW_FILE, text, default=Path(default))
 
 
 def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> Any:
@@ -93,9 +93,9 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
     help="Format of ANNOTATIONS.  [default: detected from the content]",
 )
 @log_options()
-@landmarks_option
+@options.landmarks
 @_new_file_option("gt.csv")
-@quiet_option
+@options.quiet
 def convert(
     annotations: Path,
     log: str | None,
@@ -152,14 +152,13 @@ def convert(
 @click.argument("ground_truth", type=FILE, metavar="GT.CSV")
 @click.argument("log", shell_complete=file_names)
 @log_options(time=True)
-@landmarks_option
+@options.landmarks
 @option(
     SCORING,
     "--max-pan",
     "max_pan_deg",
     type=FiniteRange(min=0, min_open=True),
     default=5.0,
-    show_default=True,
     metavar="DEG",
     help="Largest turn of the sonar from one frame to the next that counts as possible.",
 )
@@ -169,10 +168,9 @@ def convert(
     "--sheet",
     type=NEW_FILE,
     default=Path("truth_check.png"),
-    show_default=True,
     help="File for the contact sheet.",
 )
-@quiet_option
+@options.quiet
 def check(
     ground_truth: Path,
     log: str,
@@ -232,15 +230,12 @@ def check(
 
 @truth.command(short_help="Propose a gt.csv from confident tracks.", cls=GroupedCommand)
 @click.argument("results", type=ANY, default=Path("sonarrec_out"))
-@option(
-    INPUT, "--method", default="framework", show_default=True, help="Method whose tracks are taken."
-)
+@option(INPUT, "--method", default="framework", help="Method whose tracks are taken.")
 @option(
     SCORING,
     "--min-score",
     type=float,
     default=0.9,
-    show_default=True,
     help="A track is proposed only if its best score reaches this.",
 )
 @option(
@@ -248,11 +243,10 @@ def check(
     "--max-gap",
     type=click.IntRange(min=0),
     default=8,
-    show_default=True,
     help="Longest gap in a track that is filled in, frames.",
 )
 @_new_file_option("gt_proposed.csv")
-@quiet_option
+@options.quiet
 def propose(
     results: Path, method: str, min_score: float, max_gap: int, out: Path, quiet: bool
 ) -> None:
