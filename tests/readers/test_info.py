@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.cli.info_text import lines
+from sonarrec.cli.info import lines
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from sonarrec.simulation.mcap_writer import McapImageWriter
