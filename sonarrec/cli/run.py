@@ -7,7 +7,7 @@ import signal
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import TIMEOUT_MAX
 from typing import IO, TYPE_CHECKING
@@ -24,7 +24,7 @@ from sonarrec.cli.endings import (
     say,
     tell,
 )
-from sonarrec.cli.groups import BATCH, INPUT, NEW_FILE, OUTPUT, as_one, command, file_names, option
+from sonarrec.cli.groups import BATCH, INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.options_log import (
     LogChoice,
     log_options,
@@ -44,101 +44,11 @@ if TYPE_CHECKING:
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
     from sonarrec.results.run_file import LogOptions
-    from sonarrec.runs.many import Watch
     from sonarrec.runs.prepare import RunOptions
     from sonarrec.runs.task import Task
 
 
 _ODOMETRY = odometry_options(INPUT)
-_BATCH = {
-    "jobs": option(
-        BATCH,
-        "-j",
-        "--jobs",
-        type=click.IntRange(min=1),
-        help="How many logs run at once, each in its own process; 1: one after the other, in this "
-        "process.  [default: the number of cores]",
-    ),
-    "retry_failed": option(
-        BATCH,
-        "--retry-failed",
-        is_flag=True,
-        help="Run only the logs that are failed or partial in OUT/logs.csv, from the start.",
-    ),
-    "dry_run": option(
-        BATCH,
-        "--dry-run",
-        is_flag=True,
-        help="Print what would be done with each log and why; write nothing.",
-    ),
-    "timeout": option(
-        BATCH,
-        "--timeout",
-        type=click.FloatRange(min=0, min_open=True),
-        metavar="SECONDS",
-        help="Stop a log that takes longer.",
-    ),
-    "shard": option(
-        BATCH,
-        "--shard",
-        metavar="I/N",
-        help="Run only every N-th log, from the I-th: see help cluster.",
-    ),
-    "scheduler": option(
-        BATCH,
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help "
-        "cluster.",
-    ),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class _Batch:
-    """Which of the logs are run, and how: the options of many logs."""
-
-    jobs: int | None
-    retry_failed: bool
-    dry_run: bool
-    timeout: float | None
-    shard: str | None
-    scheduler: str | None
-
-    def check_timeout(self) -> None:
-        """Raise UsageError if a thread cannot wait so long."""
-        timeout = self.timeout
-        if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
-            raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
-
-    def of_shard(self, tasks: list[Task]) -> list[Task]:
-        """The tasks of the shard I/N, or all without --shard. Raises UsageError."""
-        if self.shard is None:
-            return tasks
-        i, _, n = self.shard.partition("/")
-        if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
-            raise UsageError(f"--shard {self.shard}: expected I/N with I from 1 to N, such as 2/8")
-        return tasks[int(i) - 1 :: int(n)]
-
-    def run(self, tasks: list[Task], watch: Watch, jobs: int) -> None:
-        """Run the tasks, `jobs` at once. It returns when all have ended."""
-        from sonarrec.runs.cores import cores
-        from sonarrec.runs.many import run_apart, run_here
-
-        if self.scheduler is not None:
-            from sonarrec.runs.cluster import run_on_cluster
-
-            run_on_cluster(tasks, self.scheduler, watch, self.timeout)
-            return
-        # If cores are free, each log uses a second one.
-        tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
-        if jobs > 1 or self.timeout is not None:
-            run_apart(tasks, jobs, watch, self.timeout)
-        else:
-            run_here(tasks, watch)
-
-
-_batch_options = as_one("batch", _BATCH, lambda values: _Batch(**values))
 
 
 @command(short_help="Recognise the landmarks in logs.")
@@ -173,7 +83,46 @@ _batch_options = as_one("batch", _BATCH, lambda values: _Batch(**values))
     is_flag=True,
     help="Run logs again that are up to date, and replace results of another log of the same name.",
 )
-@_batch_options
+@option(
+    BATCH,
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    help="How many logs run at once, each in its own process; 1: one after the other, in this "
+    "process.  [default: the number of cores]",
+)
+@option(
+    BATCH,
+    "--retry-failed",
+    is_flag=True,
+    help="Run only the logs that are failed or partial in OUT/logs.csv, from the start.",
+)
+@option(
+    BATCH,
+    "--dry-run",
+    is_flag=True,
+    help="Print what would be done with each log and why; write nothing.",
+)
+@option(
+    BATCH,
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Stop a log that takes longer.",
+)
+@option(
+    BATCH,
+    "--shard",
+    metavar="I/N",
+    help="Run only every N-th log, from the I-th: see help cluster.",
+)
+@option(
+    BATCH,
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help "
+    "cluster.",
+)
 @options.json()
 @options.cache
 @option(
@@ -196,7 +145,12 @@ def run(
     tables: str,
     odometry_out: Path | None,
     overwrite: bool,
-    batch: _Batch,
+    jobs: int | None,
+    retry_failed: bool,
+    dry_run: bool,
+    timeout: float | None,
+    shard: str | None,
+    scheduler: str | None,
     as_json: bool,
     cache: options.GetCache,
     verbose: bool,
@@ -228,9 +182,13 @@ def run(
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
     from sonarrec.cli.run_watch import RunWatch
+    from sonarrec.remote.run import RemoteFiles, inside
+    from sonarrec.remote.urls import is_url, parse_url
     from sonarrec.runs.cores import cores
-    from sonarrec.runs.logs_table import LogsTable
+    from sonarrec.runs.logs_table import NAME, LogsTable, again
+    from sonarrec.runs.many import run_apart, run_here
     from sonarrec.runs.prepare import RunOptions
+    from sonarrec.tables.outputs import check_output
     from sonarrec.tables.parquet import check_parquet
 
     log_options = log_choice.log_options(odometry, odometry_topic, frames)
@@ -240,42 +198,69 @@ def run(
         settings.configs(), landmarks, model, settings.file, tables == "parquet"
     )
     run_options.check()
-    batch.check_timeout()
+    if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
+        raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
     logs = named_logs(log, from_file, recursive)
     tell([], _unquoted_glob_notes(logs))
     if odometry is not None and len(logs) > 1:
         from sonarrec.readers.poses_csv import read_poses
 
         read_poses(odometry)  # so that a fault is reported once, not for each log
-    outbox = _outbox(out, cache)
-    local_out = Path(out) if outbox is None else outbox.folder
-    tasks = batch.of_shard(
-        _tasks(logs, local_out, log_options, run_options, overwrite, outbox, cache)
-    )
+    outbox, local_out = None, Path(out)
+    if is_url(out):
+        from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
+
+        outbox = Outbox(parse_url(out), cache())
+        local_out = outbox.folder
+    tasks = _tasks(logs, local_out, log_options, run_options, overwrite, outbox, cache)
+    if shard is not None:
+        i, _, n = shard.partition("/")
+        if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
+            raise UsageError(f"--shard {shard}: expected I/N with I from 1 to N, such as 2/8")
+        tasks = tasks[int(i) - 1 :: int(n)]
     unfinished = 0
-    if batch.retry_failed:
-        tasks, unfinished = _again(tasks, local_out, outbox)
+    if retry_failed:
+        if outbox is not None:
+            outbox.fetch(NAME)
+        tasks, unfinished = again(tasks, local_out)
     if not tasks:
         hint = f"; {number_of(unfinished, 'log')} not finished: run without --retry-failed"
         click.echo(f"nothing to do{hint if unfinished else ''}", err=True)
         return
     if odometry_out is not None:
-        _check_odometry_out(odometry_out, tasks, odometry)
-    if batch.dry_run:
+        if len(tasks) > 1:
+            raise UsageError(
+                f"--odometry-out is for one log, but {len(tasks)} are given; run that log alone"
+            )
+        read = [tasks[0].path, odometry]
+        check_output(odometry_out, "table", read, header="timestamp_ns,yaw,x,y")
+    if dry_run:
         _plan(tasks)
         return
-    jobs = min(batch.jobs or cores(), len(tasks))
+    jobs = min(jobs or cores(), len(tasks))
     table = LogsTable(local_out, tasks, alone=len(logs) == 1)
     watch = RunWatch(
         tasks, table, local_out, outbox, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json
     )
-    folders = [local_out / task.name for task in tasks]
-    with _stoppable(folders), watch:
-        batch.run(tasks, watch, jobs)
+    with _stoppable([local_out / task.name for task in tasks]), watch:
+        # If cores are free, each log uses a second one.
+        ahead = scheduler is None and cores() >= 2 * jobs
+        tasks = [replace(task, ahead=ahead) for task in tasks]
+        if scheduler is not None:
+            from sonarrec.runs.cluster import run_on_cluster
+
+            run_on_cluster(tasks, scheduler, watch, timeout)
+        elif jobs > 1 or timeout is not None:
+            run_apart(tasks, jobs, watch, timeout)
+        else:
+            run_here(tasks, watch)
     if len(tasks) == 1 and watch.error is not None:
         raise watch.error
     if odometry_out is not None:
-        _write_odometry(odometry_out, out, tasks[0].name, cache)
+        from sonarrec.mapping.path import write_path
+
+        with ExitStack() as stack:
+            write_path(RemoteFiles(stack, cache).results(inside(out, tasks[0].name)), odometry_out)
     watch.count()
     leave(watch.exit_code())
 
@@ -292,37 +277,6 @@ def _unquoted_glob_notes(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
                 f"{name_as_text(folder)}: {count} of its images are each run as a log of one "
                 "frame; give the folder, or quote the glob, to run them as one log"
             )
-
-
-def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None) -> None:
-    """Raise UsageError if the path of the sonar cannot be written to this file."""
-    from sonarrec.tables.outputs import check_output
-
-    if len(tasks) > 1:
-        raise UsageError(
-            f"--odometry-out is for one log, but {len(tasks)} are given; run that log alone"
-        )
-    check_output(path, "table", [tasks[0].path, odometry], header="timestamp_ns,yaw,x,y")
-
-
-def _write_odometry(path: Path, out: Path | str, name: str, cache: options.GetCache) -> None:
-    """Write the path of the sonar from the results of a log, which may be on a server."""
-    from sonarrec.mapping.path import write_path
-    from sonarrec.remote.run import RemoteFiles, inside
-
-    with ExitStack() as stack:
-        write_path(RemoteFiles(stack, cache).results(inside(out, name)), path)
-
-
-def _outbox(out: Path | str, cache: options.GetCache) -> Outbox | None:
-    """The Outbox, if OUT is on a server."""
-    from sonarrec.remote.urls import is_url, parse_url
-
-    if not is_url(out):
-        return None
-    from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
-
-    return Outbox(parse_url(out), cache())
 
 
 def _tasks(
@@ -353,15 +307,6 @@ def _tasks(
         options = replace(log_options, up_to=up_to)
         tasks.append(Task(path, name, str(out), options, run_options, overwrite, places))
     return tasks
-
-
-def _again(tasks: list[Task], out: Path, box: Outbox | None) -> tuple[list[Task], int]:
-    """The tasks that are failed or partial in logs.csv, and how many have not ended."""
-    from sonarrec.runs.logs_table import NAME, again
-
-    if box is not None:
-        box.fetch(NAME)
-    return again(tasks, out)
 
 
 def _plan(tasks: list[Task]) -> None:
