@@ -79,6 +79,7 @@ def map_(
       sonarrec map day1/dive day2/dive -o site
       sonarrec map sonarrec_out/dive --drift 0.1,5 --origin 54.3233,10.1394,87
     """
+    from sonarrec.mapping.axes import GeographicOrigin
     from sonarrec.mapping.build import MapOptions, make_map
     from sonarrec.mapping.path import Drift
     from sonarrec.mapping.write import lines, write_all
@@ -88,41 +89,24 @@ def map_(
         if len(folders) > 1:
             raise UsageError("several RESULTS need --out, the folder of their map")
         out = folders[0] / "map"
-    on_earth = None if origin is None else _origin(origin)
-    options = MapOptions(
-        odometry=odometry,
-        drift=Drift() if drift is None else _drift(drift),
-        method=method,
-        landmarks=landmarks,
-        sonar=sonar,
-        least_frames=min_frames,
+    on_earth = None
+    if origin is not None:
+        on_earth = GeographicOrigin(*_numbers("--origin", origin, 3))
+        if not (abs(on_earth.latitude_deg) < 90 and abs(on_earth.longitude_deg) <= 180):
+            raise UsageError(
+                f"--origin {origin}: LAT must be between -90 and 90, LON from -180 to 180"
+            )
+    errors = Drift(*_numbers("--drift", drift or "0,0", 2))
+    if min(errors.position_m, errors.yaw_deg) < 0:
+        raise UsageError(f"--drift {drift}: standard errors must not be negative")
+    site = make_map(
+        folders, MapOptions(odometry, errors, method, landmarks, sonar, least_frames=min_frames)
     )
-    site = make_map(folders, options)
     write_all(out, site, on_earth)
     tell(site.diagnostics.problems, site.diagnostics.notes)
     if not quiet:
         say(f"{out}: {number_of(len(site.logs), 'log')}", *(f"  {line}" for line in lines(site)))
     end(site.diagnostics.problems)
-
-
-def _origin(text: str) -> Any:
-    """The GeographicOrigin of LAT,LON,HEADING. Raises UsageError if it is invalid."""
-    from sonarrec.mapping.axes import GeographicOrigin
-
-    origin = GeographicOrigin(*_numbers("--origin", text, 3))
-    if not (abs(origin.latitude_deg) < 90 and abs(origin.longitude_deg) <= 180):
-        raise UsageError(f"--origin {text}: LAT must be between -90 and 90, LON from -180 to 180")
-    return origin
-
-
-def _drift(text: str) -> Any:
-    """The Drift of M,DEG. Raises UsageError if it is invalid."""
-    from sonarrec.mapping.path import Drift
-
-    drift = Drift(*_numbers("--drift", text, 2))
-    if min(drift.position_m, drift.yaw_deg) < 0:
-        raise UsageError(f"--drift {text}: standard errors must not be negative")
-    return drift
 
 
 def _numbers(flag: str, text: str, count: int) -> list[float]:

@@ -17,8 +17,6 @@ from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.matching.options import ScoringOptions
-    from sonarrec.remote.run import RemoteFiles
-    from sonarrec.report.build import Report
 
 
 @command(short_help="Write results as one HTML page.")
@@ -103,7 +101,16 @@ def report(
         path = remote.output(out or inside(beside, name), name)
         unused: Sequence[str]
         if compare is not None:
-            unused, line = _compare(path, compare, truth, pairs, scoring, remote)
+            from sonarrec.cli.evaluate import compare_sides
+            from sonarrec.evaluation.matching.pairs import read_pairs
+            from sonarrec.report.compare import write_comparison_page
+            from sonarrec.tables.outputs import check_output
+
+            check_output(path, "comparison", [truth, pairs])
+            known = truth if pairs is None else read_pairs(pairs)
+            comparison = compare_sides(compare, known, scoring, remote)
+            write_comparison_page(path, comparison)
+            unused, line = comparison.unused, f"{path}: {path.stat().st_size / 1e6:.2f} MB"
         else:
             page = write_report(
                 path,
@@ -115,38 +122,11 @@ def report(
                 method=method,
                 options=scoring,
             )
-            unused, line = page.unused, _line(page)
+            unused, size = page.unused, f"{page.path.stat().st_size / 1e6:.1f} MB"
+            clickable = f", {number_of(page.held, 'frame')} to click" if page.held else ""
+            line = f"{page.path}: {size}, {number_of(page.pictures, 'picture')}{clickable}"
         unused = [*remote.unused, *map(remote.with_server_names, unused)]
         tell(unused)
         if not quiet:
             say(remote.with_server_names(line))
     end(unused)
-
-
-def _line(page: Report) -> str:
-    """The line to print about a page of results."""
-    size = page.path.stat().st_size / 1e6
-    pictures = number_of(page.pictures, "picture")
-    clickable = f", {number_of(page.held, 'frame')} to click" if page.held else ""
-    return f"{page.path}: {size:.1f} MB, {pictures}{clickable}"
-
-
-def _compare(
-    page: Path,
-    sides: tuple[Path | str, Path | str],
-    ground_truth: Path | None,
-    pairs: Path | None,
-    scoring: ScoringOptions,
-    remote: RemoteFiles,
-) -> tuple[Sequence[str], str]:
-    """Write the page of a comparison; returns what could not be used, and a line to print."""
-    from sonarrec.cli.evaluate import compare_sides
-    from sonarrec.evaluation.matching.pairs import read_pairs
-    from sonarrec.report.compare import write_comparison_page
-    from sonarrec.tables.outputs import check_output
-
-    check_output(page, "comparison", [ground_truth, pairs])
-    truth = ground_truth if pairs is None else read_pairs(pairs)
-    comparison = compare_sides(sides, truth, scoring, remote)
-    write_comparison_page(page, comparison)
-    return comparison.unused, f"{page}: {page.stat().st_size / 1e6:.2f} MB"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from shlex import quote
 from time import monotonic
@@ -15,7 +17,6 @@ import click
 
 from sonarrec.cli.bars import fetching, progress, progress_of_logs
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, say, tell
-from sonarrec.cli.passes import as_json, table
 from sonarrec.errors import (
     MissingError,
     SonarrecError,
@@ -28,9 +29,11 @@ from sonarrec.runs.logs_table import NAME, LogsTable
 from sonarrec.runs.many import Watch
 from sonarrec.runs.one import Summary
 from sonarrec.runs.task import Outcome, Task
+from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.remote.upload import Outbox
+    from sonarrec.results.sightings import Sighting
 
 MOST_SHOWN = 10
 """If a call has more logs, their passes are not printed."""
@@ -150,7 +153,14 @@ class RunWatch(Watch):
             elif len(self._tasks) > 1:
                 tell([outcome.message])
             if self._verbose:
-                text = _counts(summary) if summary else outcome.message
+                text = outcome.message
+                if summary is not None:
+                    passes = number_of(sum(summary.passes.values()), "pass", "es")
+                    parts = (
+                        number_of(summary.frames, "frame"),
+                        number_of(summary.candidates, "candidate"),
+                    )
+                    text = ", ".join([*parts, passes])
                 how = f"{_in_words(outcome)}, {text}, {outcome.seconds:.1f} s"
                 tell([f"{task.path}{self._prefix(i)}: {how}"])
             self._print_ended()
@@ -190,15 +200,8 @@ class RunWatch(Watch):
         summaries = [outcome.summary for outcome in self._outcomes.values()]
         if self._box is not None or all(s is None or s.up_to_date for s in summaries):
             return
-        names = [
-            *PAGES,
-            *(
-                name
-                for name, names_made in MADE.items()
-                if (self._out / name / names_made[-1]).is_file()
-            ),
-        ]
-        older = [name for name in names if (self._out / name).exists()]
+        older = [name for name in PAGES if (self._out / name).exists()]
+        older += [name for name, made in MADE.items() if (self._out / name / made[-1]).is_file()]
         if older:
             tell([], [f"{self._out}: {', '.join(older)}: made of earlier results; make anew"])
 
@@ -278,7 +281,73 @@ def _in_words(outcome: Outcome) -> str:
     return outcome.status if outcome.status in ("done", "partial") else "failed"
 
 
-def _counts(summary: Summary) -> str:
-    passes = sum(summary.passes.values())
-    parts = number_of(summary.candidates, "candidate"), number_of(passes, "pass", "es")
-    return ", ".join([number_of(summary.frames, "frame"), *parts])
+def table(summary: Summary, folder: str) -> list[str]:
+    """Lines to print: the longest passes of each method, and how many more sightings.csv has.
+
+    folder: of that file.
+    """
+    lines: list[str] = []
+    for method, count in summary.passes.items():
+        lines += [f"{method}:"] if len(summary.passes) > 1 else []
+        sightings = [s for s in summary.sightings if s.method == method]
+        if not sightings:
+            lines.append("no landmark declared")
+            continue
+        dated = is_date(sightings[0].start_ns)
+        wide = max(len(_end(s)) for s in sightings) if dated else None
+        times = f"{'from UTC':<22}  {'to UTC':<{wide}}" if wide else f"{'from s':>9} {'to s':>9}"
+        lines.append(
+            f"landmark  track  frames       {times}  declared  best score  range m  bearing deg"
+        )
+        lines += [_row(s, wide) for s in sightings]
+        if count > len(sightings):
+            where = f"{folder}/sightings.csv"
+            lines.append(f"these are the longest; {count - len(sightings)} more in {where}")
+    return lines
+
+
+def _row(s: Sighting, end_width: int | None) -> str:
+    """A row. end_width: of the column of end dates; None if times are not dates."""
+    track = "-" if s.track is None else s.track
+    times = f"{s.start_ns / 1e9:>9.2f} {s.end_ns / 1e9:>9.2f}"
+    if end_width is not None:
+        times = f"{date_text(s.start_ns, 2):<22}  {_end(s):<{end_width}}"
+    return (
+        f"{s.landmark:>8}  {track:>5}  {f'{s.first_frame}-{s.last_frame}':<11}  {times}"
+        f"  {s.frames_declared:>8}  {s.best_score:>10.3f}  {_number(s.range_m, 2):>7}"
+        f"  {_number(s.bearing_deg, 1):>11}"
+    )
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _end(s: Sighting) -> str:
+    """The end of a pass, with the date if it differs from that of the start."""
+    start, end = date_text(s.start_ns, 2), date_text(s.end_ns, 2)
+    return end[11:] if end[:10] == start[:10] else end
+
+
+def as_json(summary: Summary, folder: str, sightings: Path) -> dict[str, Any]:
+    """The JSON object of a log, with all sightings of all methods.
+
+    folder: where its results are. sightings: their sightings.csv. Null is for what is not known.
+    """
+    from sonarrec.results.sightings import sightings_in
+
+    return {
+        "folder": folder,
+        "up_to_date": summary.up_to_date,
+        "frames": summary.frames,
+        "candidates": summary.candidates,
+        "sightings": [
+            {
+                name: None if isinstance(value, float) and math.isnan(value) else value
+                for name, value in asdict(sighting).items()
+            }
+            for sighting in sightings_in(sightings)
+        ],
+        "problems": summary.problems,
+        "notes": summary.notes,
+    }

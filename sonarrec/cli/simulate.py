@@ -104,14 +104,10 @@ def simulate(
       sonarrec simulate --background dive.mcap --contrast 0,3,6,10 -o series
     """
     if background is not None:
-        for flag, value in (
-            ("--scene", source),
-            ("--format", image_format),
-            ("--schema", schema),
-            ("--compression", compression),
-        ):
+        of_scenes = {"scene": source, "format": image_format, "schema": schema}
+        for name, value in (of_scenes | {"compression": compression}).items():
             if value is not None:
-                raise UsageError(f"{flag} is for scenes; leave it out with --background")
+                raise UsageError(f"--{name} is for scenes; leave it out with --background")
         _lay(background, seed or 0, frames, laying, log_choice, out, quiet)
         return
     for name, value in (*laying.values.items(), *log_choice.values.items()):
@@ -126,11 +122,14 @@ def simulate(
     from sonarrec.simulation.simulate import write_recording
 
     scene = load_scene(source or "paper")
-    scene = replace(
-        scene,
-        seed=scene.seed if seed is None else seed,
-        frames=scene.frames if frames is None else _number(frames),
-    )
+    if seed is not None:
+        scene = replace(scene, seed=seed)
+    if frames is not None:
+        if not frames.isdecimal() or not 1 <= int(frames) < 10**9:
+            raise UsageError(
+                f"--frames {frames}: for a scene, expected a number of frames, 1 or more"
+            )
+        scene = replace(scene, frames=int(frames))
     outputs = [out, out.with_suffix(".gt.csv")] if out.suffix == ".mcap" else [out]
     with naming_leftovers(*outputs), progress(quiet, scene.frames) as step:
         write_recording(
@@ -143,13 +142,6 @@ def simulate(
         )
     if not quiet:
         say(f"{out}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")
-
-
-def _number(frames: str) -> int:
-    """The --frames of a scene. Raises UsageError."""
-    if not frames.isdecimal() or not 1 <= int(frames) < 10**9:
-        raise UsageError(f"--frames {frames}: for a scene, expected a number of frames, 1 or more")
-    return int(frames)
 
 
 def _lay(

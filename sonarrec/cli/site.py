@@ -18,8 +18,6 @@ from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import number_of
 
 if TYPE_CHECKING:
-    from sonarrec.readers.open import Source
-    from sonarrec.results.run_file import LogOptions, RunFile
     from sonarrec.simulation.site.results import Site
 
 
@@ -67,7 +65,7 @@ def site(
     """
     from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
-    from sonarrec.runs.prepare import RunOptions
+    from sonarrec.runs.prepare import RunOptions, digest_asked, is_same_log
     from sonarrec.simulation.simulate import check_free
     from sonarrec.simulation.site.assess import assess
     from sonarrec.simulation.site.page import render
@@ -77,11 +75,12 @@ def site(
     contrasts, values = laying.contrasts(), laying.values
     earlier, source = read_run(settings.file), find_log(log)
     landmarks = earlier.landmark_set(values["landmarks"])
-    log_options = _completed(
-        log_choice.log_options(laying.values["odometry"], laying.values["odometry_topic"], frames),
-        earlier,
-        source,
-    )
+    given = log_choice.log_options(values["odometry"], values["odometry_topic"], frames)
+    # As in `run`, except that a run.toml does not give the frames.
+    same_log = is_same_log(earlier, source, digest_asked(earlier, source))
+    log_options = replace(earlier.complete(given, same_log=same_log), frames=given.frames)
+    if same_log:
+        earlier.check_poses(log_options)
     out = out or Path("sonarrec_site") / source.name
     check_free(out)
     with progress(quiet, title="motion") as step:
@@ -110,20 +109,6 @@ def site(
     if not quiet:
         say(*_lines(site_result, out / "site.html", layouts))
     end(told.problems)
-
-
-def _completed(given: LogOptions, earlier: RunFile, source: Source) -> LogOptions:
-    """The options, completed from a run.toml as in `run`, except that it does not give the frames.
-
-    Raises UsageError if that run used a table of poses that is not given again.
-    """
-    from sonarrec.runs.prepare import digest_asked, is_same_log
-
-    same_log = is_same_log(earlier, source, digest_asked(earlier, source))
-    log_options = replace(earlier.complete(given, same_log=same_log), frames=given.frames)
-    if same_log:
-        earlier.check_poses(log_options)
-    return log_options
 
 
 def _lines(site_result: Site, page: Path, layouts: int) -> Iterator[str]:

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from time import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,7 +18,9 @@ from sonarrec.cli.groups import command
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
-    from sonarrec.runs.logs_table import Row
+    from sonarrec.runs.task import Status
+
+STATES: tuple[Status, ...] = ("done", "partial", "failed", "running", "waiting")
 
 
 @command(short_help="Show the progress of a run over many logs, and what failed.")
@@ -38,53 +40,45 @@ def status(out: Path | str, as_json: bool, cache: options.GetCache) -> None:
       sonarrec status results --json
     """
     from sonarrec.remote.run import RemoteFiles, inside
+    from sonarrec.runs.logs_table import read_logs
 
     with ExitStack() as stack:
         path = RemoteFiles(stack, cache).file(inside(out, "logs.csv"))
         assert path is not None
-        _tell(path, out, as_json)
-
-
-def _tell(path: Path, out: Path | str, as_json: bool) -> None:
-    from sonarrec.runs.logs_table import read_logs
-
-    if not path.is_file():
-        raise UsageError(f"{path}: no such file; `sonarrec run -o {out}` writes it")
-    rows = read_logs(path)
-    figures = _figures(path, rows)
+        if not path.is_file():
+            raise UsageError(f"{path}: no such file; `sonarrec run -o {out}` writes it")
+        rows = read_logs(path)
+        # Not negative: the file may be of another machine, whose clock is ahead.
+        age_s = max(time() - path.stat().st_mtime, 0.0)
+    many = Counter(row.status for row in rows)
+    counts = {state: many[state] for state in STATES if many[state]}
+    ended = [row for row in rows if row.status in ("done", "partial") and row.seconds]
+    seconds = sum(row.seconds for row in ended)
+    rate = sum(row.frames for row in ended) / seconds if seconds else None
+    frames, unusable, declared = (
+        sum(getattr(row, key) for row in rows) for key in ("frames", "unusable", "declared")
+    )
     if as_json:
-        document = figures | {"logs": [asdict(row) for row in rows]}
+        document = {
+            "counts": counts,
+            "frames": frames,
+            "unusable": unusable,
+            "declared": declared,
+            "frames_per_second": rate,
+            "age_s": age_s,
+            "logs": [asdict(row) for row in rows],
+        }
         click.echo(json.dumps(document, indent=2))
         return
-    counts = ", ".join(f"{n} {status}" for status, n in figures["counts"].items())
-    say(f"{number_of(len(rows), 'log')}: {counts}")
-    rate = figures["frames_per_second"]
+    told = ", ".join(f"{count} {state}" for state, count in counts.items())
+    say(f"{number_of(len(rows), 'log')}: {told}")
     say(
-        f"{number_of(figures['frames'], 'frame')}, {figures['unusable']} unusable, "
-        f"{number_of(figures['declared'], 'pass', 'es')} declared"
+        f"{number_of(frames, 'frame')}, {unusable} unusable, "
+        f"{number_of(declared, 'pass', 'es')} declared"
         + (f"; {number_of(round(rate), 'frame')}/s a process" if rate else "")
     )
     for row in rows:
         if row.message:  # failed, partial or stopped
             say(f"{row.status}: {row.log}: {row.message}")
-    if figures["counts"].get("running"):
-        say(f"as of {figures['age_s']:.0f} s ago")
-
-
-def _figures(path: Path, rows: list[Row]) -> dict[str, Any]:
-    counts = Counter(row.status for row in rows)
-    ended = [row for row in rows if row.status in ("done", "partial") and row.seconds]
-    seconds = sum(row.seconds for row in ended)
-    return {
-        "counts": {
-            status: counts[status]
-            for status in ("done", "partial", "failed", "running", "waiting")
-            if counts[status]
-        },
-        "frames": sum(row.frames for row in rows),
-        "unusable": sum(row.unusable for row in rows),
-        "declared": sum(row.declared for row in rows),
-        "frames_per_second": sum(row.frames for row in ended) / seconds if seconds else None,
-        # Not negative: the file may be of another machine, whose clock is ahead.
-        "age_s": max(time() - path.stat().st_mtime, 0.0),
-    }
+    if counts.get("running"):
+        say(f"as of {age_s:.0f} s ago")

@@ -306,7 +306,7 @@ def test_json_is_the_one_thing_on_stdout(results: Path, tmp_path: Path) -> None:
 
 def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     """Of thirty passes the longest, in order, with the calendar's time."""
-    from sonarrec.cli.passes import table
+    from sonarrec.cli.run_watch import table
     from sonarrec.runs.one import Summary, _longest
 
     start = 1_700_000_000 * 10**9
