@@ -9,7 +9,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, say, tell
-from sonarrec.cli.groups import LEARNING, NEW_FILE, command, file_names, option
+from sonarrec.cli.groups import NEW_FILE, command, file_names, in_learning
 from sonarrec.cli.options_log import LogChoice, log_options
 
 
@@ -18,8 +18,7 @@ from sonarrec.cli.options_log import LogChoice, log_options
 @options.ground_truth("gt.csv with positions.", required=True)
 @log_options(time=True)
 @options.landmarks
-@option(
-    LEARNING,
+@in_learning(
     "--from-scratch",
     is_flag=True,
     help="Do not start from the built-in model. This needs thousands of labelled frames that show "

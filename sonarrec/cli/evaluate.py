@@ -12,7 +12,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, leave, say, tell
-from sonarrec.cli.groups import BATCH, OUTPUT, SCORING, FiniteRange, command, option
+from sonarrec.cli.groups import FiniteRange, command, in_batch, in_output, in_scoring
 from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,43 +29,32 @@ if TYPE_CHECKING:
 )
 @options.pairs
 @options.compare("what got better or worse from OLD to NEW, frame by frame.")
-@option(
-    SCORING,
-    "--fail-on-regression",
-    "band",
+@in_scoring(
+    "--fail-on-regression band",
     type=FiniteRange(0, 1),
     metavar="BAND",
     help="With --compare: exit with 1 if a rate is worse by more than BAND and more than two "
     "frames.",
 )
-@option(
-    SCORING,
+@in_scoring(
     "--unit",
     type=click.Choice(["pass", "log"]),
     help="Independent unit: a pass of a landmark, or a log.  "
     "[default: log if there are ten or more]",
 )
 @options.scoring
-@option(
-    BATCH,
-    "-j",
-    "--jobs",
+@in_batch(
+    "-j --jobs",
     type=click.IntRange(min=1),
     help="How many logs are read at once, each in its own process; this does not change the "
     "figures.  [default: the number of cores; 1 for a few small logs]",
 )
-@option(
-    OUTPUT,
-    "-v",
-    "--details",
-    is_flag=True,
-    help="Print the figures of both protocols, per ID and per log.",
+@in_output(
+    "-v --details", is_flag=True, help="Print the figures of both protocols, per ID and per log."
 )
-@option(OUTPUT, "--det", is_flag=True, help="Also draw det.png, the detection error trade-off.")
-@option(
-    OUTPUT,
-    "--json",
-    "as_json",
+@in_output("--det", is_flag=True, help="Also draw det.png, the detection error trade-off.")
+@in_output(
+    "--json as_json",
     is_flag=True,
     help="Print evaluation.json (compare.json with --compare), and nothing else, on stdout.",
 )

@@ -40,11 +40,11 @@ FOLDER = _Local(file_okay=False, path_type=Path)
 ANY = _Local(path_type=Path)
 
 
-# The groups of --help, in this order.
-INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
-BACKGROUND = "Into a recording"
-GEOMETRY, PIXELS, BATCH, OUTPUT = "Geometry", "Pixels", "Many logs", "Output"
-_GROUPS = (INPUT, BACKGROUND, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, BATCH, OUTPUT)
+GROUPS = (
+    *("Input", "Into a recording", "Scoring", "Learning", "Settings"),
+    *("Geometry", "Pixels", "Many logs", "Output"),
+)
+"""Of --help, in this order."""
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -68,7 +68,7 @@ class GroupedCommand(click.Command):
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        rows: dict[str, list[tuple[str, str]]] = {group: [] for group in (*_GROUPS, "Other")}
+        rows: dict[str, list[tuple[str, str]]] = {group: [] for group in (*GROUPS, "Other")}
         for parameter in self.get_params(ctx):
             row = parameter.get_help_record(ctx)
             if row is not None and isinstance(parameter, click.Option):
@@ -90,9 +90,15 @@ def file_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[C
 command = partial(click.command, cls=GroupedCommand)
 
 
-def option(group: str, *names: str, **options: Any) -> Decorator:
-    """`click.option` in a group of --help."""
-    return click.option(*names, cls=GroupedOption, group=group, **options)
+def _option(group: str, names: str, **options: Any) -> Decorator:
+    return click.option(*names.split(), cls=GroupedOption, group=group, **options)
+
+
+# `click.option` in a group of --help; its names stand in one text.
+in_input, in_background, in_scoring, in_learning, in_settings = (
+    partial(_option, group) for group in GROUPS[:5]
+)
+in_geometry, in_pixels, in_batch, in_output = (partial(_option, group) for group in GROUPS[5:])
 
 
 def as_one(

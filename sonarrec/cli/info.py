@@ -14,7 +14,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.bars import fetching, progress
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, leave, say, tell
-from sonarrec.cli.groups import INPUT, NEW_FILE, OUTPUT, command, file_names, option
+from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
 from sonarrec.errors import MissingError, SonarrecError, UsageError, name_as_text, number_of
 from sonarrec.times import date_text, is_date
@@ -29,23 +29,20 @@ if TYPE_CHECKING:
 @command(short_help="Show what is in a log, and whether it is complete.")
 @click.argument("log", shell_complete=file_names, nargs=-1)
 @many_logs_options
-@option(
-    INPUT,
+@in_input(
     "--quick",
     is_flag=True,
     help="Read the summary and the first frames only; do not check every frame and checksum.",
 )
 @log_options()
 @options.landmarks
-@option(
-    OUTPUT,
+@in_output(
     "--preview",
     type=NEW_FILE,
     metavar="FILE.png",
     help="Draw the stated geometry, and landmarks to scale, onto the first usable frame.",
 )
-@option(
-    OUTPUT,
+@in_output(
     "--try-radii",
     is_flag=True,
     help="Recognise a part of the log with radii from half to twice the landmark set's, and print "

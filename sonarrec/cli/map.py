@@ -10,23 +10,21 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import end, say, tell
-from sonarrec.cli.groups import ANY, FILE, FOLDER, INPUT, OUTPUT, command, option
+from sonarrec.cli.groups import ANY, FILE, FOLDER, command, in_input, in_output
 from sonarrec.cli.options_log import geometry_options
 from sonarrec.errors import UsageError, number_of
 
 
 @command("map", short_help="Map the positions of the landmarks.")
 @click.argument("results", type=ANY, nargs=-1)
-@option(
-    INPUT,
+@in_input(
     "--odometry",
     type=FILE,
     multiple=True,
     help="Table of the poses that a log was run with, if it is no longer beside the log; "
     "repeatable.",
 )
-@option(
-    INPUT,
+@in_input(
     "--drift",
     metavar="M,DEG",
     help="Standard error of the poses after one minute, in position and heading; it grows with "
@@ -34,16 +32,14 @@ from sonarrec.errors import UsageError, number_of
 )
 @options.landmarks
 @options.method
-@option(
-    INPUT,
+@in_input(
     "--min-frames",
     type=click.IntRange(min=1),
     default=3,
     help="Leave out landmarks declared in fewer frames.",
 )
 @geometry_options
-@option(
-    OUTPUT,
+@in_output(
     "--origin",
     metavar="LAT,LON,HEADING",
     help="Position of the poses' origin on Earth, deg, and the compass heading of yaw 0; writes "

@@ -13,14 +13,13 @@ import click
 from sonarrec.cli.groups import (
     FILE,
     FOLDER,
-    INPUT,
-    OUTPUT,
-    SCORING,
-    SETTINGS,
     Decorator,
     as_one,
     file_names,
-    option,
+    in_input,
+    in_output,
+    in_scoring,
+    in_settings,
 )
 from sonarrec.cli.options_log import GEOMETRY_OPTIONS, LogChoice
 from sonarrec.errors import UsageError
@@ -48,23 +47,20 @@ ANY_OR_URL = _OrUrl(path_type=Path)
 
 # Results and truth
 
-landmarks = option(
-    INPUT,
+landmarks = in_input(
     "--landmarks",
     shell_complete=file_names,
     help="Landmark set: a built-in name or a TOML file.  "
     "[default: that of run.toml if one is read, else basin]",
 )
-pairs = option(
-    INPUT,
+pairs = in_input(
     "--pairs",
     type=FILE,
     help="In place of RESULTS and truth: a CSV with the columns results,ground_truth[,log], a row "
     "per log. With --compare: the truth of each log.",
 )
-method = option(INPUT, "--method", help="Method of estimates.csv.  [default: framework]")
-model = option(
-    INPUT,
+method = in_input("--method", help="Method of estimates.csv.  [default: framework]")
+model = in_input(
     "--model",
     type=FILE,
     help="Appearance model that `sonarrec calibrate` wrote.  [default: built in]",
@@ -74,35 +70,32 @@ model = option(
 def frames(text: str, default: str | None = None) -> Decorator:
     """--frames. text: what is done with these frames. default: in words; None: all frames."""
     text = f"{text} A or B may be left out." + (f"  [default: {default}]" if default else "")
-    return option(INPUT, "--frames", metavar="A:B", help=text)
+    return in_input("--frames", metavar="A:B", help=text)
 
 
 def ground_truth(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
     """--ground-truth. text: what it is for. kind: FILE_OR_URL if it may be on a server."""
     text = f"{text} Columns: sonarrec help truth."
-    return option(INPUT, "--ground-truth", type=kind, required=required, help=text)
+    return in_input("--ground-truth", type=kind, required=required, help=text)
 
 
 def compare(text: str) -> Decorator:
     """--compare OLD NEW. text: what is made of the two."""
     kind, text = (ANY_OR_URL, ANY_OR_URL), f"In place of RESULTS: {text}"
     words: dict[str, Any] = {"metavar": "OLD NEW", "shell_complete": file_names, "help": text}
-    return option(INPUT, "--compare", type=kind, **words)
+    return in_input("--compare", type=kind, **words)
 
 
 _SCORING = {
-    "min_visible": option(
-        SCORING,
+    "min_visible": in_scoring(
         "--min-visible",
         type=float,
         default=0.9,
         help="Protocol strict: share of the disc that must be in view for a landmark to count; "
         "with less it is ignored.",
     ),
-    "tolerance_s": option(
-        SCORING,
-        "--tolerance",
-        "tolerance_s",
+    "tolerance_s": in_scoring(
+        "--tolerance tolerance_s",
         type=float,
         metavar="SECONDS",
         help="Longest time between a row of truth with timestamp_ns and its frame.  "
@@ -125,33 +118,25 @@ scoring = as_one("scoring", _SCORING | GEOMETRY_OPTIONS, _scoring)
 # Settings
 
 _SETTINGS = {
-    "preset": option(
-        SETTINGS,
+    "preset": in_settings(
         "--preset",
         metavar="NAME[,NAME]",
         help="default (frame by frame), offline (results are revised by what the log shows later) "
         "or paper (every rule as published). `sonarrec run` takes several.",
     ),
-    "config_file": option(
-        SETTINGS,
-        "--config",
-        "config_file",
+    "config_file": in_settings(
+        "--config config_file",
         type=FILE,
         help="Settings (TOML), or the run.toml of an earlier run.",
     ),
-    "assignments": option(
-        SETTINGS,
-        "--set",
-        "assignments",
+    "assignments": in_settings(
+        "--set assignments",
         multiple=True,
         metavar="STAGE.KEY=VALUE",
         help="Change one setting; repeatable. `sonarrec config` prints them all.",
     ),
-    "seed": option(
-        SETTINGS,
-        "--seed",
-        type=click.IntRange(min=0),
-        help="Seed of the random numbers.  [default: 0]",
+    "seed": in_settings(
+        "--seed", type=click.IntRange(min=0), help="Seed of the random numbers.  [default: 0]"
     ),
 }
 
@@ -191,10 +176,8 @@ settings = as_one("settings", _SETTINGS, SettingsChoice)
 
 # Output
 
-quiet = option(
-    OUTPUT,
-    "-q",
-    "--quiet",
+quiet = in_output(
+    "-q --quiet",
     is_flag=True,
     help="Print no progress bar and no summary; notes and errors are still printed.",
 )
@@ -202,12 +185,12 @@ quiet = option(
 
 def json(text: str = "Print one JSON document on stdout.") -> Decorator:
     """--json, as `as_json`."""
-    return option(OUTPUT, "--json", "as_json", is_flag=True, help=text)
+    return in_output("--json as_json", is_flag=True, help=text)
 
 
 def out(kind: click.Path, text: str, **options: Any) -> Decorator:
     """-o, --out. text: what it names."""
-    return option(OUTPUT, "-o", "--out", type=kind, help=text, **options)
+    return in_output("-o --out", type=kind, help=text, **options)
 
 
 # Servers
@@ -226,16 +209,13 @@ def _cache(folder: Path | None, limit: int) -> Cache:
 
 
 _CACHE = {
-    "cache_folder": option(
-        INPUT,
-        "--cache",
-        "cache_folder",
+    "cache_folder": in_input(
+        "--cache cache_folder",
         type=FOLDER,
         help="Folder for logs and results fetched from s3://, gs://, https:// and sftp://.  "
         "[default: sonarrec in the user's cache folder]",
     ),
-    "cache_size": option(
-        INPUT,
+    "cache_size": in_input(
         "--cache-size",
         callback=_bytes,
         metavar="SIZE",

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.groups import BACKGROUND, Decorator, FiniteRange, as_one, file_names, option
+from sonarrec.cli.groups import (
+    Decorator,
+    FiniteRange,
+    as_one,
+    file_names,
+    in_background,
+)
 from sonarrec.cli.options_log import odometry_options
 from sonarrec.errors import UsageError
 
@@ -23,35 +29,31 @@ if TYPE_CHECKING:
 MOST_DB = 60.0
 
 _LAYING = {
-    "plate": option(
-        BACKGROUND,
+    "plate": in_background(
         "--plate",
         type=FiniteRange(-MOST_DB, MOST_DB),
         metavar="DB",
         help="The same for the plate between ring and sectors; negative if it is darker than the "
         "floor.  [default: -6]",
     ),
-    "landmarks": option(
-        BACKGROUND,
+    "landmarks": in_background(
         "--landmarks",
         shell_complete=file_names,
         help="Landmark set: a built-in name or a TOML file.  [default: basin]",
     ),
-    "count": option(
-        BACKGROUND,
+    "count": in_background(
         "--count",
         type=click.IntRange(min=1),
         help="Number of landmarks; a blank and a filled disc are added for each round of the IDs.  "
         "[default: at most six discs in view]",
     ),
-    "beam_width": option(
-        BACKGROUND,
+    "beam_width": in_background(
         "--beam-width",
         type=FiniteRange(0, 5),
         metavar="DEG",
         help="Width of the beams that smear the discs.  [default: as in `sonarrec run`]",
     ),
-    **odometry_options(BACKGROUND),
+    **odometry_options(in_background),
 }
 
 
@@ -111,7 +113,7 @@ def laying_options(contrast: str) -> Decorator:
         "How much brighter ring and sectors are than the floor, dB of power; several values, "
         f"separated by commas, make a series.  [default: {contrast}]"
     )
-    series = option(BACKGROUND, "--contrast", metavar="DB[,DB]", help=text)
+    series = in_background("--contrast", metavar="DB[,DB]", help=text)
     return as_one(
         "laying", {"contrast": series} | _LAYING, lambda values: LayoutChoice(values, contrast)
     )

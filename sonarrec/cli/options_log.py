@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 
 import click
 
-from sonarrec.cli.groups import FILE, GEOMETRY, INPUT, PIXELS, Decorator, as_one, option
+from sonarrec.cli.groups import FILE, Decorator, as_one, in_geometry, in_input, in_pixels
 from sonarrec.errors import UsageError, name_as_text
 from sonarrec.nouns import Clock, ColourMap
 
@@ -26,92 +26,70 @@ _NUMBERS = {
     "metres_per_pixel": "Scale of a fan image, m.",
 }
 GEOMETRY_OPTIONS = {
-    "sonar_file": option(
-        GEOMETRY,
-        "--sonar",
-        "sonar_file",
+    "sonar_file": in_geometry(
+        "--sonar sonar_file",
         type=FILE,
         help="Geometry file, in place of the sonar.toml beside the log.",
     ),
-    "layout": option(
-        GEOMETRY, "--layout", type=click.Choice(["fan", "polar"]), help="Layout of the images."
+    "layout": in_geometry(
+        "--layout", type=click.Choice(["fan", "polar"]), help="Layout of the images."
     ),
     **{
-        key: option(GEOMETRY, f"--{key.replace('_', '-')}", key, type=float, help=text)
+        key: in_geometry(f"--{key.replace('_', '-')} {key}", type=float, help=text)
         for key, text in _NUMBERS.items()
     },
-    "apex_px": option(
-        GEOMETRY,
-        "--apex-px",
-        type=float,
-        nargs=2,
-        metavar="COLUMN ROW",
-        help="Apex of a fan image, pixels.",
+    "apex_px": in_geometry(
+        "--apex-px", type=float, nargs=2, metavar="COLUMN ROW", help="Apex of a fan image, pixels."
     ),
-    "bearings_deg": option(
-        GEOMETRY,
-        "--bearings-deg",
-        metavar="B,B,...",
-        help="One bearing per beam of a polar image, deg.",
+    "bearings_deg": in_geometry(
+        "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image, deg."
     ),
-    "ranges_m": option(
-        GEOMETRY,
-        "--ranges-m",
-        metavar="R,R,...",
-        help="One slant range per row of a polar image, m.",
+    "ranges_m": in_geometry(
+        "--ranges-m", metavar="R,R,...", help="One slant range per row of a polar image, m."
     ),
 }
 _PIXELS = {
-    "beam_order": option(
-        PIXELS,
+    "beam_order": in_pixels(
         "--beam-order",
         type=click.Choice(["range-major", "beam-major"]),
         help="Polar samples: all beams of one range first, or all ranges of one beam.  "
         "[default: found from the first ping]",
     ),
-    "flip": option(
-        PIXELS,
-        "--flip/--no-flip",
-        default=None,
-        help="Exchange left and right, if a driver did.",
+    "flip": in_pixels(
+        "--flip/--no-flip", default=None, help="Exchange left and right, if a driver did."
     ),
-    "colour_map": option(
-        PIXELS,
+    "colour_map": in_pixels(
         "--colour-map",
         type=click.Choice(get_args(ColourMap)),
         metavar="NAME",
         help="Colour map of pictures in false colour, such as jet or viridis; luminance if they "
         "are in none.  [default: found from the first frames; sonarrec help geometry]",
     ),
-    "pixel_scale": option(
-        PIXELS,
+    "pixel_scale": in_pixels(
         "--pixel-scale",
         type=click.Choice(["linear", "log", "db"]),
         help="What pixels hold: grey levels (logarithms of the echo, ready to show), echo "
         "amplitudes, or decibels.  "
         "[default: found from their type and the first frames; sonarrec help geometry]",
     ),
-    "full_scale": option(
-        PIXELS,
+    "full_scale": in_pixels(
         "--full-scale",
         type=float,
         metavar="VALUE",
         help="The pixel value that becomes white.  "
         "[default: the type's largest; for log and db from the first ping]",
     ),
-    "dynamic_range_db": option(
-        PIXELS,
+    "dynamic_range_db": in_pixels(
         "--dynamic-range-db",
         type=float,
         help="Decibels from black to white, for log and db.  [default: 50]",
     ),
 }
-topic_option = option(
-    INPUT, "--topic", help="Channel of an MCAP or bag that holds several image channels."
+topic_option = in_input(
+    "--topic", help="Channel of an MCAP or bag that holds several image channels."
 )
 _TIME = {
-    "time": option(
-        INPUT,
+    "time": in_input(
         "--time",
         type=click.Choice(get_args(Clock)),
         help="Which time of a message of an MCAP or bag becomes the timestamp_ns of its frame. "
@@ -122,8 +100,7 @@ _TIME = {
 
 def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """--recursive and --from-file, of commands that take many logs."""
-    from_file = option(
-        INPUT,
+    from_file = in_input(
         "--from-file",
         type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
         metavar="LIST",
@@ -131,7 +108,7 @@ def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
         "with # are skipped.",
     )
     text = "Also take the logs in all folders below a folder."
-    return option(INPUT, "--recursive", is_flag=True, help=text)(from_file(function))
+    return in_input("--recursive", is_flag=True, help=text)(from_file(function))
 
 
 def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
@@ -224,19 +201,17 @@ class LogChoice:
         )
 
 
-def odometry_options(group: str) -> dict[str, Decorator]:
-    """--odometry and --odometry-topic, in a group of --help."""
+def odometry_options(group: Callable[..., Decorator]) -> dict[str, Decorator]:
+    """--odometry and --odometry-topic. group: in_input or another."""
     return {
-        "odometry": option(
-            group,
+        "odometry": group(
             "--odometry",
             type=FILE,
             help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the "
             "right) and, if known, x, y (m).  [default: NAME.poses.csv or poses.csv beside the "
             "log; without one the motion is measured between the images]",
         ),
-        "odometry_topic": option(
-            group,
+        "odometry_topic": group(
             "--odometry-topic",
             metavar="TOPIC",
             help="Poses in the MCAP or bag itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",

@@ -9,7 +9,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, say, tell
-from sonarrec.cli.groups import ANY, NEW_FILE, OUTPUT, command, file_names, option
+from sonarrec.cli.groups import ANY, NEW_FILE, command, file_names, in_output
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
 
@@ -20,31 +20,25 @@ from sonarrec.errors import UsageError, number_of
 @log_options(pixels=False)
 @options.landmarks
 @options.ground_truth("gt.csv, drawn dashed.")
-@option(
-    OUTPUT,
+@in_output(
     "--mcap",
     type=ANY,
     metavar="OUT",
     help="Write annotations and detections, for Foxglove and ROS 2.",
 )
-@option(
-    OUTPUT,
+@in_output(
     "--foxglove-layout",
     type=NEW_FILE,
     metavar="OUT.json",
     help="Write a Foxglove layout that shows the file of --mcap.",
 )
-@option(
-    OUTPUT,
-    "--video",
-    type=ANY,
-    metavar="OUT.mp4",
-    help="Draw the frames into a video (MPEG-4 Part 2).",
+@in_output(
+    "--video", type=ANY, metavar="OUT.mp4", help="Draw the frames into a video (MPEG-4 Part 2)."
 )
-@option(OUTPUT, "--images", type=ANY, metavar="DIR", help="Draw the frames as DIR/000000.png, ...")
+@in_output("--images", type=ANY, metavar="DIR", help="Draw the frames as DIR/000000.png, ...")
 @options.method
 @options.frames("Draw only the frames from A up to, not including, B.", default="those of the run")
-@option(OUTPUT, "--grid", is_flag=True, help="Draw range rings and bearings in videos and images.")
+@in_output("--grid", is_flag=True, help="Draw range rings and bearings in videos and images.")
 @options.quiet
 # Long by its options and its help.
 def overlay(

@@ -11,7 +11,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import end, say, tell
-from sonarrec.cli.groups import INPUT, OUTPUT, command, option
+from sonarrec.cli.groups import command, in_input, in_output
 from sonarrec.cli.options_log import topic_option
 from sonarrec.errors import UsageError, number_of
 
@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     "a page on what got better or worse from OLD to NEW. Truth is given, or found beside each log."
 )
 @options.pairs
-@option(
-    INPUT,
-    "--log",
-    "recordings",
+@in_input(
+    "--log recordings",
     type=options.ANY_OR_URL,
     multiple=True,
     help="The log that RESULTS came from, or a folder of logs, to show frames on the page; "
@@ -37,8 +35,7 @@ if TYPE_CHECKING:
 )
 @topic_option
 @options.scoring
-@option(
-    OUTPUT,
+@in_output(
     "--method",
     help="Method whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )

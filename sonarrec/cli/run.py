@@ -24,7 +24,7 @@ from sonarrec.cli.endings import (
     say,
     tell,
 )
-from sonarrec.cli.groups import BATCH, INPUT, NEW_FILE, OUTPUT, command, file_names, option
+from sonarrec.cli.groups import NEW_FILE, command, file_names, in_batch, in_input, in_output
 from sonarrec.cli.options_log import (
     LogChoice,
     log_options,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from sonarrec.runs.task import Task
 
 
-_ODOMETRY = odometry_options(INPUT)
+_ODOMETRY = odometry_options(in_input)
 
 
 @command(short_help="Recognise the landmarks in logs.")
@@ -62,62 +62,48 @@ _ODOMETRY = odometry_options(INPUT)
 @options.model
 @options.settings
 @options.out(options.FOLDER_OR_URL, "Results go to OUT/<log name>.", default=Path("sonarrec_out"))
-@option(
-    OUTPUT,
+@in_output(
     "--tables",
     type=click.Choice(["csv", "parquet"]),
     default="csv",
     help="Format of the estimates; parquet needs `pip install 'sonarrec[parquet]'`.",
 )
-@option(
-    OUTPUT,
+@in_output(
     "--odometry-out",
     type=NEW_FILE,
     metavar="FILE",
     help="Also write the sonar's path, from the poses or measured between the images, as a CSV "
     "that --odometry reads; for one log only.",
 )
-@option(
-    OUTPUT,
+@in_output(
     "--overwrite",
     is_flag=True,
     help="Run logs again that are up to date, and replace results of another log of the same name.",
 )
-@option(
-    BATCH,
-    "-j",
-    "--jobs",
+@in_batch(
+    "-j --jobs",
     type=click.IntRange(min=1),
     help="How many logs run at once, each in its own process; 1: one after the other, in this "
     "process.  [default: the number of cores]",
 )
-@option(
-    BATCH,
+@in_batch(
     "--retry-failed",
     is_flag=True,
     help="Run only the logs that are failed or partial in OUT/logs.csv, from the start.",
 )
-@option(
-    BATCH,
-    "--dry-run",
-    is_flag=True,
-    help="Print what would be done with each log and why; write nothing.",
+@in_batch(
+    "--dry-run", is_flag=True, help="Print what would be done with each log and why; write nothing."
 )
-@option(
-    BATCH,
+@in_batch(
     "--timeout",
     type=click.FloatRange(min=0, min_open=True),
     metavar="SECONDS",
     help="Stop a log that takes longer.",
 )
-@option(
-    BATCH,
-    "--shard",
-    metavar="I/N",
-    help="Run only every N-th log, from the I-th: see help cluster.",
+@in_batch(
+    "--shard", metavar="I/N", help="Run only every N-th log, from the I-th: see help cluster."
 )
-@option(
-    BATCH,
+@in_batch(
     "--scheduler",
     metavar="ADDRESS",
     help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help "
@@ -125,9 +111,7 @@ _ODOMETRY = odometry_options(INPUT)
 )
 @options.json()
 @options.cache
-@option(
-    OUTPUT, "-v", "--verbose", is_flag=True, help="Print a line on stderr for each finished log."
-)
+@in_output("-v --verbose", is_flag=True, help="Print a line on stderr for each finished log.")
 @options.quiet
 # Long by its options and its help.
 def run(

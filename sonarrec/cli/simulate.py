@@ -9,37 +9,32 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, naming_leftovers, say, tell
-from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
+from sonarrec.cli.groups import ANY, command, file_names, in_input, in_output
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
 
 
 @command(short_help="Render a recording with ground truth.")
-@option(
-    INPUT,
-    "--scene",
-    "source",
+@in_input(
+    "--scene source",
     shell_complete=file_names,
     help="Scene: a built-in name (paper, basin, sample_pan, sample_polar) or a TOML file.  "
     "[default: paper]",
 )
-@option(
-    INPUT,
+@in_input(
     "--background",
     shell_complete=file_names,
     metavar="LOG",
     help="In place of a scene: a recording without landmarks, into which landmarks are laid; it is "
     "read as in `sonarrec run`.",
 )
-@option(
-    INPUT,
+@in_input(
     "--seed",
     type=click.IntRange(min=0),
     help="Seed, in place of that of the scene; with --background, of the positions of the discs.",
 )
-@option(
-    INPUT,
+@in_input(
     "--frames",
     metavar="N",
     help="Number of frames, in place of that of the scene; with --background A:B: use only these "
@@ -47,23 +42,19 @@ from sonarrec.errors import UsageError, number_of
 )
 @laying_options("6")
 @log_options(time=True)
-@option(
-    OUTPUT,
-    "--format",
-    "image_format",
+@in_output(
+    "--format image_format",
     type=click.Choice(["png", "mcap"]),
     help="A folder of images, or one MCAP file; with --background images.  [default: png]",
 )
-@option(
-    OUTPUT,
+@in_output(
     "--schema",
     metavar="NAME",
     help="Message type of an MCAP, such as sensor_msgs/msg/Image; add +ros1 or +json for another "
     "encoding than CDR (ROS) or protobuf (Foxglove). The message for a wrong name lists all.  "
     "[default: sensor_msgs/msg/Image]",
 )
-@option(
-    OUTPUT,
+@in_output(
     "--compression",
     type=click.Choice(["none", "lz4", "zstd"]),
     help="Compression of an MCAP.  [default: zstd]",

@@ -12,7 +12,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, naming_leftovers, say, tell
-from sonarrec.cli.groups import BACKGROUND, FOLDER, OUTPUT, command, file_names, option
+from sonarrec.cli.groups import FOLDER, command, file_names, in_background, in_output
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import number_of
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 @log_options(time=True)
 @options.frames("Use only the frames from A up to, not including, B.")
 @laying_options("0,3,6,10")
-@option(
-    BACKGROUND,
+@in_background(
     "--layouts",
     type=click.IntRange(min=1),
     default=4,
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 @options.model
 @options.settings
 @options.out(FOLDER, "Folder for the output.  [default: sonarrec_site/<log name>]")
-@option(OUTPUT, "--keep", is_flag=True, help="Keep the images in OUT/recordings.")
+@in_output("--keep", is_flag=True, help="Keep the images in OUT/recordings.")
 @options.quiet
 # Long by its options and its help.
 def site(

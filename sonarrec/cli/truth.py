@@ -16,15 +16,14 @@ from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import (
     ANY,
     FILE,
-    INPUT,
     NEW_FILE,
-    OUTPUT,
-    SCORING,
     Decorator,
     FiniteRange,
     GroupedCommand,
     file_names,
-    option,
+    in_input,
+    in_output,
+    in_scoring,
 )
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
@@ -67,28 +66,23 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
 
 @truth.command(short_help="Write annotations as a gt.csv.", cls=GroupedCommand)
 @click.argument("annotations", type=ANY)
-@option(INPUT, "--log", shell_complete=file_names, help="The log that was annotated.")
-@option(
-    INPUT,
-    "--map",
-    "labels",
+@in_input("--log", shell_complete=file_names, help="The log that was annotated.")
+@in_input(
+    "--map labels",
     multiple=True,
     metavar="LABEL=ID",
     callback=_label_map,
     help="ID of a label, or none to leave it out; repeatable. Labels 1, ID.1 and landmark_1 need "
     "no --map.",
 )
-@option(
-    INPUT,
+@in_input(
     "--first-frame",
     type=int,
     metavar="N",
     help="Number of the log's first frame in the annotations.  [default: 0; mot 1]",
 )
-@option(
-    INPUT,
-    "--format",
-    "format_name",
+@in_input(
+    "--format format_name",
     type=click.Choice(["cvat", "coco", "mot", "labelme"]),
     help="Format of ANNOTATIONS.  [default: detected from the content]",
 )
@@ -153,22 +147,15 @@ def convert(
 @click.argument("log", shell_complete=file_names)
 @log_options(time=True)
 @options.landmarks
-@option(
-    SCORING,
-    "--max-pan",
-    "max_pan_deg",
+@in_scoring(
+    "--max-pan max_pan_deg",
     type=FiniteRange(min=0, min_open=True),
     default=5.0,
     metavar="DEG",
     help="Largest turn of the sonar from one frame to the next that counts as possible.",
 )
-@option(
-    OUTPUT,
-    "-o",
-    "--sheet",
-    type=NEW_FILE,
-    default=Path("truth_check.png"),
-    help="File for the contact sheet.",
+@in_output(
+    "-o --sheet", type=NEW_FILE, default=Path("truth_check.png"), help="File for the contact sheet."
 )
 @options.quiet
 def check(
@@ -230,16 +217,14 @@ def check(
 
 @truth.command(short_help="Propose a gt.csv from confident tracks.", cls=GroupedCommand)
 @click.argument("results", type=ANY, default=Path("sonarrec_out"))
-@option(INPUT, "--method", default="framework", help="Method whose tracks are taken.")
-@option(
-    SCORING,
+@in_input("--method", default="framework", help="Method whose tracks are taken.")
+@in_scoring(
     "--min-score",
     type=float,
     default=0.9,
     help="A track is proposed only if its best score reaches this.",
 )
-@option(
-    SCORING,
+@in_scoring(
     "--max-gap",
     type=click.IntRange(min=0),
     default=8,
