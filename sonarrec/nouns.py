@@ -75,16 +75,7 @@ class Fan:
 Clock = Literal["log", "publish", "header"]
 """Which of the times in Stamps names a frame."""
 ColourMap = Literal[
-    "luminance",
-    "hot",
-    "inferno",
-    "jet",
-    "magma",
-    "ocean",
-    "parula",
-    "plasma",
-    "turbo",
-    "viridis",
+    "luminance", "hot", "inferno", "jet", "magma", "ocean", "parula", "plasma", "turbo", "viridis"
 ]
 """The colours in which a picture of the sonar was drawn; luminance: grey, or none of the others."""
 

@@ -25,12 +25,7 @@ from sonarrec.cli.simulate import simulate
 from sonarrec.cli.site import site
 from sonarrec.cli.status import status
 from sonarrec.cli.truth import truth
-from sonarrec.errors import (
-    SonarrecError,
-    UsageError,
-    name_as_text,
-    printable,
-)
+from sonarrec.errors import SonarrecError, UsageError, name_as_text, printable
 
 UNWRITTEN = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EBADF}
 

@@ -8,7 +8,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import end, say, tell
+from sonarrec.cli.endings import finish
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_learning
 from sonarrec.cli.options_log import LogChoice, log_options
 
@@ -71,8 +71,5 @@ def calibrate(
         )
     with writing(out):
         write_text(out, report.as_toml())
-    told = report.diagnostics
-    tell(told.problems, told.notes)
-    if not quiet:
-        say(*report.summary(), f"{out}: model, for `sonarrec run --model`")
-    end(told.problems)
+    lines = [*report.summary(), f"{out}: model, for `sonarrec run --model`"]
+    finish(report.diagnostics, quiet, lines)

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import click
 
-from sonarrec.errors import name_as_text, printable
+from sonarrec.errors import Diagnostics, name_as_text, printable
 
 FAILED = 1  # nothing could be used
 MISUSED = 2  # an option is invalid, or an input does not exist
@@ -41,6 +41,14 @@ def end(problems: Collection[object]) -> None:
     """
     if problems:
         leave(PARTLY)
+
+
+def finish(told: Diagnostics, quiet: bool, lines: Iterable[str]) -> None:
+    """Print what is told and, unless quiet, the lines; leave with PARTLY if there are problems."""
+    tell(told.problems, told.notes)
+    if not quiet:
+        say(*lines)
+    end(told.problems)
 
 
 @contextmanager

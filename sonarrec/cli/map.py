@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import end, say, tell
+from sonarrec.cli.endings import finish
 from sonarrec.cli.groups import ANY, FILE, FOLDER, command, in_input, in_output
 from sonarrec.cli.options_log import geometry_options
 from sonarrec.errors import UsageError, number_of
@@ -99,10 +99,11 @@ def map_(
         folders, MapOptions(odometry, errors, method, landmarks, sonar, least_frames=min_frames)
     )
     write_all(out, site, on_earth)
-    tell(site.diagnostics.problems, site.diagnostics.notes)
-    if not quiet:
-        say(f"{out}: {number_of(len(site.logs), 'log')}", *(f"  {line}" for line in lines(site)))
-    end(site.diagnostics.problems)
+    finish(
+        site.diagnostics,
+        quiet,
+        [f"{out}: {number_of(len(site.logs), 'log')}", *(f"  {line}" for line in lines(site))],
+    )
 
 
 def _numbers(flag: str, text: str, count: int) -> list[float]:

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.groups import (
-    Decorator,
-    FiniteRange,
-    as_one,
-    file_names,
-    in_background,
-)
+from sonarrec.cli.groups import Decorator, FiniteRange, as_one, file_names, in_background
 from sonarrec.cli.options_log import odometry_options
 from sonarrec.errors import UsageError
 

@@ -8,7 +8,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import end, say, tell
+from sonarrec.cli.endings import finish
 from sonarrec.cli.groups import ANY, NEW_FILE, command, file_names, in_output
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
@@ -97,9 +97,6 @@ def overlay(
             grid=grid,
             observe=step,
         )
-    told = report.diagnostics
-    tell(told.problems, told.notes)
-    if not quiet:
-        for target in filter(None, targets.values()):
-            say(f"{target}: {number_of(report.frames, 'frame')}, {report.method}")
-    end(told.problems)
+    frames_drawn = f"{number_of(report.frames, 'frame')}, {report.method}"
+    lines = [f"{target}: {frames_drawn}" for target in filter(None, targets.values())]
+    finish(report.diagnostics, quiet, lines)

@@ -15,15 +15,7 @@ from typing import IO, TYPE_CHECKING
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import (
-    FAILED,
-    INTERRUPTED,
-    PARTLY,
-    TERMINATED,
-    leave,
-    say,
-    tell,
-)
+from sonarrec.cli.endings import FAILED, INTERRUPTED, PARTLY, TERMINATED, leave, say, tell
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_batch, in_input, in_output
 from sonarrec.cli.options_log import (
     LogChoice,
@@ -32,12 +24,7 @@ from sonarrec.cli.options_log import (
     named_logs,
     odometry_options,
 )
-from sonarrec.errors import (
-    SonarrecError,
-    UsageError,
-    name_as_text,
-    number_of,
-)
+from sonarrec.errors import SonarrecError, UsageError, name_as_text, number_of
 
 if TYPE_CHECKING:
     from sonarrec.readers.named_logs import NamedLog

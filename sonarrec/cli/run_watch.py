@@ -17,12 +17,7 @@ import click
 
 from sonarrec.cli.bars import fetching, progress, progress_of_logs
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, say, tell
-from sonarrec.errors import (
-    MissingError,
-    SonarrecError,
-    number_of,
-    printable,
-)
+from sonarrec.errors import MissingError, SonarrecError, number_of, printable
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import PROGRAM
 from sonarrec.runs.logs_table import NAME, LogsTable

@@ -11,7 +11,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import end, naming_leftovers, say, tell
+from sonarrec.cli.endings import finish, naming_leftovers
 from sonarrec.cli.groups import FOLDER, command, file_names, in_background, in_output
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
@@ -103,11 +103,7 @@ def site(
             step=lambda doing: step(note=doing),
         )
     write_site(out, site_result, render(site_result))
-    told = site_result.diagnostics
-    tell(told.problems, told.notes)
-    if not quiet:
-        say(*_lines(site_result, out / "site.html", layouts))
-    end(told.problems)
+    finish(site_result.diagnostics, quiet, _lines(site_result, out / "site.html", layouts))
 
 
 def _lines(site_result: Site, page: Path, layouts: int) -> Iterator[str]:

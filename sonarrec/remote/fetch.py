@@ -115,11 +115,7 @@ def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
 
 @contextmanager
 def _kept(
-    url: Url,
-    root: Url,
-    items: Sequence[Item],
-    cache: Cache,
-    progress: Progress | None = None,
+    url: Url, root: Url, items: Sequence[Item], cache: Cache, progress: Progress | None = None
 ) -> Iterator[tuple[Path, Origin]]:
     """The folder in the cache with exactly these files, which are not deleted inside.
 

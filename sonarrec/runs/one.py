@@ -18,12 +18,7 @@ from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.remote.find import RemoteLog
 from sonarrec.remote.urls import local
 from sonarrec.results.folders import folder_names
-from sonarrec.results.run_file import (
-    LogOptions,
-    existing_results,
-    frame_span,
-    span_text,
-)
+from sonarrec.results.run_file import LogOptions, existing_results, frame_span, span_text
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.frames import Presets, configs_of

@@ -58,10 +58,7 @@ class RadiusTrials:
 
 
 def try_radii(
-    log: Log,
-    landmarks: LandmarkSet,
-    frame_count: int | None,
-    observe: Callable[[int], None],
+    log: Log, landmarks: LandmarkSet, frame_count: int | None, observe: Callable[[int], None]
 ) -> RadiusTrials:
     """Recognise a part of a log with radii from half to twice that of the landmark set.
 

@@ -50,11 +50,7 @@ how they begin. A graph of g2o cannot hold a mark, so it is never taken for ours
 
 
 def check_output(
-    path: Path,
-    kind: Kind,
-    reads: Iterable[str | Path | None] = (),
-    *,
-    header: str = "",
+    path: Path, kind: Kind, reads: Iterable[str | Path | None] = (), *, header: str = ""
 ) -> None:
     """Raise UsageError if writing `path` would overwrite anything but an older output.
 

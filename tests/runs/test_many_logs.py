@@ -23,16 +23,7 @@ from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.runs.task import Outcome, Task
 from sonarrec.sonar import Sonar
-from tests.support.batch import (
-    SAMPLE,
-    command,
-    ended,
-    environment,
-    made,
-    rows,
-    tables,
-    until,
-)
+from tests.support.batch import SAMPLE, command, ended, environment, made, rows, tables, until
 from tests.support.command import sonarrec
 
 
