@@ -12,7 +12,6 @@ import hashlib
 import os
 import re
 import shutil
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.tables.locks import is_there, locked
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
-_POLL_S = 0.2
 
 
 class NoRoomError(SonarrecError):
@@ -88,10 +86,10 @@ class Cache:
                 continue
             except OSError as error:
                 raise unwritable(self.folder, error) from None
-            if locked(lock, alone=alone) and is_there(lock, entry / "lock"):
+            locked(lock, alone=alone, wait=True)
+            if is_there(lock, entry / "lock"):
                 break
             lock.close()
-            time.sleep(_POLL_S)
         with lock:
             yield entry
             with suppress(OSError):
@@ -108,8 +106,7 @@ class Cache:
                 "give a larger --cache-size"
             )
         with (self.folder / ".lock").open("ab") as lock:
-            while not locked(lock, alone=True):
-                time.sleep(_POLL_S)
+            locked(lock, alone=True, wait=True)
             others = sorted((self.folder / "logs").glob("*"), key=_last_use)
             sizes = {other: _bytes(other) for other in others if other != entry}
             for other in [*sizes]:

@@ -6,7 +6,7 @@ import csv
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from time import monotonic
@@ -15,6 +15,7 @@ from typing import Any, get_args
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError, part_of
 from sonarrec.runs.task import Outcome, Status, Task
+from sonarrec.tables.locks import locked
 from sonarrec.tables.outputs import is_filled, write_csv
 
 NAME = "logs.csv"
@@ -172,17 +173,12 @@ def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
 @contextmanager
 def _turn(folder: Path) -> Iterator[None]:
     """Wait until no other call writes the file, if the file system supports locks."""
-    handle = None
-    with suppress(ImportError, OSError):
-        import fcntl
-
-        handle = os.open(folder, os.O_RDONLY)
-        fcntl.flock(handle, fcntl.LOCK_EX)
-    try:
+    with ExitStack() as stack:
+        with suppress(OSError):
+            handle = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, handle)
+            locked(handle, alone=True, wait=True)
         yield
-    finally:
-        if handle is not None:
-            os.close(handle)
 
 
 def read_logs(path: Path) -> list[Row]:

@@ -12,16 +12,16 @@ except ImportError:  # no such locks on this system
     fcntl = None  # type: ignore[assignment]
 
 
-def locked(file: IO[bytes], *, alone: bool) -> bool:
-    """Lock an open file without waiting; False if another process has locked it.
+def locked(file: IO[bytes] | int, *, alone: bool, wait: bool = False) -> bool:
+    """Lock an open file or folder; False if another process has locked it, unless it waits.
 
     alone: exclusively. If holders of the lock may delete the file, check `is_there` next.
     """
     if fcntl is None:
         return True
     try:
-        fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
-    except OSError:
+        fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB * (not wait))
+    except OSError:  # locked, or the file system has no locks
         return False
     return True
 
