@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -17,10 +16,8 @@ import cv2
 import numpy as np
 import pytest
 import tomli_w
-from click.testing import CliRunner
 
 from sonarrec import run
-from sonarrec.cli import main
 from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.simulate import write_image
@@ -170,13 +167,6 @@ def test_folder_glob_and_mcap_agree(pings: Path, mcap: Path) -> None:
     assert Path("glob/pings/estimates.csv").read_bytes() == folder
 
 
-def test_several_logs_in_one_call(pings: Path, mcap: Path) -> None:
-    told = sonarrec("run", pings, mcap).stdout
-    assert "pings: 10 frames" in told
-    assert "log: 10 frames" in told
-    assert Path("sonarrec_out/log/run.toml").is_file()
-
-
 EIGHT = {
     1: (1, 0, 0, 0, 0, 0),
     2: (1, 1, 0, 0, 0, 0),
@@ -232,21 +222,6 @@ def test_silent_where_stderr_is_no_terminal(pings: Path) -> None:
     assert done.stderr == ""
     assert "10 frames" in done.stdout
     assert subprocess.run([*command, "-q"], capture_output=True, check=True).stdout == b""
-
-
-@pytest.mark.slow
-def test_progress_on_a_terminal(pings: Path) -> None:
-    termios = pytest.importorskip("termios")
-    ours, theirs = os.openpty()
-    termios.tcsetwinsize(theirs, (24, 100))  # tqdm draws nothing on a terminal without columns
-    command = [sys.executable, "-m", "sonarrec", "run", str(pings)]
-    subprocess.run(command, stderr=theirs, stdout=subprocess.DEVNULL, check=True, timeout=300)
-    os.set_blocking(ours, False)
-    told = os.read(ours, 100_000).decode()
-    os.close(ours)
-    os.close(theirs)
-    assert "frame" in told
-    assert "Traceback" not in told
 
 
 def modules_after(code: str) -> set[str]:
@@ -305,11 +280,6 @@ def test_of_polar_images_no_fan_image_is_kept(tmp_path: Path) -> None:
 
 
 # What cannot be used: one clear line and the right exit code
-
-
-def test_missing_path(work: Path) -> None:
-    assert "no such file or folder" in one_line_fault("run", "nowhere", code=2)
-    assert not (work / "sonarrec_out").exists()
 
 
 def test_a_pipe_and_a_device_are_no_missing_files(work: Path) -> None:
@@ -428,38 +398,6 @@ def test_clicks_own_usage_errors(pings: Path) -> None:
     assert "--seed" in sonarrec("run", pings, "--seed", "-1", code=2).stderr
 
 
-def test_mcap_without_images(work: Path) -> None:
-    from mcap.writer import Writer
-
-    with (work / "log.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channel = writer.register_channel("/chatter", "cdr", schema)
-        writer.add_message(channel, 0, b"\0\1\0\0\1\0\0\0\0", 0)
-        writer.finish()
-    message = one_line_fault("run", "log.mcap", "--range-min-m", "1", "--tilt-deg", "20")
-    assert "/chatter" in message
-    assert "std_msgs/msg/String" in message
-
-
-def test_mcap_with_several_image_channels(work: Path) -> None:
-    from mcap.writer import Writer
-
-    with (work / "log.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("foxglove.RawImage", "jsonschema", b"{}")
-        for topic in ("/left", "/right"):
-            writer.register_channel(topic, "json", schema)
-        writer.finish()
-    result = CliRunner().invoke(main, ["run", "log.mcap"])
-    assert result.exit_code in (1, 2)
-    assert "/left" in result.stderr
-    assert "/right" in result.stderr
-    assert "--topic" in result.stderr
-
-
 def test_died_in_the_middle_is_not_passed_off_as_whole(
     pings: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -482,11 +420,6 @@ def test_died_in_the_middle_is_not_passed_off_as_whole(
     assert Path("sonarrec_out/pings/estimates.csv").read_bytes() == before
 
 
-def test_results_folder_that_cannot_be_written(pings: Path) -> None:
-    Path("taken").write_text("a file, not a folder")
-    assert "taken" in sonarrec("run", pings, "--out", "taken/x", code=1).stderr
-
-
 @pytest.fixture
 def processed(pings: Path) -> Path:
     sonarrec("run", pings)
@@ -497,14 +430,6 @@ def write_truth(change: Callable[[str], str]) -> None:
     lines = (SAMPLE / "gt.csv").read_text().splitlines()
     kept = [lines[0], *(x for x in lines[1:] if int(x.split(",")[0]) < 10)]
     Path("gt.csv").write_text(change("\n".join(kept) + "\n"))
-
-
-@pytest.mark.usefixtures("processed")
-def test_truth_with_wrong_columns() -> None:
-    write_truth(lambda text: text.replace("landmark", "marker", 1))
-    message = one_line_fault("evaluate", "--ground-truth", "gt.csv")
-    assert "frame,landmark,x_px,y_px,visible" in message
-    assert not Path("sonarrec_out/evaluation").exists()
 
 
 @pytest.mark.usefixtures("processed")
@@ -577,20 +502,6 @@ def test_nothing_is_declared_in_rivers(work: Path) -> None:
         }
     assert frames > 200
     assert len(declared) < 0.01 * frames
-
-
-def test_one_of_a_kind_is_told_in_the_singular(tmp_path: Path) -> None:
-    one, out = SAMPLE / "000000.png", tmp_path / "out"
-    stated = ("--sonar", SAMPLE / "sonar.toml")
-    said = [
-        sonarrec("run", one, "-o", out, "-v", *stated),
-        sonarrec("status", out),
-        sonarrec("info", f"{SAMPLE}/00000[0].png"),
-        sonarrec("overlay", one, out, "--images", tmp_path / "shots", *stated),
-        sonarrec("simulate", "--frames", "1", "-o", tmp_path / "made"),
-    ]
-    for done in said:
-        assert re.search(r"(?<![\d.])1 [a-z]+s\b", done.output) is None, done.output
 
 
 def test_a_log_that_is_called_as_a_folder_of_a_batch_is_told(tmp_path: Path) -> None:

@@ -128,12 +128,6 @@ def test_images_of_an_unquoted_glob_are_noted() -> None:
     assert (quoted.exit_code, quoted.stderr) == (0, "")
 
 
-def test_a_cache_size_that_cannot_be_is_refused_where_all_is_local() -> None:
-    refused = run_line("run", str(SAMPLE), "--cache-size", "foo", "--dry-run")
-    assert refused.exit_code == 2
-    assert refused.stderr.startswith("sonarrec: --cache-size foo: expected a size such as")
-
-
 @pytest.mark.parametrize("name", ["run", "info"])
 def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object) -> None:

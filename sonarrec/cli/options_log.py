@@ -174,13 +174,8 @@ class LogChoice:
         file: Path | None = self.values["sonar_file"]
         if file is not None and file.is_file():  # a pipe can be read only once
             load_sonar(file)
-        time: Clock | None = self.values.get("time")
-        return {
-            "sonar": self.sonar(),
-            "sonar_file": file,
-            "topic": self.values["topic"],
-            **({"time": time} if time else {}),
-        }
+        time = {"time": self.values["time"]} if self.values.get("time") else {}
+        return {"sonar": self.sonar(), "sonar_file": file, "topic": self.values["topic"], **time}
 
     def log_options(
         self, odometry: Path | None, odometry_topic: str | None, frames: str | None
@@ -193,12 +188,9 @@ class LogChoice:
 
         if odometry is not None and odometry_topic is not None:
             raise UsageError("--odometry and --odometry-topic: choose one of the two")
-        return LogOptions(
-            **self.arguments(),
-            odometry=odometry,
-            odometry_topic=odometry_topic,
-            frames=None if frames is None else frame_span(frames),
-        )
+        poses = {"odometry": odometry, "odometry_topic": odometry_topic}
+        span = None if frames is None else frame_span(frames)
+        return LogOptions(**self.arguments(), **poses, frames=span)  # type: ignore[arg-type]
 
 
 def odometry_options(group: Callable[..., Decorator]) -> dict[str, Decorator]:
@@ -221,12 +213,8 @@ def odometry_options(group: Callable[..., Decorator]) -> dict[str, Decorator]:
 
 def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
     """--topic, the geometry and optionally pixels and --time, as one `log_choice`."""
-    options = (
-        {"topic": topic_option}
-        | (_TIME if time else {})
-        | GEOMETRY_OPTIONS
-        | (_PIXELS if pixels else {})
-    )
+    more = _TIME if time else {}
+    options = {"topic": topic_option} | more | GEOMETRY_OPTIONS | (_PIXELS if pixels else {})
     return as_one("log_choice", options, LogChoice)
 
 

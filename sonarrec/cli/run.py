@@ -210,9 +210,7 @@ def run(
         return
     jobs = min(jobs or cores(), len(tasks))
     table = LogsTable(local_out, tasks, alone=len(logs) == 1)
-    watch = RunWatch(
-        tasks, table, local_out, outbox, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json
-    )
+    watch = RunWatch(tasks, table, local_out, outbox, jobs, quiet, verbose, as_json)
     with _stoppable([local_out / task.name for task in tasks]), watch:
         # If cores are free, each log uses a second one.
         ahead = scheduler is None and cores() >= 2 * jobs

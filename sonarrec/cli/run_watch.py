@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
 from time import monotonic
@@ -34,28 +34,24 @@ MOST_SHOWN = 10
 """If a call has more logs, their passes are not printed."""
 
 
+@dataclass
 class RunWatch(Watch):
-    """Prints the progress and outcomes of a call, and writes logs.csv. A context manager."""
+    """Prints the progress and outcomes of a call, and writes logs.csv. A context manager.
 
-    def __init__(
-        self,
-        tasks: Sequence[Task],
-        table: LogsTable,
-        out: Path,
-        box: Outbox | None,
-        *,
-        jobs: int,
-        quiet: bool,
-        verbose: bool,
-        json: bool,
-    ) -> None:
-        """table: logs.csv of the tasks. out: folder of the results. box: uploads them to a server.
-        jobs: how many tasks run in parallel."""
-        self._box = box
-        self._tasks = tasks
-        self._table = table
-        self._out, self._jobs = out, jobs
-        self._quiet, self._verbose, self._json = quiet, verbose, json
+    table: logs.csv of the tasks. out: folder of the results. box: uploads them to a server.
+    jobs: how many tasks run in parallel.
+    """
+
+    tasks: Sequence[Task]
+    table: LogsTable
+    out: Path
+    box: Outbox | None
+    jobs: int
+    quiet: bool
+    verbose: bool
+    json: bool
+
+    def __post_init__(self) -> None:
         self._outcomes: dict[int, Outcome] = {}
         self._printed = 0  # how many of the tasks, in order, were printed on stdout
         self._running: dict[int, tuple[int, int | None]] = {}  # frames done, of how many
@@ -68,62 +64,57 @@ class RunWatch(Watch):
         self._show_logs: Callable[[float, str], None] | None = None
 
     def __enter__(self) -> RunWatch:
-        self._table.write()
-        if self._jobs > 1:
-            bar = progress_of_logs(self._quiet, len(self._tasks))
+        self.table.write()
+        if self.jobs > 1:
+            bar = progress_of_logs(self.quiet, len(self.tasks))
             self._show_logs = self._bars.enter_context(bar)
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
         self._bars.close()
         if kind is not None:
-            self._table.stopped()
-        if self._box is None or kind is not None:  # a stopped run does not wait for a server
-            self._table.write()
-        else:
-            self._upload_table(self._box)
-        if self._table.fault and all(o.status != "failed" for o in self._outcomes.values()):
-            tell([self._table.fault])  # else the disk is full, which was reported
-        if self._json:
-            logs = [self._document(i) for i in range(len(self._tasks))]
-            click.echo(json.dumps({"program": PROGRAM, "logs": logs}, indent=2))
-
-    def _upload_table(self, box: Outbox) -> None:
-        """Upload logs.csv, merged with the rows of other calls."""
+            self.table.stopped()
         try:
-            box.fetch(NAME)
-            self._table.write()
-            box.put(NAME)
+            if self.box is not None and kind is None:  # a stopped run does not wait for a server
+                self.box.fetch(NAME)  # with the rows of other calls
+            self.table.write()
+            if self.box is not None and kind is None:
+                self.box.put(NAME)
         except SonarrecError as error:
-            self._table.write()
+            self.table.write()
             tell([str(error)])
+        if self.table.fault and all(o.status != "failed" for o in self._outcomes.values()):
+            tell([self.table.fault])  # else the disk is full, which was reported
+        if self.json:
+            logs = [self._document(i) for i in range(len(self.tasks))]
+            click.echo(json.dumps({"program": PROGRAM, "logs": logs}, indent=2))
 
     def note(self, line: str) -> None:
         with self._over_the_bar():
             tell([], [line])
 
     def started(self, i: int) -> None:
-        self._table.started(i)
+        self.table.started(i)
         self._running[i] = 0, None
         if self._show_logs is None:
             self._bars.close()
             self._show_frame = self._show_bytes = None
-            remote = self._tasks[i].remote
+            remote = self.tasks[i].remote
             if remote is None or remote.log is None:
                 self._open_bar(i)
 
     def _open_bar(self, i: int) -> None:
-        bar = progress(self._quiet, title=f"{self._tasks[i].name}{self._prefix(i)}")
+        bar = progress(self.quiet, title=f"{self.tasks[i].name}{self._prefix(i)}")
         self._show_frame = self._bars.enter_context(bar)
 
     def fetching(self, i: int, arrived: int, total: int | None) -> None:
         if self._show_bytes is None:
-            self._show_bytes = self._bars.enter_context(fetching(self._quiet, self._tasks[i].path))
+            self._show_bytes = self._bars.enter_context(fetching(self.quiet, self.tasks[i].path))
         self._show_bytes(arrived, total)
 
     def frames(self, i: int, done: int, total: int | None) -> None:
         self._running[i] = done, total
-        self._table.frames(i, done)
+        self.table.frames(i, done)
         if self._show_logs is None and self._show_frame is None:
             self._bars.close()  # the bar of bytes
             self._open_bar(i)
@@ -134,8 +125,8 @@ class RunWatch(Watch):
     def ended(self, i: int, outcome: Outcome) -> None:
         self._outcomes[i] = outcome
         self._running.pop(i, None)
-        self._table.ended(i, outcome)
-        task, summary = self._tasks[i], outcome.summary
+        self.table.ended(i, outcome)
+        task, summary = self.tasks[i], outcome.summary
         if self._show_logs is None:
             self._bars.close()  # before printing
         self._move_bar_of_logs()
@@ -145,9 +136,9 @@ class RunWatch(Watch):
             if summary is not None:
                 self._frames += summary.frames
                 tell(*(self._named(i, lines) for lines in (summary.problems, summary.notes)))
-            elif len(self._tasks) > 1:
+            elif len(self.tasks) > 1:
                 tell([outcome.message])
-            if self._verbose:
+            if self.verbose:
                 text = outcome.message
                 if summary is not None:
                     passes = number_of(sum(summary.passes.values()), "pass", "es")
@@ -178,35 +169,35 @@ class RunWatch(Watch):
         self._report_outdated()
         counts: dict[str, list[str]] = {"done": [], "up to date": [], "partial": [], "failed": []}
         for i, outcome in sorted(self._outcomes.items()):
-            counts[_in_words(outcome)].append(self._tasks[i].path)
+            counts[_in_words(outcome)].append(self.tasks[i].path)
         failed = counts["failed"]
-        if len(self._tasks) == 1 or (self._quiet and not failed):
+        if len(self.tasks) == 1 or (self.quiet and not failed):
             return
         line = ", ".join(f"{len(paths)} {how}" for how, paths in counts.items() if paths)
         if len(failed) > MOST_SHOWN:
-            out = self._box.origin.url if self._box else self._out
+            out = self.box.origin.url if self.box else self.out
             line += f"; `sonarrec status {out}` lists them"
         elif failed:
             line += f": {', '.join(failed)}"
-        click.echo(printable(line), err=bool(failed) or self._json)
+        click.echo(printable(line), err=bool(failed) or self.json)
 
     def _report_outdated(self) -> None:
         """Print a note on pages and folders in OUT that were made from results replaced now."""
         summaries = [outcome.summary for outcome in self._outcomes.values()]
-        if self._box is not None or all(s is None or s.up_to_date for s in summaries):
+        if self.box is not None or all(s is None or s.up_to_date for s in summaries):
             return
-        older = [name for name in PAGES if (self._out / name).exists()]
-        older += [name for name, made in MADE.items() if (self._out / name / made[-1]).is_file()]
+        older = [name for name in PAGES if (self.out / name).exists()]
+        older += [name for name, made in MADE.items() if (self.out / name / made[-1]).is_file()]
         if older:
-            tell([], [f"{self._out}: {', '.join(older)}: made of earlier results; make anew"])
+            tell([], [f"{self.out}: {', '.join(older)}: made of earlier results; make anew"])
 
     def _prefix(self, i: int) -> str:
-        return f" ({i + 1} of {len(self._tasks)})" if len(self._tasks) > 1 else ""
+        return f" ({i + 1} of {len(self.tasks)})" if len(self.tasks) > 1 else ""
 
     def _named(self, i: int, lines: Sequence[str]) -> list[str]:
         """The lines, with the name of the log in front if there are several logs."""
-        task = self._tasks[i]
-        if len(self._tasks) == 1:
+        task = self.tasks[i]
+        if len(self.tasks) == 1:
             return list(lines)
         return [x if task.path in x else f"{task.name}: {x}" for x in lines]
 
@@ -217,7 +208,7 @@ class RunWatch(Watch):
         shares = [done / total for done, total in self._running.values() if total]
         frames = self._frames + sum(done for done, _ in self._running.values())
         failed = sum(outcome.status == "failed" for outcome in self._outcomes.values())
-        note = f"{len(self._outcomes)}/{len(self._tasks)} logs, {frames} frames, "
+        note = f"{len(self._outcomes)}/{len(self.tasks)} logs, {frames} frames, "
         note += f"{frames / max(monotonic() - self._start_time_s, 1e-3):.0f} frames/s"
         note += f", {failed} failed" if failed else ""
         self._show_logs(len(self._outcomes) + sum(shares), note)
@@ -238,18 +229,18 @@ class RunWatch(Watch):
         while (outcome := self._outcomes.get(self._printed)) is not None:
             self._printed += 1
             summary = outcome.summary
-            if summary is None or self._quiet or self._json or len(self._tasks) > MOST_SHOWN:
+            if summary is None or self.quiet or self.json or len(self.tasks) > MOST_SHOWN:
                 continue
             frames = number_of(summary.frames, "frame")
             lines = [] if summary.up_to_date else table(summary, outcome.folder)
-            if lines and len(self._tasks) == 1 and not any(summary.passes.values()):
-                again = f"sonarrec info {quote(self._tasks[0].path)} --try-radii"
+            if lines and len(self.tasks) == 1 and not any(summary.passes.values()):
+                again = f"sonarrec info {quote(self.tasks[0].path)} --try-radii"
                 lines.append(f"`{again}`, with the same options, looks for discs of another size")
             head = f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}"
             say(head, *(f"  {line}" for line in lines))
 
     def _document(self, i: int) -> dict[str, Any]:
-        task, outcome = self._tasks[i], self._outcomes.get(i)
+        task, outcome = self.tasks[i], self._outcomes.get(i)
         document: dict[str, Any] = {"name": task.name, "log": task.path}
         if outcome is None:
             return document | {"status": "stopped" if i in self._running else "waiting"}
@@ -257,16 +248,16 @@ class RunWatch(Watch):
         if outcome.summary is None:
             return document | {"message": outcome.message}
         sightings = outcome.summary.folder / "sightings.csv"
-        if self._box is None:
+        if self.box is None:
             return document | as_json(outcome.summary, outcome.folder, sightings)
         hidden_name = f".{task.name}.sightings.csv"  # local results are deleted after the upload
-        self._box.fetch(f"{task.name}/sightings.csv", hidden_name)
+        self.box.fetch(f"{task.name}/sightings.csv", hidden_name)
         try:
             return document | as_json(
-                outcome.summary, outcome.folder, self._box.folder / hidden_name
+                outcome.summary, outcome.folder, self.box.folder / hidden_name
             )
         finally:
-            (self._box.folder / hidden_name).unlink(missing_ok=True)
+            (self.box.folder / hidden_name).unlink(missing_ok=True)
 
 
 def _in_words(outcome: Outcome) -> str:

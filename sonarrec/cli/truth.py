@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from functools import partial
 from heapq import nlargest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -27,9 +26,6 @@ from sonarrec.cli.groups import (
 )
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
-
-if TYPE_CHECKING:
-    from sonarrec.truth.propose import ProposedTrack
 
 MOST_FAULTS = 20
 """Printed of one kind."""
@@ -252,12 +248,9 @@ def propose(
         results, out, method=method, min_score=min_score, max_gap=max_gap
     )
     tell(diagnostics.problems)
-    if not quiet:
-        _print(tracks, out)
-    end(diagnostics.problems)
-
-
-def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
+    if quiet:
+        end(diagnostics.problems)
+        return
     rows, proposed = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
     say(f"{out}: {number_of(rows, 'row')} from {number_of(proposed, 'track')}")
     longest = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
@@ -272,3 +265,4 @@ def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
         say(f"  {named}  track {t.track:<4} {span:<15} {score}  {rest}")
     if more := len(tracks) - len(longest):
         say(f"  these have the most rows; {number_of(more, 'more track')}")
+    end(diagnostics.problems)

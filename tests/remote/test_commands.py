@@ -342,16 +342,6 @@ def test_truth_of_a_web_server_is_asked_for_by_its_name(sonarrec: Sonarrec, tmp_
     assert positives(Path("sonarrec_out/evaluation")) == 5 + 3
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("day")
-def test_with_one_job_the_results_are_those_of_several(sonarrec: Sonarrec) -> None:
-    logs = [f"s3://dives/day/{n}.mcap" for n in "ab"]
-    for out, jobs in (("one", "1"), ("two", "2")):
-        assert sonarrec("run", *logs, "-o", out, "-j", jobs).exit_code == 0
-    for table in ("a/estimates.csv", "b/estimates.csv", "b/frames.csv"):
-        assert Path("one", table).read_bytes() == Path("two", table).read_bytes()
-
-
 def test_json_has_the_sightings_that_were_uploaded(
     sonarrec: Sonarrec, day: Path, tmp_path: Path
 ) -> None:
@@ -409,15 +399,6 @@ def test_the_path_of_the_sonar_by_results_there_is_that_by_local_ones(
     assert Path("far.csv").read_bytes() == Path("near.csv").read_bytes()
 
 
-def test_logs_of_equal_names_are_told_apart(sonarrec: Sonarrec, s3: Any, day: Path) -> None:
-    upload(s3, day / "b.mcap", "night/a.mcap")
-    upload(s3, day / "sonar.toml", "night/sonar.toml")
-    assert sonarrec("run", "s3://dives/day/a.mcap", "s3://dives/night/a.mcap", "-q").exit_code == 0
-    assert sorted(p.name for p in Path("sonarrec_out").iterdir()) == [
-        *("day-a", "logs.csv", "night-a")
-    ]
-
-
 @pytest.mark.usefixtures("day")
 def test_without_credentials_a_line_says_so(
     sonarrec: Sonarrec, monkeypatch: pytest.MonkeyPatch
@@ -437,14 +418,6 @@ def test_a_web_server_takes_no_results(sonarrec: Sonarrec, tmp_path: Path) -> No
     result = sonarrec("run", str(tmp_path / "pings"), "-o", "https://host/out")
     assert result.exit_code == 2
     assert "https://host/out: results cannot be written to a web server" in result.stderr
-
-
-def test_a_folder_of_images_of_a_web_server(sonarrec: Sonarrec, tmp_path: Path) -> None:
-    image_folder(tmp_path / "site" / "pings", frames(3))
-    with web_server(tmp_path / "site") as web:
-        result = sonarrec("run", f"{web.url}/pings/")
-        assert result.exit_code == 0, result.stderr
-    assert "sonarrec_out/pings: 3 frames" in result.stdout
 
 
 def test_without_the_extra_a_line_says_what_to_install(

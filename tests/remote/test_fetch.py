@@ -7,7 +7,6 @@ import os
 import threading
 import time
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -71,17 +70,6 @@ def test_a_changed_log_is_fetched_anew(site: Path, cache: Cache) -> None:
             assert log.path.read_bytes() == data
 
 
-def test_a_companion_that_is_gone_goes(site: Path, cache: Cache) -> None:
-    noise(site / "a.mcap")
-    (site / "sonar.toml").write_text("x")
-    with web_server(site) as web:
-        with fetched(f"{web.url}/a.mcap", cache) as log:
-            assert log.path.with_name("sonar.toml").exists()
-        (site / "sonar.toml").unlink()
-        with fetched(f"{web.url}/a.mcap", cache) as log:
-            assert not log.path.with_name("sonar.toml").exists()
-
-
 @pytest.mark.usefixtures("small_blocks")
 def test_a_transfer_that_breaks_off_goes_on_where_it_was(site: Path, cache: Cache) -> None:
     data = noise(site / "a.mcap")
@@ -126,20 +114,6 @@ def test_without_ranges_it_begins_anew(site: Path, cache: Cache) -> None:
         with fetched(f"{web.url}/a.mcap", cache) as log:
             assert log.path.read_bytes() == data
         assert len(web.gets("a.mcap")) == 3
-
-
-def test_without_a_length_and_a_tag_it_comes_whole_and_every_time(site: Path, cache: Cache) -> None:
-    data = noise(site / "a.mcap")
-    with web_server(site, lengths=False, tags=False) as web:
-        for _ in range(2):
-            with fetched(f"{web.url}/a.mcap", cache) as log:
-                assert log.path.read_bytes() == data
-
-
-def test_a_busy_server_is_asked_again(site: Path, cache: Cache) -> None:
-    data = noise(site / "a.mcap")
-    with web_server(site, busy=3) as web, fetched(f"{web.url}/a.mcap", cache) as log:
-        assert log.path.read_bytes() == data
 
 
 def test_a_log_that_changes_while_it_is_fetched_is_told(site: Path, cache: Cache) -> None:
@@ -259,30 +233,6 @@ def test_what_serves_a_campaign_is_found_above(site: Path, cache: Cache) -> None
             assert log.up_to is not None
             assert (log.up_to / "sonar.toml").exists()
             assert log.path == log.up_to / "day1" / "a.mcap"
-
-
-def test_of_several_files_those_that_came_are_kept(
-    site: Path, cache: Cache, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(store, "AT_ONCE", 1)
-    for k in range(4):
-        noise(site / f"pings/{k}.png", 2000)
-    with web_server(site) as web:
-        fetch, done = store.Store.fetch, []
-
-        def dies(self: store.Store, item: store.Item, *given: Any, **options: Any) -> None:
-            if len(done) == 2:
-                raise SonarrecError("the disk is full")
-            done.append(item.url.name)
-            fetch(self, item, *given, **options)
-
-        with monkeypatch.context() as patched:
-            patched.setattr(store.Store, "fetch", dies)
-            with pytest.raises(SonarrecError, match="full"), fetched(f"{web.url}/pings", cache):
-                pass
-        with fetched(f"{web.url}/pings", cache) as log:
-            assert len(list(log.path.iterdir())) == 4
-        assert [len(web.gets(f"{k}.png")) for k in range(4)] == [1] * 4
 
 
 # The cache

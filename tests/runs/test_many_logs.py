@@ -10,7 +10,6 @@ import re
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
@@ -253,15 +252,6 @@ def test_status_of_what_is_no_such_table(text: str, tmp_path: Path) -> None:
     assert not told.stdout
 
 
-def test_a_table_of_a_clock_that_is_ahead_is_of_now(tmp_path: Path) -> None:
-    """Another machine wrote it; no age is below 0."""
-    table = tmp_path / "logs.csv"
-    table.write_text(f"{','.join(COLUMNS)}\na,a,running,3,0,0,0,\n")
-    os.utime(table, (time.time() + 100,) * 2)
-    assert "as of 0 s ago" in sonarrec("status", tmp_path).stdout
-    assert json.loads(sonarrec("status", tmp_path, "--json").stdout)["age_s"] == 0
-
-
 def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     (log,) = made(tmp_path, "a", frames=3)
     (tmp_path / "out").mkdir()
@@ -285,16 +275,6 @@ def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Pat
     first.write()
     second.write()
     assert rows(tmp_path)["a"]["status"] == "done"
-
-
-def test_an_empty_logs_csv_holds_nothing_to_lose(tmp_path: Path) -> None:
-    (tmp_path / "logs.csv").touch()
-    table = LogsTable(tmp_path, [Task("a.mcap", "a", str(tmp_path), LogOptions(), RunOptions([]))])
-    table.started(0)
-    table.frames(0, 3)
-    table.write()
-    assert table.fault is None
-    assert [row.log for row in read_logs(tmp_path / "logs.csv")] == ["a"]
 
 
 def test_a_log_that_cannot_be_found_has_a_row_of_its_own(tmp_path: Path) -> None:
@@ -472,8 +452,3 @@ def test_a_rate_is_of_the_rows_that_tell_a_time(seconds: str, tmp_path: Path) ->
     assert document["logs"][0]["seconds"] == 0
     (tmp_path / "logs.csv").write_text(f"{header}\na,a,done,100,0,{seconds},0,\n")
     assert "frames/s" not in sonarrec("status", tmp_path).stdout
-
-
-def test_a_rate_of_one_is_told_in_the_singular(tmp_path: Path) -> None:
-    (tmp_path / "logs.csv").write_text(f"{','.join(COLUMNS)}\na,a,done,24,0,20.0,0,\n")
-    assert "; 1 frame/s a process" in sonarrec("status", tmp_path).stdout
