@@ -55,7 +55,6 @@ MAY_IMPORT = {
     "fsspec": ("remote.store",),
     "aiohttp": ("remote.store",),
     "sshfs": ("remote.store",),
-    "platformdirs": ("remote.cache",),
     "jinja2": ("report.templates",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
@@ -88,7 +87,7 @@ LIGHT = (
 )
 HEAVY = {
     *("pandas", "matplotlib", "scipy", "rosbags", "google", "ruamel"),
-    *("fsspec", "platformdirs", "distributed", "pyarrow"),
+    *("fsspec", "distributed", "pyarrow"),
 }
 
 Sources = dict[str, str]

@@ -43,16 +43,9 @@ def size_bytes(text: str) -> int:
 
 
 def default_folder() -> Path:
-    """`sonarrec` in the user's cache folder. Raises SonarrecError if platformdirs is missing."""
-    try:
-        import platformdirs
-    except ImportError:
-        raise SonarrecError(
-            "platformdirs, which finds the cache folder, is not installed; "
-            "pip install 'sonarrec[remote]'"
-        ) from None
-
-    return Path(platformdirs.user_cache_dir("sonarrec", appauthor=False))
+    """`sonarrec` in the user's cache folder."""
+    caches = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(caches).expanduser() / "sonarrec"
 
 
 def key_of(*texts: object) -> str:

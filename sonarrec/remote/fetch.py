@@ -159,25 +159,23 @@ def _fill(
     entry: Path, url: str, wanted: dict[str, Item], cache: Cache, progress: Progress | None
 ) -> None:
     """Fetch the missing files, several at once. Raises SonarrecError."""
-    from sonarrec.remote.store import AT_ONCE, BLOCK_BYTES, Store
+    from sonarrec.remote.store import AT_ONCE, Store
 
     sizes = [item.size for item in wanted.values()]
-    room = sum(size or 0 for size in sizes)
-    cache.reserve(entry, room, url)
+    cache.reserve(entry, sum(size or 0 for size in sizes), url)
     missing = [name for name, item in wanted.items() if not _is_whole(entry, name, item)]
     total = None if None in sizes else sum(wanted[name].size or 0 for name in missing)
     lacks = iter(missing)
     arrived, lock, errors = 0, threading.Lock(), list[BaseException]()
 
     def count(more: int) -> None:
-        nonlocal arrived, room
+        nonlocal arrived
         if errors:
             raise SonarrecError(f"{url}: given up")
         with lock:
             arrived += more
-            if arrived > room and total is None:  # by files whose server states no size
-                room = arrived + BLOCK_BYTES if arrived + BLOCK_BYTES < cache.limit else arrived
-                cache.reserve(entry, room, url)
+            if total is None:  # of files whose server states no size
+                cache.reserve(entry, arrived, url)
             if progress is not None:
                 progress(arrived, total)
 
@@ -185,7 +183,7 @@ def _fill(
         try:
             while not errors and (name := next(lacks, None)):
                 item = wanted[name]
-                Store(item.url).fetch(item, entry / "files" / name, count, resume=True)
+                Store(item.url).fetch(item, entry / "files" / name, count)
         except BaseException as error:  # raised below
             errors.append(error)
 

@@ -57,21 +57,25 @@ class RemoteFiles:
 
     def results(self, place: Path | str) -> Path:
         """A results folder, of one log or of several."""
-        return (
-            self._enter(fetched_results(str(place), self._cache()))
-            if is_url(place)
-            else Path(place)
-        )
+        return self._local(place, fetched_results)
 
     def file(self, place: Path | str | None) -> Path | None:
         """An optional file, such as a ground-truth table."""
-        if place is None or not is_url(place):
-            return None if place is None else Path(place)
-        return self._enter(fetched_file(str(place), self._cache()))
+        return None if place is None else self._local(place, fetched_file)
 
     def log(self, place: Path | str) -> Path:
         """The path to open for a log."""
-        return self._enter(fetched(str(place), self._cache())) if is_url(place) else Path(place)
+        return self._local(place, fetched)
+
+    def _local(
+        self, place: Path | str, fetch: Callable[[str, Cache], AbstractContextManager[CachedCopy]]
+    ) -> Path:
+        if not is_url(place):
+            return Path(place)
+        copy = self._stack.enter_context(fetch(str(place), self._cache()))
+        self._origins.append(copy.origin)
+        self.unused += copy.unused
+        return copy.path
 
     def beside(self, log: str, name: str) -> tuple[Path | None, int | None]:
         """As `find.beside`, with the file fetched to a temporary folder."""
@@ -98,12 +102,6 @@ class RemoteFiles:
         path, origin = self._stack.enter_context(uploaded(str(place), name))
         self._origins.append(origin)
         return path
-
-    def _enter(self, opening: AbstractContextManager[CachedCopy]) -> Path:
-        value = self._stack.enter_context(opening)
-        self._origins.append(value.origin)
-        self.unused += value.unused
-        return value.path
 
     def with_server_names(self, text: str) -> str:
         """A message with the paths of the server in place of local ones."""

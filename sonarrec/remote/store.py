@@ -5,7 +5,7 @@ Errors of the libraries become one line without secrets. Broken transfers are tr
 
 from __future__ import annotations
 
-import os
+import errno
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -26,7 +26,8 @@ except ImportError:
 RETRIES = 3  # of a broken transfer
 PAUSE_S = 1.0  # before the first retry; it doubles with each retry
 AT_ONCE = 8  # files fetched in parallel
-BLOCK_BYTES = 2**24  # requested at once, and lost if the transfer breaks
+_ONE_PART = {"s3": {"max_concurrency": 1}, "gs": {"concurrency": 1}}
+"""Several at once, as these do of themselves, would take hundreds of megabytes of memory."""
 _INSTALL = "pip install 'sonarrec[remote]'"
 T = TypeVar("T")
 
@@ -118,65 +119,44 @@ class Store:
         with ThreadPoolExecutor(AT_ONCE) as threads:
             return list(threads.map(self.file, [item.url for item in items]))
 
-    def fetch(
-        self,
-        item: Item,
-        to: Path,
-        progress: Callable[[int], None] = lambda _: None,
-        *,
-        resume: bool = False,
-    ) -> None:
+    def fetch(self, item: Item, to: Path, progress: Callable[[int], None] | None = None) -> None:
         """Write a file to `to`, whole or not at all.
 
-        progress: called with the number of bytes that arrived; negative if they must be fetched
-        again. resume: go on with what an earlier call for this version of the file left.
+        progress: called with the number of bytes that arrived; negative if they come again.
         """
         part = to.with_name(f"{to.name}.part")
-        counted, whole_only = 0, item.size is None
+        counted = 0
+
+        def count(_: object, value: int) -> None:
+            nonlocal counted
+            if progress is not None:
+                progress(value - counted)
+            counted = value
 
         def ask() -> None:
-            nonlocal counted, whole_only
-            left = part.stat().st_size if part.exists() and (resume or counted) else 0
-            at = 0 if whole_only or left > (item.size or 0) else left
-            options = {"block_size": 0 if whole_only else BLOCK_BYTES, "cache_type": "none"}
-            options = {} if item.url.scheme == "sftp" else options
-            with (
-                self._fs.open(_path(item.url), "rb", **options) as file,
-                part.open("r+b" if at else "wb") as out,
-            ):
-                if at:
-                    file.seek(at)
-                    out.seek(at)
-                while True:
-                    progress(at - counted)
-                    counted = at
-                    try:
-                        block = file.read(min(BLOCK_BYTES, (item.size or 2**63) - at))
-                    except ValueError:  # so fsspec says that a web server sends no parts
-                        whole_only = item.url.is_web
-                        raise
-                    if not block:
-                        break
-                    try:
-                        out.write(block)
-                        out.flush()
-                    except OSError as error:
-                        raise unwritable(part, error) from None
-                    at += len(block)
-            if item.size not in (None, at):
-                raise BrokenError(f"{at} of {item.size} bytes came")
+            callback = fsspec.Callback(hooks={"count": count})
+            one = _ONE_PART.get(item.url.scheme, {})
+            try:
+                self._fs.get_file(_path(item.url), str(part), callback=callback, **one)
+            except OSError as error:
+                if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                    raise unwritable(part, error) from None
+                raise
+            if item.size not in (None, came := part.stat().st_size):
+                raise BrokenError(f"{came} of {item.size} bytes came")
 
         try:
             to.parent.mkdir(parents=True, exist_ok=True)
             _retried(item.url, ask)
             if item.has_version and self.item(item.url) != item:
-                part.unlink()
                 raise SonarrecError(
                     f"{item.url.redacted}: changed while it was fetched; run the command again"
                 )
-            os.replace(part, to)  # noqa: PTH105
+            part.replace(to)
         except OSError as error:
             raise unwritable(part, error) from None
+        finally:
+            part.unlink(missing_ok=True)
 
     def put(self, file: Path, url: Url) -> None:
         """Upload a file."""

@@ -437,7 +437,7 @@ def test_no_network_library_is_loaded_for_local_logs(tmp_path: Path) -> None:
     program = (
         "import sys; from sonarrec.cli import main; "
         f"main(['run', {str(log)!r}, '-o', {str(tmp_path / 'out')!r}], standalone_mode=False); "
-        "print(sorted({'fsspec', 'aiohttp', 's3fs', 'botocore', 'asyncssh', 'platformdirs'}"
+        "print(sorted({'fsspec', 'aiohttp', 's3fs', 'botocore', 'asyncssh'}"
         " & set(sys.modules)))"
     )
     done = subprocess.run(
