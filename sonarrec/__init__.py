@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sonarrec.config import preset
-    from sonarrec.evaluation.scores import evaluate
+    from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
     from sonarrec.results.read import read_results
@@ -30,7 +30,7 @@ __version__ = "0.2.0.dev0"
 
 _HOMES = {
     "Recogniser": "runs.frames",
-    "evaluate": "evaluation.scores",
+    "evaluate": "evaluation.evaluate",
     "load_landmarks": "landmarks",
     "open_log": "readers",
     "preset": "config",

@@ -25,8 +25,11 @@ FLOORS = (
     {"__main__"},
 )
 """The rooms from the ground up. A room imports from floors below its own; of its own, itself."""
-PARTS = ("evaluation.matching", "evaluation.counting")
-"""Folders that the rest of their room is built on: each knows of it only those named before."""
+PARTS = (
+    *("evaluation.match", "evaluation.passes", "evaluation.judge", "evaluation.histogram"),
+    *("evaluation.behaviour", "evaluation.curves", "evaluation.count"),
+)
+"""Modules that the rest of their room is built on: each knows of it only those named before."""
 STAGES = ("stage1", "stage2", "stage3")
 MAY_IMPORT = {
     "click": ("cli",),
@@ -48,7 +51,7 @@ MAY_IMPORT = {
         "tables.parquet",
         "results.read",
         "report.mistakes",
-        "evaluation.scores",
+        "evaluation.tables",
     ),
     "pyarrow": ("tables.parquet",),
     "matplotlib": ("evaluation.plots", "mapping.picture", "report.svg", "truth.contact_sheet"),
@@ -281,12 +284,12 @@ def test_imports_run_downward_only() -> None:
             "from sonarrec.recogniser.stage1 import CandidateSelector",
             "a stage imports another",
         ),
-        ("evaluation.counting.passes", "from . import parts", "relative import"),
-        ("evaluation.survey", "from sonarrec.evaluation import evaluate", "import each other"),
+        ("evaluation.passes", "from . import count", "relative import"),
+        ("evaluation.logs", "from sonarrec.evaluation import evaluate", "import each other"),
         (
-            "evaluation.matching.joined",
-            "from sonarrec.evaluation.counting import passes",
-            "uphill from evaluation.counting.passes",
+            "evaluation.match",
+            "from sonarrec.evaluation import passes",
+            "uphill from evaluation.passes",
         ),
         ("runs.one", "import click", "runs.one must not import click"),
         ("readers.log", "from tqdm import tqdm", "readers.log must not import tqdm"),

@@ -16,9 +16,9 @@ from sonarrec.cli.groups import FiniteRange, command, in_batch, in_output, in_sc
 from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
-    from sonarrec.evaluation.compare.compare import Comparison
-    from sonarrec.evaluation.matching.options import ScoringOptions
-    from sonarrec.evaluation.matching.pairs import Pair
+    from sonarrec.evaluation.compare import Comparison
+    from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.evaluation.pairs import Pair
     from sonarrec.remote.run import RemoteFiles
 
 
@@ -103,7 +103,7 @@ def evaluate(
         raise UsageError("--details and --det are not available with --compare")
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression needs --compare")
-    from sonarrec.evaluation.matching.pairs import read_pairs
+    from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.remote.run import RemoteFiles, inside
 
     results = results or Path("sonarrec_out")
@@ -114,8 +114,8 @@ def evaluate(
         remote = RemoteFiles(stack, cache)
         truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
         if compare is not None:
-            from sonarrec.evaluation.compare.screen import screen
-            from sonarrec.evaluation.compare.write import comparison_json, write_comparison
+            from sonarrec.evaluation.compare_screen import screen
+            from sonarrec.evaluation.compare_write import comparison_json, write_comparison
 
             compared = compare_sides(compare, truth, scoring, remote, unit, jobs)
             folder = remote.output(out)
@@ -126,23 +126,24 @@ def evaluate(
             screens = [] if quiet or as_json else [screen(compared)]
         else:
             from sonarrec.evaluation import tabulate, write
-            from sonarrec.evaluation.evaluate import evaluate_many
-            from sonarrec.evaluation.summary import summarise
+            from sonarrec.evaluation.evaluate import evaluate_logs
 
-            if isinstance(truth, list):  # pairs name the results too
-                scored = evaluate_many(truth, None, scoring, jobs=jobs)
-            else:
-                place, find = remote.results(results), remote.beside
-                scored = evaluate_many(place, truth, scoring, jobs=jobs, find_beside=find)
+            scored = evaluate_logs(  # pairs name the results too
+                truth if isinstance(truth, list) else remote.results(results),
+                None if isinstance(truth, list) else truth,
+                scoring,
+                unit=unit,
+                jobs=jobs,
+                find_beside=remote.beside,
+            )
             there = remote.with_server_names
             notes, unused = tuple(map(there, scored.notes)), tuple(map(there, scored.unused))
             scored = replace(scored, notes=notes, unused=unused)
             folder = remote.output(out)
-            summary = summarise(scored, unit)
-            files = write.write_evaluation(folder, scored, summary, det)
-            notes, unused = (*notes, *summary.notes), (*remote.unused, *unused)
-            document = [write.json_text(write.as_json(scored, summary))] if as_json else []
-            screens = [tabulate.screen(scored), tabulate.summary_screen(scored, summary, details)]
+            files = write.write_evaluation(folder, scored, det)
+            unused = (*remote.unused, *unused)
+            document = [write.json_text(write.as_json(scored))] if as_json else []
+            screens = [tabulate.screen(scored.counts), tabulate.summary_screen(scored, details)]
         tell(unused, notes if quiet and not as_json else ())
         if as_json:
             for piece in document:
@@ -164,11 +165,11 @@ def compare_sides(
     unit: Any = None,
     jobs: int | None = None,
 ) -> Comparison:
-    """Compare two results, local or on servers, as `evaluation.compare.compare.compare`.
+    """Compare two results, local or on servers, as `evaluation.compare.compare`.
 
     truth: one table, pairs, or None: that beside each log.
     """
-    from sonarrec.evaluation.compare.compare import compare
+    from sonarrec.evaluation.compare import compare
 
     old, new = map(remote.results, sides)
     result = compare(old, new, truth, scoring, unit=unit, jobs=jobs, find_beside=remote.beside)

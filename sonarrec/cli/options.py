@@ -26,7 +26,7 @@ from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
     from sonarrec.config import Config
-    from sonarrec.evaluation.matching.options import ScoringOptions
+    from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.remote.cache import Cache
 
 
@@ -106,7 +106,7 @@ _SCORING = {
 
 
 def _scoring(values: dict[str, Any]) -> ScoringOptions:
-    from sonarrec.evaluation.matching.options import ScoringOptions
+    from sonarrec.evaluation.match import ScoringOptions
 
     chosen = {key: values[key] for key in _SCORING}
     return ScoringOptions(**chosen, sonar=LogChoice(values).sonar_without_log())

@@ -16,7 +16,7 @@ from sonarrec.cli.options_log import topic_option
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
-    from sonarrec.evaluation.matching.options import ScoringOptions
+    from sonarrec.evaluation.match import ScoringOptions
 
 
 @command(short_help="Write results as one HTML page.")
@@ -99,7 +99,7 @@ def report(
         unused: Sequence[str]
         if compare is not None:
             from sonarrec.cli.evaluate import compare_sides
-            from sonarrec.evaluation.matching.pairs import read_pairs
+            from sonarrec.evaluation.pairs import read_pairs
             from sonarrec.report.compare import write_comparison_page
             from sonarrec.tables.outputs import check_output
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sonarrec.evaluation.counting.curves import Count
-from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
-from sonarrec.evaluation.counting.uncertainty import Difference, Figure
+from sonarrec.evaluation.count import Counts, Scored
+from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.intervals import Difference, Figure
 from sonarrec.evaluation.metrics import BY_NAME, METRICS
 from sonarrec.evaluation.summary import Summary
 
@@ -54,17 +54,17 @@ class OperatingPoint:
     """FP."""
 
 
-def scored_by(evaluation: Pooled, method: str, protocol: str) -> PooledScored:
+def scored_by(counts: Counts, method: str, protocol: str) -> Scored:
     """The scores of one method under one protocol."""
-    return next(s for s in evaluation.scored if (s.method, s.protocol) == (method, protocol))
+    return next(s for s in counts.scored if (s.method, s.protocol) == (method, protocol))
 
 
-def protocols(evaluation: Pooled) -> list[str]:
+def protocols(counts: Counts) -> list[str]:
     """The protocols that were scored, the stricter one first."""
-    return [p for p in ("strict", "paper") if any(s.protocol == p for s in evaluation.scored)]
+    return [*reversed(counts.protocols)]
 
 
-def paper_table(scored: PooledScored, thousands: str = "") -> Table:
+def paper_table(scored: Scored, thousands: str = "") -> Table:
     """TPR to beta per ID and in total, in the layout of the paper; "0.0000*" for 0/0.
 
     "once" is the TPR without double claims, of which only protocol paper has any. thousands: the
@@ -88,30 +88,30 @@ def paper_table(scored: PooledScored, thousands: str = "") -> Table:
     )
 
 
-def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[OperatingPoint]]]:
+def rates(counts: Counts, summary: Summary) -> list[tuple[str, list[OperatingPoint]]]:
     """For each method its operating points over all IDs, under every protocol."""
     return [
         (
             method,
             [
                 _operating_point(
-                    scored_by(evaluation, method, protocol).count(),
+                    scored_by(counts, method, protocol).count(),
                     *(figure(summary.figure(protocol, method, n), n) for n in HEADLINE),
                 )
-                for protocol in protocols(evaluation)
+                for protocol in protocols(counts)
             ],
         )
-        for method in evaluation.methods
+        for method in counts.methods
     ]
 
 
-def rates_per_log(evaluation: Pooled) -> list[tuple[str, list[OperatingPoint]]]:
+def rates_per_log(counts: Counts) -> list[tuple[str, list[OperatingPoint]]]:
     """For each log the operating points of methods over all IDs, under the stricter protocol."""
-    protocol = protocols(evaluation)[0]
-    counts = [scored_by(evaluation, m, protocol).counts_per_log() for m in evaluation.methods]
+    protocol = protocols(counts)[0]
+    of_methods = [scored_by(counts, m, protocol).counts_per_log() for m in counts.methods]
     return [
-        (log, [_operating_point(per_log[i][-1]) for per_log in counts])
-        for i, log in enumerate(evaluation.logs)
+        (log, [_operating_point(per_log[i][-1]) for per_log in of_methods])
+        for i, log in enumerate(counts.logs)
     ]
 
 

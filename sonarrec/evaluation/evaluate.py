@@ -3,167 +3,165 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from sonarrec.arrays import IntArray
-from sonarrec.errors import SonarrecError, printable
-from sonarrec.evaluation.counting.parts import part_of, score_all
-from sonarrec.evaluation.counting.pooled import Parts, Pooled, pool
-from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.matching.fit import TruthCheck, left_out, scorable_logs
-from sonarrec.evaluation.matching.joined import Joined, join
-from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.matching.pairs import (
+from sonarrec.errors import SonarrecError, number_of, printable
+from sonarrec.evaluation.count import Adder, Counts
+from sonarrec.evaluation.logs import (
+    LogScore,
+    LogToScore,
+    UnreadableLog,
+    check_logs,
+    first_ids,
+    map_logs,
+    score_log,
+)
+from sonarrec.evaluation.match import DEFAULT, ScoringOptions
+from sonarrec.evaluation.pairs import (
     FindBeside,
     Pair,
     find_truths_beside,
     truth_note,
     usable_pairs,
 )
-from sonarrec.evaluation.survey import LogToScore, SurveyedLog, UnreadableLog, map_logs, survey
+from sonarrec.evaluation.passes import UnitKind
+from sonarrec.evaluation.summary import summarise
+from sonarrec.evaluation.tables import Evaluation
 from sonarrec.results.read import find_logs, read_frames
-from sonarrec.results.same_log import counted_once
+from sonarrec.results.same_log import CountedOnce
+from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import of_other_logs, rows_on_frames
 from sonarrec.truth.table import TruthTable, read_truth
 
-DEFAULT = ScoringOptions()
 
-
-@dataclass(frozen=True, slots=True)
-class Evaluation:
-    """The result of `evaluate_whole`, with all frames and claims."""
-
-    joined: Joined
-    folders: tuple[Path, ...]
-    """The results folder of each log of `joined`, as given."""
-    scored: tuple[Scored, ...]
-    """Every method under every protocol."""
-    min_visible: float
-    notes: tuple[str, ...]
-    unused: tuple[str, ...]
-    """Input that could not be used, one line each."""
-
-    def pooled(self) -> Pooled:
-        """The same as counts, without frames and claims."""
-        parts = Parts()
-        number = parts.put(part_of(self.joined, self.scored))
-        result = pool(parts, [number], self.joined.logs, self.min_visible)
-        return replace(result, folders=self.folders, notes=self.notes, unused=self.unused)
-
-
-def evaluate_whole(
-    results: str | Path | Sequence[Pair],
+def evaluate(
+    results: str | Path,
     ground_truth: str | Path | None = None,
-    options: ScoringOptions = DEFAULT,
     *,
-    subset: bool = False,
+    min_visible: float = 0.9,
+    tolerance_s: float | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+    unit: UnitKind | None = None,
+    jobs: int | None = 1,
 ) -> Evaluation:
-    """As `evaluate_many`, with all frames and claims.
+    """Score a results folder (of one log, or of several) against gt.csv.
 
-    Logs of equal name get the names of their folders as given. subset: these are a few of the logs
-    that `evaluate_many` scored, so it is no fault if none of them has a row in its truth, or a
-    method.
+    The figures, intervals and tests are those of `sonarrec evaluate`.
+
+    Without ground_truth the NAME.gt.csv, or gt.csv, beside each log is taken.
+    Of several results of one recording the first counts.
+
+    A claim is an estimate that is declared (operating point) or whose score reaches the
+    threshold (curves). A row with visible 0 is no row.
+
+    Protocol "paper", per frame and ID: in view and claimed = TP, each further claim of it one TP
+    more; in view and not claimed = FN; not in view and claimed, however often, = FP; else TN.
+    Position plays no part. Half a disc or more is in view, anything less is not: as in the paper,
+    every frame counts. Count.tpr_once is the TPR without the further claims.
+
+    Protocol "strict": a landmark with visible >= min_visible is a positive; with less it is
+    ignored. A claim belongs to the truth of its ID that is nearest in that frame, if
+    its centre is within half a disc diameter of it in the fan plane. The first claim of a
+    positive (the one of highest score) is TP; every further one, and every claim that belongs to
+    no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
+    (FN and FP). Claims of a partly visible landmark are not counted. TN: a frame and ID of which
+    nothing shows and which is not claimed. So an FP replaces a TN the first time an absent ID is
+    claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
+    0 to 1 and no false claim is free.
+
+    unit: what is independent, "pass" or "log"; default: logs if there are ten or more. jobs: how
+    many logs are read at once, each in its own process.
+    Raises SonarrecError where files cannot be used or have no frame in common.
     """
-    inputs = _inputs(results, ground_truth, options)
-    pooled, logs = _evaluate(inputs, options, whole=True, subset=subset)
-    cases = [log.case for log in logs if log.case is not None]
-    named = [replace(c.log, name=name) for c, name in zip(cases, pooled.logs, strict=True)]
-    joined = join(named, [case.truth for case in cases], options.min_visible)
-    return Evaluation(
-        joined=joined,
-        folders=pooled.folders,
-        scored=score_all(joined),
-        min_visible=options.min_visible,
-        notes=pooled.notes,
-        unused=pooled.unused,
-    )
+    options = ScoringOptions(min_visible, tolerance_s, landmarks, sonar)
+    return evaluate_logs(results, ground_truth, options, unit=unit, jobs=jobs)
 
 
-def evaluate_many(
+def evaluate_logs(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None = None,
     options: ScoringOptions = DEFAULT,
     *,
+    unit: UnitKind | None = None,
     jobs: int | None = None,
     find_beside: FindBeside | None = None,
-) -> Pooled:
-    """Score results as `scores.evaluate` says, one log at a time.
+) -> Evaluation:
+    """As `evaluate`, also of pairs of a log's results and its truth.
 
-    results: a folder, or pairs of a log's results and its truth. So memory does not grow with the
-    logs. jobs: number of processes, as in `survey.map_logs`; it does not change the result.
-    find_beside: finds truth beside logs on servers, as in `pairs.found_beside`.
+    Each log is read, matched and counted by itself, so that memory does not grow with the logs.
+    jobs: number of processes, as in `logs.map_logs`; it does not change the result. find_beside:
+    finds truth beside logs on servers, as in `pairs.find_truths_beside`. Logs of equal name get
+    the names of their folders.
     """
     inputs = _inputs(results, ground_truth, options, find_beside)
-    return _evaluate(inputs, options, jobs=jobs)[0]
-
-
-def _evaluate(
-    inputs: _Inputs,
-    options: ScoringOptions,
-    *,
-    jobs: int | None = None,
-    whole: bool = False,
-    subset: bool = False,
-) -> tuple[Pooled, list[SurveyedLog]]:
-    """Read, match and count the logs, one at a time; also gives those that are scored.
-
-    whole: keep all that was read of them. jobs, subset: as above.
-    """
-    parts = Parts()
-    numbers: dict[int, int] = {}
-    counted: list[LogToScore] = []
-
-    def surveyed_logs() -> Iterable[SurveyedLog | UnreadableLog]:
-        ids: tuple[int, ...] = ()
-        folders = (reading.folder for reading in inputs.readings)
-        read = partial(survey, whole=whole)
-        surveyed = map_logs(read, inputs.readings, folders, 1 if whole else jobs)
-        for reading, log in zip(inputs.readings, surveyed, strict=True):
-            if isinstance(log, SurveyedLog):
-                ids = ids or log.ids
-                if log.ids != ids and set(log.ids) == set(ids):  # count in the first log's order
-                    reading = replace(reading, ids=ids)
-                    log = read(reading)
-            if isinstance(log, UnreadableLog):
-                yield log
-                continue
-            if log.part is not None:
-                numbers[len(counted)] = parts.put(log.part)
-            counted.append(reading)
-            yield replace(log, part=None)
-
-    selection = _select_logs(inputs, surveyed_logs(), subset)
-    logs = [selection.logs[i] for i in selection.scored]
-    if parts.coarse and len(logs) < len(numbers):  # it has put the values of all logs together
-        parts, again = Parts(), [counted[i] for i in selection.scored]
-        surveyed = map_logs(survey, again, (reading.folder for reading in again), jobs)
-        for i, log in zip(selection.scored, surveyed, strict=True):
-            if isinstance(log, SurveyedLog) and log.part is not None:
-                numbers[i] = parts.put(log.part)
-    result = pool(
-        parts, [numbers[i] for i in selection.scored], selection.names, options.min_visible
+    folders = [folder for folder, *_ in inputs.logs]
+    ids = first_ids(folders, options.landmarks)
+    readings = [LogToScore(*log, options=options, ids=ids) for log in inputs.logs]
+    adder = Adder()
+    read: list[LogScore] = []
+    unread: list[UnreadableLog] = []
+    once = CountedOnce(lambda i: np.asarray(read_frames(read[i].folder)["frame"]), "scored")
+    kept: list[LogScore] = []
+    for log in map_logs(score_log, readings, folders, jobs):
+        if isinstance(log, UnreadableLog):
+            unread.append(log)
+            continue
+        counts, log.counts = log.counts, None
+        read.append(log)
+        if once.add(log.folder, log.recording, log.ground_truth):
+            kept.append(log)
+            if counts is not None:
+                adder.add(counts)
+    if not read:
+        raise unread[0].error
+    names = [*(log.name for log in kept), *(log.name for log in unread)]
+    table = inputs.table
+    if table is not None and table.log is None and len(names) > 1:
+        raise SonarrecError(
+            f"{table.path}: {inputs.folder} holds {len(names)} logs ({', '.join(names)}), so the "
+            "truth needs a log column that names their folders; or give the folder of one log"
+        )
+    faults = [UnreadableLog(log.name, log.error) for log in kept if log.error is not None]
+    if len(faults) == len(kept):
+        raise faults[0].error
+    fit_notes, misfits = check_logs([log.check for log in kept if log.check is not None])
+    scored = [log for log in kept if log.check is not None and log.check.fault is None]
+    for log in scored:
+        if set(log.ids) != set(scored[0].ids):
+            raise other_ids(scored[0].name, log.name)
+    pooled = adder.counts(distinct_names([(log.name, log.folder) for log in scored]))
+    if not pooled.methods:
+        raise SonarrecError(f"{', '.join(pooled.logs)}: estimates.csv names no method to score")
+    notes = [*inputs.notes, *once.notes, *fit_notes, *_notes(scored, pooled)]
+    unused = [
+        *inputs.unused,
+        *(log.message() for log in [*unread, *faults]),
+        *misfits,
+        *_left_out(inputs, read, [log.name for log in unread], scored),
+        *once.unused,
+    ]
+    summary = summarise(pooled, unit)
+    return Evaluation(
+        counts=pooled,
+        summary=summary,
+        min_visible=options.min_visible,
+        folders=tuple(log.folder for log in scored),
+        notes=(*map(printable, notes), *summary.notes),
+        unused=tuple(map(printable, unused)),
     )
-    if not subset:
-        _check_methods(logs, selection.names)
-    result = replace(
-        result,
-        folders=tuple(log.folder for log in logs),
-        notes=tuple(map(printable, [*selection.notes, *_notes(logs, result)])),
-        unused=tuple(map(printable, selection.unused)),
-    )
-    return result, logs
 
 
 @dataclass(frozen=True, slots=True)
 class _Inputs:
     """The logs to read, with their truth."""
 
-    readings: list[LogToScore]
+    logs: list[tuple[Path, Path, str | None]]
+    """Results, truth and, if it is not that of the folder, name of each."""
     notes: list[str]
     unused: list[str]
     table: TruthTable | None = None
@@ -176,118 +174,42 @@ def _inputs(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None,
     options: ScoringOptions,
-    find_beside: FindBeside | None = None,
+    find_beside: FindBeside | None,
 ) -> _Inputs:
-    """The logs to read and their truth; the arguments are those of `evaluate_many`."""
+    """The logs to read and their truth; the arguments are those of `evaluate_logs`."""
     options.check()
     if not isinstance(results, str | Path):
         pairs, unused = usable_pairs(results)
-        readings = [LogToScore(p.results, p.ground_truth, options, p.log) for p in pairs]
-        return _Inputs(readings, [], unused)
+        return _Inputs([(p.results, p.ground_truth, p.log) for p in pairs], [], unused)
     folders = find_logs(Path(results))
     if ground_truth is None:  # each log with the truth beside it
         pairs, without = find_truths_beside(folders, find_beside)
-        readings = [LogToScore(p.results, p.ground_truth, options) for p in pairs]
-        return _Inputs(readings, list(map(truth_note, pairs)), without)
+        logs = [(p.results, p.ground_truth, p.log) for p in pairs]
+        return _Inputs(logs, list(map(truth_note, pairs)), without)
     path = Path(ground_truth)
-    readings = [LogToScore(folder, path, options) for folder in folders]
-    return _Inputs(readings, [], [], read_truth(path), Path(results))
-
-
-@dataclass(frozen=True, slots=True)
-class _LogSelection:
-    """The logs that were read, which of them are scored, and the messages about them."""
-
-    logs: list[SurveyedLog]
-    """Those that could be read."""
-    scored: list[int]
-    """Indices of those that are scored."""
-    names: list[str]
-    """Names of those that are scored, all different."""
-    notes: list[str]
-    unused: list[str]
-
-
-def _select_logs(
-    inputs: _Inputs, surveyed: Iterable[SurveyedLog | UnreadableLog], subset: bool = False
-) -> _LogSelection:
-    """Decide which logs are scored. subset: as in `evaluate_whole`.
-
-    Raises SonarrecError if none can be read, or if they cannot be scored together.
-    """
-    logs: list[SurveyedLog] = []
-    unread: list[UnreadableLog] = []
-    for log in surveyed:
-        if isinstance(log, SurveyedLog):
-            logs.append(log)
-        else:
-            unread.append(log)
-    if not logs:
-        raise unread[0].error
-
-    def frames(i: int) -> IntArray:
-        return np.asarray(read_frames(logs[i].folder)["frame"])
-
-    folders, recordings = [log.folder for log in logs], [log.recording for log in logs]
-    truths = [log.ground_truth for log in logs]
-    once = counted_once(folders, recordings, frames, "scored", truths)
-    counted = [logs[i] for i in once.kept]
-    unread_names = [log.name for log in unread]
-    _check_names(inputs, [*(log.name for log in counted), *unread_names])
-    faults = [UnreadableLog(log.name, log.error) for log in counted if log.error is not None]
-    if len(faults) == len(counted):
-        raise faults[0].error
-    matching = [i for i in once.kept if logs[i].error is None]
-    cases = [case for i in matching if (case := logs[i].truth_check) is not None]
-    scorable = scorable_logs(cases, subset)
-    scored = [matching[i] for i in scorable.usable]
-    first = logs[scored[0]]
-    for i in scored:
-        if set(logs[i].ids) != set(first.ids):
-            raise other_ids(first.name, logs[i].name)
-    return _LogSelection(
-        logs,
-        scored,
-        distinct_names([(logs[i].name, logs[i].folder) for i in scored]),
-        [*inputs.notes, *once.notes, *scorable.notes],
-        [
-            *inputs.unused,
-            *(log.message() for log in [*unread, *faults]),
-            *scorable.unused,
-            *_left_out(inputs, logs, unread_names, [cases[i] for i in scorable.usable]),
-            *once.unused,
-        ],
-    )
-
-
-def _check_names(inputs: _Inputs, logs: Sequence[str]) -> None:
-    """Raise SonarrecError if one truth without a log column is for several logs (their names)."""
-    table = inputs.table
-    if table is not None and table.log is None and len(logs) > 1:
-        raise SonarrecError(
-            f"{table.path}: {inputs.folder} holds {len(logs)} logs ({', '.join(logs)}), so the "
-            "truth needs a log column that names their folders; or give the folder of one log"
-        )
+    table = read_truth(path)
+    return _Inputs([(folder, path, None) for folder in folders], [], [], table, Path(results))
 
 
 def _left_out(
-    inputs: _Inputs,
-    logs: Sequence[SurveyedLog],
-    unread: Sequence[str],
-    usable: Sequence[TruthCheck],
-) -> list[str]:
-    """A line for each part of truth and results that is not scored.
-
-    logs: those that could be read. unread: names of the others. usable: the scored ones.
-    """
-    if inputs.table is None:
-        return [line for case in usable for line in left_out([case])]
-    lines = left_out(usable)
-    if [log.folder for log in logs] != [inputs.folder]:  # several logs were given, not one
-        lines += of_other_logs(
-            inputs.table, [*(log.name for log in logs), *unread], "they are not scored"
-        )
-    return lines
+    inputs: _Inputs, read: Sequence[LogScore], unread: Sequence[str], scored: Sequence[LogScore]
+) -> Iterator[str]:
+    """A line for each part of truth and results that is not scored. unread: names."""
+    for logs in [scored] if inputs.table is not None else [[log] for log in scored]:
+        checks = [log.check for log in logs if log.check is not None]
+        unprocessed = sum(check.unprocessed for check in checks)
+        if unprocessed:
+            frames = sum(check.frames for check in checks)
+            yield (
+                f"{checks[0].table}: {unprocessed} of {checks[0].table_rows} rows lie on frames "
+                f"that were not processed; they are not scored ({number_of(frames, 'frame')} "
+                "processed)"
+            )
+        for log in logs:
+            yield from log.not_whole
+    if inputs.table is not None and [log.folder for log in read] != [inputs.folder]:
+        names = [*(log.name for log in read), *unread]
+        yield from of_other_logs(inputs.table, names, "they are not scored")
 
 
 def distinct_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
@@ -307,37 +229,24 @@ def other_ids(first: str, other: str) -> SonarrecError:
     )
 
 
-def _check_methods(logs: Sequence[SurveyedLog], names: Sequence[str]) -> None:
-    """Raise SonarrecError if none of the logs has a method. names: of the logs."""
-    if not any(log.methods for log in logs):
-        raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
-
-
-def _notes(logs: Sequence[SurveyedLog], scored: Pooled) -> list[str]:
-    """Notes on what was scored, a line each. logs: those of `scored`."""
-    notes = []
-    if not scored.placed:
-        notes.append(
+def _notes(logs: Sequence[LogScore], counts: Counts) -> Iterator[str]:
+    """Notes on what was scored, a line each. logs: those of `counts`."""
+    if not counts.placed:
+        yield (
             "the strict protocol is not scored: truth or estimates have no positions, or they are "
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
-    for name, log in zip(scored.logs, logs, strict=True):
-        if log.truth_check is not None:
-            notes += rows_on_frames(name, log.truth_check.rows, log.truth_check.between)
-        missing = [method for method in scored.methods if method not in log.methods]
-        if missing:
-            notes.append(
-                f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
-            )
-    notes += [f"{name}: scores are rounded to six digits" for name in scored.rounded]
-    notes += [
-        f"{method}: no estimate at all"
-        for method, count in zip(scored.methods, scored.estimates, strict=True)
-        if not count
-    ]
-    notes += [
-        f"ID.{landmark} is never in view: its TPR is 0/0 and says nothing"
-        for k, landmark in enumerate(scored.ids)
-        if not any(s.base[:, k, 3].any() for s in scored.scored)
-    ]
-    return notes
+    for part, log in zip(counts.parts, logs, strict=True):
+        assert log.check is not None
+        yield from rows_on_frames(part.name, log.check.rows, log.check.between)
+        if missing := [method for method in counts.methods if method not in part.methods]:
+            yield f"{part.name}: has no estimates of {', '.join(missing)}; this counts as no claim"
+    for part in counts.parts:
+        if part.rounded:
+            yield f"{part.name}: scores are rounded to six digits"
+    for method in counts.methods:
+        if not any(part.estimates.get(method) for part in counts.parts):
+            yield f"{method}: no estimate at all"
+    for k, landmark in enumerate(counts.ids):
+        if not any(scored.base[:, k, 3].any() for scored in counts.scored):
+            yield f"ID.{landmark} is never in view: its TPR is 0/0 and says nothing"

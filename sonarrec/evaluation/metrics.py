@@ -2,123 +2,40 @@
 
 All output (screen, files, report, comparisons) uses this table. A metric is a function of a record,
 (R, ...) in, (R,) out, and gives both the figure and its resampled values. A new kind of record
-needs a function of `Case`, below, that counts it.
+needs a function in `unit_sums`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.evaluation.counting.behaviour import (
-    FalseClaims,
-    SwitchTotals,
-    error_counts,
-    false_claim_counts,
-    switch_counts,
-    wait_counts,
-)
-from sonarrec.evaluation.counting.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
-from sonarrec.evaluation.counting.pooled import Pooled, PooledScored, PooledUnits
-from sonarrec.evaluation.counting.reliability import Calibration, calibration_counts
-from sonarrec.evaluation.counting.uncertainty import Tally
-from sonarrec.evaluation.counting.unit_sums import (
+from sonarrec.arrays import FloatArray
+from sonarrec.evaluation.count import Counts, Units
+from sonarrec.evaluation.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
+from sonarrec.evaluation.intervals import Tally
+from sonarrec.evaluation.unit_sums import (
     QUANTILES,
+    Calibration,
     CumulativeHistogram,
+    FalseClaims,
     Rates,
+    SwitchTotals,
     UnitSums,
-    rate_sums,
+    calibration,
+    false_claims,
+    orientations,
+    positions,
+    rates,
+    switches,
+    waits,
 )
 
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """An evaluation and its independent units."""
-
-    pooled: Pooled
-    units: PooledUnits
-
-
-# The kinds of records, per ID and in total. Without positions only the first two are counted.
-
-
-def rates(case: Case) -> Iterable[UnitSums]:
-    """Rates of every method under every protocol."""
-    for scored in case.pooled.scored:
-        yield from rates_of(case, scored)
-
-
-def rates_of(case: Case, s: PooledScored) -> Iterable[UnitSums]:
-    """Rates of one method under one protocol."""
-    pooled, units = case.pooled, case.units
-    base = pooled.sums(("base", s.protocol), units)
-    declared = base + pooled.sums(("made", s.protocol, s.method), units)
-    for k, landmark in enumerate(s.ids):
-        labels, claims = (s.protocol, s.method, str(landmark)), pooled.claims(s, k, units)
-        yield rate_sums(labels, base[:, k], declared[:, k], s.curve(k), claims)
-    labels, claims = (s.protocol, s.method, "total"), pooled.claims(s, None, units)
-    yield rate_sums(labels, base.sum(axis=1), declared.sum(axis=1), s.curve(), claims)
-
-
-def waits(case: Case) -> Iterable[UnitSums]:
-    """Histograms of the frames to a lasting ID, under every protocol."""
-    return wait_counts(case.pooled.outcomes, *_passes(case))
-
-
-def _passes(case: Case) -> tuple[tuple[int, ...], IntArray, IntArray, int]:
-    """The arguments of `wait_counts` that say of which ID and unit each pass is."""
-    passes, units = case.pooled.passes, case.units
-    return case.pooled.ids, passes.landmark_index, units.of_pass_unit[passes.unit], units.count
-
-
-def false_claims(case: Case) -> Iterable[UnitSums]:
-    """FalseClaims of every method."""
-    pooled, units = case.pooled, case.units
-    minutes = pooled.sums_of_kind(("minutes",), units)
-    if pooled.placed and minutes is not None:
-        for method in pooled.methods:
-            claims = pooled.sums(("false", method), units)
-            yield from false_claim_counts(method, pooled.ids, claims, minutes)
-
-
-def switches(case: Case) -> Iterable[UnitSums]:
-    """SwitchTotals of every method."""
-    return switch_counts(case.pooled.switches, *_passes(case))
-
-
-def positions(case: Case) -> Iterable[UnitSums]:
-    """Histograms of position errors, m."""
-    return _errors(case, "position")
-
-
-def orientations(case: Case) -> Iterable[UnitSums]:
-    """Histograms of orientation errors, deg."""
-    return _errors(case, "orientation")
-
-
-def _errors(case: Case, name: str) -> Iterable[UnitSums]:
-    pooled = case.pooled
-    errors = partial(pooled.errors, name, case.units)
-    return error_counts(
-        pooled.methods if pooled.placed else (), pooled.ids, errors, case.units.count
-    )
-
-
-def calibration(case: Case) -> Iterable[UnitSums]:
-    """Calibration of every method that states probabilities."""
-    pooled = case.pooled
-    for method in pooled.methods if pooled.placed else ():
-        rows = pooled.sums_of_kind(("calibration", method), case.units)
-        if rows is not None:
-            yield from calibration_counts(method, pooled.ids, rows)
-
-
-# The metrics.
+Kind = Callable[[Counts, Units], Iterable[UnitSums]]
+"""A kind of records: gives what the units add to them."""
 
 
 def true_positive_rate(r: Rates) -> FloatArray:
@@ -196,8 +113,8 @@ class Metric:
     """Name on screen and in the report."""
     digits: int
     """After the decimal point."""
-    counted: Callable[[Case], Iterable[UnitSums]]
-    """Gives the sums of the records that it is a function of."""
+    counted: Kind
+    """The records that it is a function of."""
     figure: Callable[[Any], FloatArray | None]
     """(R,) of a record of R rows; None if the method has no such figure."""
     tested: bool = False
@@ -256,7 +173,7 @@ AT_ONCE = 256
 """Draws whose figures are computed together: so few lie in the processor's cache."""
 
 
-def tally(kind: Callable[[Case], Iterable[UnitSums]], counted: UnitSums) -> Tally:
+def tally(kind: Kind, counted: UnitSums) -> Tally:
     """The figures of one kind of record."""
     exact = [(m, m.figure(counted.exact)) for m in METRICS if m.counted is kind]
     available = [(m, value) for m, value in exact if value is not None]

@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, NullFormatter
 
 from sonarrec.arrays import FloatArray
-from sonarrec.evaluation.counting.curves import macro_curve
-from sonarrec.evaluation.counting.pooled import PooledScored
-from sonarrec.evaluation.counting.reliability import BINS, FEW, Reliability
-from sonarrec.evaluation.counting.scoring import PROTOCOLS
+from sonarrec.evaluation.behaviour import BINS
+from sonarrec.evaluation.count import Scored
+from sonarrec.evaluation.curves import macro_curve
+from sonarrec.evaluation.judge import PROTOCOLS
 from sonarrec.evaluation.roc import Point, fpr_end, roc
+from sonarrec.evaluation.summary import FEW, Reliability
 from sonarrec.tables.outputs import plain, write_figure
 
 # Okabe and Ito's colours, for any colour vision; line styles distinguish methods in grey print.
@@ -41,13 +42,13 @@ def _laid_out(width: float, height: float, *, left: float, bottom: float, hspace
     return figure
 
 
-def _looks(scored: Sequence[PooledScored]) -> dict[str, tuple[str, str]]:
+def _looks(scored: Sequence[Scored]) -> dict[str, tuple[str, str]]:
     """Colour and line style per method, the same in every panel."""
     methods = dict.fromkeys(s.method for s in scored)
     return dict(zip(methods, zip(cycle(COLOURS), cycle(STYLES), strict=False), strict=False))
 
 
-def _by_protocol(scored: Sequence[PooledScored]) -> dict[str, list[PooledScored]]:
+def _by_protocol(scored: Sequence[Scored]) -> dict[str, list[Scored]]:
     groups = {p: [s for s in scored if s.protocol == p] for p in PROTOCOLS}
     return {protocol: some for protocol, some in groups.items() if some}
 
@@ -65,7 +66,7 @@ def _legend_below(axes: Any, title: str) -> None:
     )
 
 
-def draw_roc(path: Path, scored: Sequence[PooledScored]) -> None:
+def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
     """Draw the micro-averaged ROC of every method, one panel per protocol, as a PNG.
 
     The FPR axis ends a little beyond the worst operating point; roc.csv has the whole curve.
@@ -100,7 +101,7 @@ def _dot(axes: Any, point: Point, marker: str, **look: Any) -> None:
     axes.plot(point.fpr, point.tpr, marker, label=plain(point.label), **look)
 
 
-def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
+def draw_roc_by_id(path: Path, scored: Sequence[Scored]) -> None:
     """Draw the ROC of every ID that is ever in view, and their macro average, as a PNG."""
     by_protocol, looks = _by_protocol(scored), _looks(scored)
     ids_in_view = [k for k in range(len(scored[0].ids)) if not np.isnan(scored[0].count(k).tpr)]
@@ -133,7 +134,7 @@ def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
     write_figure(path, figure)
 
 
-def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
+def draw_det(path: Path, scored: Sequence[Scored]) -> None:
     """Draw the detection error trade-off: misses against false positives, on a probit scale."""
     by_protocol, looks = _by_protocol(scored), _looks(scored)
     ticks = (0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95)

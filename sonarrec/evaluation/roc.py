@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.evaluation.counting.curves import PUBLISHED
-from sonarrec.evaluation.counting.pooled import PooledScored
+from sonarrec.evaluation.count import Scored
+from sonarrec.evaluation.curves import PUBLISHED
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Roc:
     """End of the FPR axis."""
 
 
-def roc(scored: Sequence[PooledScored], k: int | None = None, corners: int = 2000) -> Roc:
+def roc(scored: Sequence[Scored], k: int | None = None, corners: int = 2000) -> Roc:
     """The ROC of each method under one protocol: of the k-th ID, or over all IDs.
 
     corners: at most so many per line. The paper's points are for protocol paper and all IDs.

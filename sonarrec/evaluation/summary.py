@@ -8,13 +8,12 @@ from itertools import combinations
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import number_of, printable
-from sonarrec.evaluation import metrics
-from sonarrec.evaluation.counting.passes import UnitKind
-from sonarrec.evaluation.counting.pooled import Pooled, PooledUnits
-from sonarrec.evaluation.counting.reliability import Reliability, reliability
-from sonarrec.evaluation.counting.uncertainty import (
+from sonarrec.evaluation import metrics, unit_sums
+from sonarrec.evaluation.count import Counts, Units
+from sonarrec.evaluation.curves import ratio
+from sonarrec.evaluation.intervals import (
     LEVEL,
     MIN_UNITS,
     Difference,
@@ -28,18 +27,35 @@ from sonarrec.evaluation.counting.uncertainty import (
     replicates,
     unseen_share,
 )
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.passes import UnitKind
 
 _PLURAL = {"pass": "es", "log": "s"}
+FEW = 10
+"""Bins with fewer estimates are not joined by the curve: their share is too uncertain."""
 SEED = 0
 """Of the random draws, so that the same input gives the same intervals."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reliability:
+    """A reliability curve of one method: estimates in BINS equal bins of what they state."""
+
+    method: str
+    landmark_text: str
+    """An ID, "none", or "top": the most probable of the IDs and "none"."""
+    count: IntArray
+    """(BINS,) estimates."""
+    mean: FloatArray
+    """(BINS,) their mean probability, NaN in empty bins."""
+    right: FloatArray
+    """(BINS,) the share that is right, NaN in empty bins."""
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
     """Figures with intervals, differences between methods, and calibration."""
 
-    units: PooledUnits
+    units: Units
     figures: tuple[Figure, ...]
     """Per protocol, method and landmark_text, by metric."""
     differences: tuple[Difference, ...]
@@ -57,14 +73,12 @@ class Summary:
         return next((f for f, name in named if name == wanted), None)
 
 
-def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> Summary:
+def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
     """Figures, intervals and tests of an evaluation.
 
     unit: what counts as independent; by default passes, or logs if there are ten or more.
     """
-    pooled = evaluation if isinstance(evaluation, Pooled) else evaluation.pooled()
-    units = pooled.units(unit)
-    case = metrics.Case(pooled, units)
+    units = counts.units(unit)
     rng = np.random.default_rng(SEED)
     weights = bootstrap_weights(units.count, rng)
     tosses = coin_tosses(units.count, rng)
@@ -74,16 +88,21 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
     alike: dict[tuple[str, object], list[Tally]] = defaultdict(list)
     for kind in metrics.KINDS:
         per_id: list[tuple[Tally, FloatArray]] = []
-        for counted in kind(case):
+        for counted in kind(counts, units):
             tally = metrics.tally(kind, counted)
             drawn = replicates(tally, weights)
             figures += intervals(tally, drawn)
-            if kind is metrics.calibration:
-                curves += reliability([counted])
+            if kind is unit_sums.calibration:
+                record = counted.exact
+                assert isinstance(record, unit_sums.Calibration)
+                number, right = record.count[0], ratio(record.right[0], record.count[0])
+                mean = ratio(record.stated[0], number)
+                name = "top" if tally.landmark_text == "total" else tally.landmark_text
+                curves.append(Reliability(tally.method, name, number.astype(np.int64), mean, right))
             if tally.landmark_text != "total":
                 per_id.append((tally, drawn))
                 continue
-            if kind is metrics.rates:
+            if kind is unit_sums.rates:
                 figures += macro(*zip(*per_id, strict=True))
             per_id.clear()
             alike[tally.protocol, kind].append(tally)
@@ -97,11 +116,11 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
             for difference in differences(a, b, weights, tosses)
         ),
         reliability=tuple(curves),
-        notes=_notes(pooled, units, figures),
+        notes=_notes(counts, units, figures),
     )
 
 
-def units_text(units: PooledUnits, count: int | None = None) -> str:
+def units_text(units: Units, count: int | None = None) -> str:
     """The number of units, or `count`, with their kind, such as "12 passes"."""
     many = units.count if count is None else count
     return number_of(many, units.kind, _PLURAL[units.kind])
@@ -114,7 +133,7 @@ def over_units(summary: Summary) -> str:
     return f"; {LEVEL:.0%} intervals over {units_text(summary.units)}"
 
 
-def _notes(pooled: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
+def _notes(counts: Counts, units: Units, figures: list[Figure]) -> tuple[str, ...]:
     """Notes on missing intervals and figures, a line each."""
     notes = []
     if units.count < MIN_UNITS:
@@ -124,7 +143,7 @@ def _notes(pooled: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[s
             f"(each a {kind}), and "
             f"with fewer than {MIN_UNITS} no difference can be distinguished from chance"
         )
-    protocol = "strict" if pooled.placed else "paper"
+    protocol = "strict" if counts.placed else "paper"
     for figure in figures if units.count >= MIN_UNITS else ():
         facts = (figure.protocol, figure.landmark_text, figure.name, figure.value)
         if facts == (protocol, "total", "fpr", 0):
@@ -133,14 +152,9 @@ def _notes(pooled: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[s
                 f"{figure.method}: no false claim in {units_text(units, figure.units)}, so with "
                 f"{LEVEL:.0%} confidence fewer than {most} of them have one"
             )
-    if pooled.placed and not pooled.timed.all():
-        notes.append(_without_minutes(pooled))
+    untimed = [part.name for part in counts.parts if not part.timed]
+    if counts.placed and untimed:
+        listed = ", ".join(untimed[:5]) + f" and {len(untimed) - 5} more" * (len(untimed) > 5)
+        lack = "are not given" if len(untimed) == len(counts.parts) else f"leave out {listed}"
+        notes.append(f"claims per minute {lack}: frames.csv has no timestamp_ns, or a single time")
     return tuple(map(printable, notes))
-
-
-def _without_minutes(pooled: Pooled) -> str:
-    """A note on the logs that have no minutes."""
-    untimed = [name for name, timed in zip(pooled.logs, pooled.timed, strict=True) if not timed]
-    listed = ", ".join(untimed[:5]) + f" and {len(untimed) - 5} more" * (len(untimed) > 5)
-    lack = f"leave out {listed}" if pooled.timed.any() else "are not given"
-    return f"claims per minute {lack}: frames.csv has no timestamp_ns, or a single time"

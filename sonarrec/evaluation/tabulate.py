@@ -8,16 +8,17 @@ from collections.abc import Sequence
 from sonarrec.errors import printable
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.cells import Cell, number
-from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
+from sonarrec.evaluation.count import Counts, Scored
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.summary import Summary, over_units, units_text
+from sonarrec.evaluation.tables import Evaluation
 
 WIDTH = 100
 LABEL, COLUMN = 30, 23
 LEGEND = "once: TPR without double claims (each ID once per frame); beta: all counts, in the paper"
 
 
-def paper_table(scored: PooledScored) -> list[str]:
+def paper_table(scored: Scored) -> list[str]:
     """The lines of one of the paper's tables: a heading, then TPR to beta, per ID and in total."""
     table = cells.paper_table(scored)
     # A star stands behind the digits.
@@ -27,17 +28,17 @@ def paper_table(scored: PooledScored) -> list[str]:
     ]
 
 
-def screen(evaluation: Pooled) -> str:
+def screen(counts: Counts) -> str:
     """The tables of all methods, with both protocols side by side if they fit into WIDTH."""
     lines: list[str] = []
     undefined = False
-    for method in evaluation.methods:
-        tables = [s for s in evaluation.scored if s.method == method]
+    for method in counts.methods:
+        tables = [s for s in counts.scored if s.method == method]
         blocks = []
         for scored in tables:
             block = paper_table(scored)
             width = max(map(len, block))
-            blocks.append([line.ljust(width) for line in [_title(scored, evaluation), *block]])
+            blocks.append([line.ljust(width) for line in [_title(scored, counts), *block]])
             undefined |= any("*" in line for line in block)
         lines += [method]
         if sum(len(b[1]) for b in blocks) + 3 * (len(blocks) - 1) <= WIDTH:
@@ -45,30 +46,31 @@ def screen(evaluation: Pooled) -> str:
         else:
             lines += [line.rstrip() for block in blocks for line in [*block, ""]][:-1]
         lines.append("")
-    if evaluation.methods:
+    if counts.methods:
         lines += [LEGEND, ""]
     if undefined:
         lines += ["* 0/0, printed as in the paper: there is nothing to measure", ""]
     return "\n".join(map(printable, lines))
 
 
-def _title(scored: PooledScored, evaluation: Pooled) -> str:
+def _title(scored: Scored, counts: Counts) -> str:
     if scored.protocol == "paper":
         return "protocol paper: position not checked"
-    gates = evaluation.gates
+    gates = counts.gates
     return "protocol strict" + (
         f": centre within {' or '.join(f'{g:g}' for g in gates)} m" if gates else ""
     )
 
 
-def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) -> str:
+def summary_screen(evaluation: Evaluation, details: bool = False) -> str:
     """The figures in total with intervals and tests; details: also per ID and per log."""
-    main, *others = cells.protocols(evaluation)
+    counts, summary = evaluation.counts, evaluation.summary
+    main, *others = cells.protocols(counts)
     over = over_units(summary)
     lines = []
     for protocol in (main, *others) if details else (main,):
         lines.append(f"protocol {protocol}, all IDs{over}")
-        lines += _figure_table(summary, protocol, evaluation.methods)
+        lines += _figure_table(summary, protocol, counts.methods)
         lines.append("")
     tested = cells.tested_differences(summary, main)
     if any(not math.isnan(d.p) for d in tested):
@@ -79,9 +81,9 @@ def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) 
             lines.append(f"{d.b} minus {d.a}, {BY_NAME[d.name].label}: {text}")
         lines.append("")
     if details:
-        lines += _per_id(summary, main, evaluation.methods)
-        if len(evaluation.logs) > 1:
-            lines += _per_log(evaluation, main)
+        lines += _per_id(summary, main, counts.methods)
+        if len(counts.logs) > 1:
+            lines += _per_log(counts, main)
     return "\n".join(map(printable, lines))
 
 
@@ -121,14 +123,14 @@ def _per_id(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str
     return [*lines, ""]
 
 
-def _per_log(evaluation: Pooled, protocol: str) -> list[str]:
+def _per_log(counts: Counts, protocol: str) -> list[str]:
     lines = [f"protocol {protocol}, per log"]
     lines.append(
         f"{'':<{LABEL}}{'method':<{COLUMN}}{'TPR':>8}{'FPR':>9}{'TP':>7}{'FP':>6}{'FN':>6}"
     )
-    counts = {s.method: s.counts_per_log() for s in evaluation.scored if s.protocol == protocol}
-    for i, log in enumerate(evaluation.logs):
-        for method, per_log in counts.items():
+    of_methods = {s.method: s.counts_per_log() for s in counts.scored if s.protocol == protocol}
+    for i, log in enumerate(counts.logs):
+        for method, per_log in of_methods.items():
             c = per_log[i][-1]
             lines.append(_row(log[-LABEL + 1 :], [method[: COLUMN - 1]]).ljust(LABEL + COLUMN))
             lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"

@@ -9,12 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from sonarrec.evaluation.counting.curves import Count, macro_curve
-from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
-from sonarrec.evaluation.counting.reliability import BINS
-from sonarrec.evaluation.matching.joined import PAPER_MIN_VISIBLE
+from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.match import PAPER_MIN_VISIBLE
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
-from sonarrec.evaluation.summary import Summary
+from sonarrec.evaluation.tables import COUNTS, HEADERS, Evaluation, count_cells, counts_by_id
 from sonarrec.tables.outputs import (
     check_no_recording,
     check_output,
@@ -26,38 +24,23 @@ from sonarrec.tables.outputs import (
     writing,
 )
 
-COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total", "tpr_once")
-CONFUSION = ("protocol", "method", "landmark", *COUNTS)
 PAPER_KEY = "paper_min_visible"
 """In evaluation.json of the versions whose protocol paper counts every frame."""
-ROC = ("protocol", "method", "landmark", "threshold", "tpr", "fpr", "tp", "tn", "fp", "fn")
-FIGURES = ("protocol", "method", "landmark", "figure", "value", "low", "high", "units", "note")
-TESTS = (
-    *("protocol", "a", "b", "landmark", "figure", "value_a", "value_b", "difference"),
-    *("low", "high", "p", "units", "note"),
-)
-PASSES = (
-    *("log", "landmark", "first_frame", "last_frame", "protocol", "method", "frames", "right"),
-    *("frames_to_id", "id_switches", "track_switches"),
-)
-RELIABILITY = ("method", "landmark", "bin_low", "bin_high", "count", "mean_probability", "right")
 
 
-def write_evaluation(
-    folder: Path, evaluation: Pooled, summary: Summary, det: bool = False
-) -> tuple[str, ...]:
+def write_evaluation(folder: Path, evaluation: Evaluation, det: bool = False) -> tuple[str, ...]:
     """Write all tables and pictures into `folder`, created if needed; returns the file names.
 
     evaluation.json is written last, so if it exists the others are complete. Pictures that only an
     earlier scoring drew are deleted. Raises SonarrecError if they cannot be written; UsageError,
     before the first one, if a file of another kind exists.
     """
-    text = json_text(as_json(evaluation, summary))
-    written = tables(evaluation, summary)
+    text, curves = json_text(as_json(evaluation)), evaluation.summary.reliability
+    written = {f"{name}.csv": header for name, header in HEADERS.items()}
     pictures = ["roc.png", "roc_by_id.png"]
     pictures += ["det.png"] if det else []
-    pictures += ["reliability.png"] if summary.reliability else []
-    check_tables(folder, {name: header for name, (header, _) in written.items()})
+    pictures += ["reliability.png"] if curves else []
+    check_tables(folder, written)
     check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
     if not is_filled(
         folder / "evaluation.json"
@@ -70,31 +53,16 @@ def write_evaluation(
         for name in {"det.png", "reliability.png"}.difference(pictures):
             if is_output(folder / name, "picture"):  # of an earlier scoring
                 (folder / name).unlink()
-        for name, (header, rows) in written.items():
-            write_table(folder / name, header, rows)
+        for name, header in HEADERS.items():
+            write_table(folder / f"{name}.csv", header, evaluation.rows(name))
         draw_roc(folder / "roc.png", evaluation.scored)
         draw_roc_by_id(folder / "roc_by_id.png", evaluation.scored)
         if det:
             draw_det(folder / "det.png", evaluation.scored)
-        if summary.reliability:
-            draw_reliability(folder / "reliability.png", summary.reliability)
+        if curves:
+            draw_reliability(folder / "reliability.png", curves)
         write_text(folder / "evaluation.json", text)
     return (*written, *pictures, "evaluation.json")
-
-
-def tables(
-    evaluation: Pooled, summary: Summary
-) -> dict[str, tuple[tuple[str, ...], Iterable[tuple[Any, ...]]]]:
-    """Columns and rows of each CSV file, by its name."""
-    return {
-        "confusion.csv": (CONFUSION, _confusion(evaluation)),
-        "per_log.csv": (("log", *CONFUSION), _per_log(evaluation)),
-        "roc.csv": (ROC, _roc(evaluation)),
-        "figures.csv": (FIGURES, _figures(summary)),
-        "tests.csv": (TESTS, _tests(summary)),
-        "passes.csv": (PASSES, _passes(evaluation)),
-        "reliability.csv": (RELIABILITY, _reliability(summary)),
-    }
 
 
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
@@ -106,126 +74,45 @@ def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, .
     write_csv(path, header, cells)
 
 
-def _cells(scored: PooledScored) -> list[tuple[str, Count]]:
-    named = [(str(i), scored.count(k)) for k, i in enumerate(scored.ids)]
-    return [*named, ("total", scored.count())]
-
-
-def _counts(c: Count) -> tuple[float, ...]:
-    return c.tpr, c.fpr, c.tp, c.tn, c.fp, c.fn, c.total, c.tpr_once
-
-
-def _confusion(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
-    for s in evaluation.scored:
-        for name, count in _cells(s):
-            yield s.protocol, s.method, name, *_counts(count)
-
-
-def _per_log(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
-    names = [*map(str, evaluation.ids), "total"]
-    split = [(s, s.counts_per_log()) for s in evaluation.scored]
-    for i, log in enumerate(evaluation.logs):
-        for s, counts in split:
-            for name, count in zip(names, counts[i], strict=True):
-                yield log, s.protocol, s.method, name, *_counts(count)
-
-
-def _roc(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
-    """The corners of every curve, thresholds falling from inf; macro curves have no threshold."""
-    for s in evaluation.scored:
-        which: list[tuple[str, int | None]] = [(str(i), k) for k, i in enumerate(s.ids)]
-        for name, k in [*which, ("total", None)]:
-            curve = s.curve(k)
-            at = curve.turns()
-            rates = curve.threshold, curve.tpr, curve.fpr
-            columns = *rates, curve.tp, curve.tn, curve.fp, curve.fn
-            for row in zip(*(column[at].tolist() for column in columns), strict=True):
-                yield s.protocol, s.method, name, *row
-        fpr, tpr = macro_curve(s.curve(k) for k in range(len(s.ids)))
-        for x, y in zip(fpr.tolist(), tpr.tolist(), strict=True):
-            yield s.protocol, s.method, "macro", "", y, x, "", "", "", ""
-
-
-def _figures(summary: Summary) -> Iterable[tuple[Any, ...]]:
-    for f in summary.figures:
-        yield f.protocol, f.method, f.landmark_text, f.name, f.value, f.low, f.high, f.units, f.note
-
-
-def _tests(summary: Summary) -> Iterable[tuple[Any, ...]]:
-    for d in summary.differences:
-        yield (
-            *(d.protocol, d.a, d.b, d.landmark_text, d.name, d.value_a, d.value_b, d.value),
-            *(d.low, d.high, d.p, d.units, d.note),
-        )
-
-
-def _passes(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
-    passes = evaluation.passes
-    changed = {s.method: s for s in evaluation.switches}
-    for outcome in evaluation.outcomes:
-        switches = changed.get(outcome.method)
-        for i in range(len(passes.first_frame)):
-            yield (
-                evaluation.logs[passes.log_index[i]],
-                evaluation.ids[passes.landmark_index[i]],
-                int(passes.first_frame[i]),
-                int(passes.last_frame[i]),
-                outcome.protocol,
-                outcome.method,
-                int(outcome.frames[i]),
-                int(outcome.right[i]),
-                float(outcome.wait[i]),
-                "" if switches is None else int(switches.ids[i]),
-                "" if switches is None or switches.tracks is None else int(switches.tracks[i]),
-            )
-
-
-def _reliability(summary: Summary) -> Iterable[tuple[Any, ...]]:
-    for r in summary.reliability:
-        for b in range(BINS):
-            yield (
-                *(r.method, r.landmark_text, b / BINS, (b + 1) / BINS),
-                *(int(r.count[b]), float(r.mean[b]), float(r.right[b])),
-            )
-
-
 def json_text(document: dict[str, Any]) -> str:
     """A JSON document as text."""
     return json.dumps(document, indent=2, allow_nan=False) + "\n"
 
 
-def as_json(evaluation: Pooled, summary: Summary) -> dict[str, Any]:
+def as_json(evaluation: Evaluation) -> dict[str, Any]:
     """evaluation.json: what was scored and how, counts and figures; 0/0 and infinity are null."""
+    counts, summary = evaluation.counts, evaluation.summary
     methods: dict[str, Any] = {}
-    per_log: dict[str, Any] = {log: {} for log in evaluation.logs}
-    names = [*map(str, evaluation.ids), "total"]
-    for s in evaluation.scored:
-        methods.setdefault(s.method, {})[s.protocol] = _named_counts(*zip(*_cells(s), strict=True))
-        for log, counts in zip(evaluation.logs, s.counts_per_log(), strict=True):
-            per_log[log].setdefault(s.method, {})[s.protocol] = _named_counts(names, counts)
+    per_log: dict[str, Any] = {log: {} for log in counts.logs}
+    names = [*map(str, counts.ids), "total"]
+    for s in counts.scored:
+        named = zip(*counts_by_id(s), strict=True)
+        methods.setdefault(s.method, {})[s.protocol] = _named_counts(*named)
+        for log, of_log in zip(counts.logs, s.counts_per_log(), strict=True):
+            per_log[log].setdefault(s.method, {})[s.protocol] = _named_counts(names, of_log)
     return {
-        "logs": list(evaluation.logs),
-        "frames": evaluation.frames,
-        "landmarks": list(evaluation.ids),
-        "positives": int(evaluation.positives.sum()),
-        "ignored": evaluation.ignored,
+        "logs": list(counts.logs),
+        "frames": counts.frames,
+        "landmarks": list(counts.ids),
+        "positives": counts.positives,
+        "ignored": counts.ignored,
         "min_visible": evaluation.min_visible,
         PAPER_KEY: PAPER_MIN_VISIBLE,
-        "gate_m": list(evaluation.gates),
+        "gate_m": list(counts.gates),
         "unit": summary.units.kind,
         "units": summary.units.count,
         "methods": methods,
         "per_log": per_log,
         "figures": [as_record(asdict(figure)) for figure in summary.figures],
         "differences": [as_record(asdict(difference)) for difference in summary.differences],
-        "notes": [*evaluation.notes, *summary.notes],
+        "notes": list(evaluation.notes),
         "unused": list(evaluation.unused),
     }
 
 
 def _named_counts(names: Sequence[str], counts: Sequence[Count]) -> dict[str, Any]:
     return {
-        name: {key: finite_or_none(v) for key, v in zip(COUNTS, _counts(count), strict=True)}
+        name: {key: finite_or_none(v) for key, v in zip(COUNTS, count_cells(count), strict=True)}
         for name, count in zip(names, counts, strict=True)
     }
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from sonarrec.errors import number_of
 from sonarrec.evaluation.cells import protocols
-from sonarrec.evaluation.counting.pooled import Pooled
-from sonarrec.evaluation.evaluate import DEFAULT, Evaluation, evaluate_many, evaluate_whole
-from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.matching.pairs import Pair, read_pairs
+from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.evaluation.match import DEFAULT, Matched, ScoringOptions
+from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.evaluation.tables import Evaluation
 from sonarrec.report import frames
 from sonarrec.report.logs import (
     MOST_LOGS,
@@ -68,7 +68,7 @@ def write_report(
 
     pairs: a table that names results and truth of each log, in place of results and ground_truth.
     recordings: the logs that the results came from, or folders with such logs; without them the
-    page shows no frames. options: as in `evaluation.evaluate.evaluate_whole`. topic: the image
+    page shows no frames. options: as in `evaluation.evaluate.evaluate_logs`. topic: the image
     channel of an MCAP recording, if run.toml does not name it. method: whose sightings and tracks
     are shown, as in `logs.read_logs`.
     Raises SonarrecError where files cannot be used, read or written.
@@ -77,25 +77,27 @@ def write_report(
     rows = None if pairs is None else read_pairs(pairs)
     chosen = _choose(results, ground_truth, rows, options, method)
     logs, unread = _with_panels(chosen.folders, chosen.rows, chosen.evaluation, options, method)
-    evaluation, pooled = chosen.evaluation, chosen.pooled
+    evaluation = chosen.evaluation
     mistakes = {}
-    if evaluation is not None and pooled is not None:
-        protocol = protocols(pooled)[0]
-        mistakes = {m: episodes(evaluation, m, protocol) for m in evaluation.joined.methods}
+    matched = {log.results.name: log.matched for log in logs if log.matched is not None}
+    if evaluation is not None:
+        protocol = protocols(evaluation.counts)[0]
+        there = {method for log in matched.values() for method in log.methods}
+        methods = [method for method in evaluation.counts.methods if method in there]
+        mistakes = {method: episodes(matched, method, protocol) for method in methods}
     sonar = options.sonar or Sonar()
-    pictures, shown, missing = _draw_all(logs, evaluation, mistakes, recordings, sonar, topic)
+    pictures, shown, missing = _draw_all(logs, matched, mistakes, recordings, sonar, topic)
     incomplete = (line for log in logs for line in not_whole(log.results, "shown"))
-    unused = (*(incomplete if pooled is None else pooled.unused), *unread, *missing)
+    unused = (*(incomplete if evaluation is None else evaluation.unused), *unread, *missing)
     page = render(
         logs,
         evaluation,
-        pooled,
         mistakes,
         pairs or ground_truth,
         pictures,
         shown,
         unused,
-        len(chosen.folders) if pooled is None else len(pooled.logs),
+        len(chosen.folders) if evaluation is None else len(evaluation.folders),
         chosen.outliers,
     )
     write_page(path, page)
@@ -113,8 +115,6 @@ class _ChosenLogs:
     outliers: list[Outlier]
     """If there are so few logs that all have panels, only those that failed."""
     evaluation: Evaluation | None
-    """Of the logs with panels."""
-    pooled: Pooled | None
     """Of all logs."""
 
 
@@ -136,24 +136,17 @@ def _choose(
         truth = [Pair(folder, ground_truth) for folder in folders] if ground_truth else []
     else:
         folders, truth = [row.results for row in rows], rows
+    evaluation = None
+    if truth:
+        evaluation = evaluate_logs(truth if results is None else results, ground_truth, options)
     if len(folders) <= MOST_LOGS:
-        evaluation = None
-        if rows is not None:
-            evaluation = evaluate_whole(rows, None, options)
-        elif ground_truth is not None and results is not None:
-            evaluation = evaluate_whole(results, ground_truth, options)
-        pooled = None if evaluation is None else evaluation.pooled()
-        return _ChosenLogs(folders, truth, failed_logs(results), evaluation, pooled)
-    if not truth:
-        outlier_logs = outliers(folders, None, results, options, method)
-        return _ChosenLogs(outliers_first(folders, outlier_logs), [], outlier_logs, None, None)
-    pooled = evaluate_many(truth if results is None else results, ground_truth, options)
-    outlier_logs = outliers(folders, pooled, results, options, method)
-    folders = outliers_first(pooled.folders, outlier_logs)[:MOST_LOGS]
+        return _ChosenLogs(folders, truth, failed_logs(results), evaluation)
+    outlier_logs = outliers(folders, evaluation, results, options, method)
+    if evaluation is None:
+        return _ChosenLogs(outliers_first(folders, outlier_logs), [], outlier_logs, None)
+    folders = outliers_first(evaluation.folders, outlier_logs)[:MOST_LOGS]
     row_of = {row.results: row for row in reversed(truth)}  # the first row of a log named twice
-    truth = [row_of[folder] for folder in folders]
-    evaluation = evaluate_whole(truth, None, options, subset=True)
-    return _ChosenLogs(folders, truth, outlier_logs, evaluation, pooled)
+    return _ChosenLogs(folders, [row_of[folder] for folder in folders], outlier_logs, evaluation)
 
 
 def _with_panels(
@@ -170,7 +163,7 @@ def _with_panels(
     if evaluation is None:
         return read_logs([LogToShow(folder) for folder in folders], options, method)
     # The evaluation has distinct names, each recording once, and no log that cannot be read.
-    scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
+    scored = dict(zip(evaluation.folders, evaluation.counts.logs, strict=True))
     first: dict[Path, Pair] = {}
     for row in rows:
         if row.results in scored:
@@ -187,7 +180,7 @@ def _with_panels(
 
 def _draw_all(
     logs: Sequence[ReportedLog],
-    evaluation: Evaluation | None,
+    matched: Mapping[str, Matched],
     mistakes: Mapping[str, Sequence[Episode]],
     recordings: Sequence[Path],
     sonar: Sonar,
@@ -199,7 +192,7 @@ def _draw_all(
     passes = [(log, s) for log in recorded for s in judged_sightings(log)]
     requests = [
         *_sighting_requests(recorded, passes),
-        *_mistake_requests(evaluation, mistakes, sources),
+        *_mistake_requests(matched, mistakes, sources),
     ]
     frames_held = frames.choose(recorded, _named_frames(passes, mistakes, requests))
     most_bytes = frames.MOST_BYTES // max(1, sum(map(len, frames_held.values())))  # for each frame
@@ -293,14 +286,13 @@ def _nearest_to_declared(logs: Sequence[ReportedLog]) -> list[PictureRequest]:
 
 
 def _mistake_requests(
-    evaluation: Evaluation | None,
+    matched: Mapping[str, Matched],
     mistakes: Mapping[str, Sequence[Episode]],
     sources: Mapping[str, Path],
 ) -> list[PictureRequest]:
     """The worst frame of the worst mistakes, per method."""
     return [
-        PictureRequest(e.log, method, e.worst, "mistake", "", f"{in_words(e, evaluation.joined)}.")
+        PictureRequest(e.log, method, e.worst, "mistake", "", f"{in_words(e, matched[e.log])}.")
         for method, of_method in mistakes.items()
         for e in [e for e in of_method if e.log in sources][:MOST_MISTAKEN]
-        if evaluation is not None
     ]

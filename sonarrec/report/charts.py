@@ -9,9 +9,9 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import number_of
-from sonarrec.evaluation.counting.pooled import PooledScored
-from sonarrec.evaluation.counting.reliability import FEW, Reliability
+from sonarrec.evaluation.count import Scored
 from sonarrec.evaluation.roc import roc as evaluation_roc
+from sonarrec.evaluation.summary import FEW, Reliability
 from sonarrec.report.logs import ReportedLog, Track, alongside, true_landmark
 from sonarrec.report.svg import (
     MOST_POINTS,
@@ -125,7 +125,7 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
     return lanes
 
 
-def roc(scored: Sequence[PooledScored], k: int | None = None) -> Chart:
+def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
     """The ROC of each method under one protocol: of the k-th ID, or over all IDs."""
     curves = evaluation_roc(scored, k, 2 * MOST_POINTS)
     axis = Axis(0.0, curves.fpr_end)

@@ -11,9 +11,9 @@ from typing import Any
 from sonarrec import __version__
 from sonarrec.errors import name_as_text
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.compare.compare import Comparison, PassChange
-from sonarrec.evaluation.compare.screen import outcome, settings_lines
-from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS, Difference
+from sonarrec.evaluation.compare import Comparison, PassChange
+from sonarrec.evaluation.compare_screen import outcome, settings_lines
+from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.report.templates import filled
 from sonarrec.tables.outputs import write_page

@@ -10,8 +10,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.evaluation.matching.joined import join, nearest_truth
-from sonarrec.evaluation.matching.options import ScoringOptions
+from sonarrec.evaluation.match import Matched, ScoringOptions, match, truth_beneath
 from sonarrec.nouns import follows
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, read_log
@@ -34,6 +33,8 @@ class ReportedLog:
     tracker: str
     """The method whose tracks are shown."""
     truth: Truth | None
+    matched: Matched | None
+    """The results with their truth; None without one."""
     run: RunFile
     time: FloatArray
     """(F,) seconds since the first frame, or frame numbers if there are no times."""
@@ -154,8 +155,13 @@ def _reported_log(
     stamps = log.timestamp_ns
     if stamps is not None and (np.diff(stamps) > 0).all():
         time, clock = (stamps - stamps[0]) / 1e9, "s"
-    in_view = None
+    in_view = matched = near = None
     if truth is not None:
+        matched = match(log, truth, min_visible)
+        if matched.placed:
+            beneath = truth_beneath(matched)
+            near = np.full(len(beneath), -1, dtype=np.int64)
+            near[beneath >= 0] = matched.truth_landmark_index[beneath[beneath >= 0]]
         in_view = np.zeros((len(log.frame), len(log.landmarks.ids)), dtype=bool)
         whole = truth.visible >= min_visible
         in_view[truth.frame_index[whole], truth.landmark_index[whole]] = True
@@ -164,24 +170,14 @@ def _reported_log(
         results=log,
         tracker=tracker,
         truth=truth,
+        matched=matched,
         run=read_run(folder / "run.toml"),
         time=time,
         clock=clock,
-        truth_near=None if truth is None else _truth_near(log, truth, min_visible),
+        truth_near=near,
         in_view=in_view,
         sightings=sorted(passes, key=lambda s: (s.first_frame, s.last_frame)),
     )
-
-
-def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray | None:
-    joined = join([log], [truth], min_visible)
-    if not joined.placed:
-        return None
-    every = np.arange(len(log.frame_index))
-    nearest = nearest_truth(joined, every, joined.claim_frame_index, joined.truth_frame_index)
-    near = np.full(len(every), -1, dtype=np.int64)
-    near[nearest >= 0] = truth.landmark_index[nearest[nearest >= 0]]
-    return near
 
 
 @dataclass(frozen=True, slots=True)

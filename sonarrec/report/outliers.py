@@ -11,8 +11,9 @@ import numpy as np
 
 from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.counting.pooled import Pooled
-from sonarrec.evaluation.matching.options import ScoringOptions
+from sonarrec.evaluation.count import Counts
+from sonarrec.evaluation.match import ScoringOptions
+from sonarrec.evaluation.tables import Evaluation
 from sonarrec.report.logs import follows_by_default
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import read_run
@@ -35,7 +36,7 @@ class Outlier:
 
 def outliers(
     folders: Sequence[Path],
-    pooled: Pooled | None,
+    evaluation: Evaluation | None,
     folder: Path | None,
     options: ScoringOptions,
     method: str | None,
@@ -49,9 +50,9 @@ def outliers(
     """
     reasons: dict[str, list[str]] = {}
     folder_of = {log_of(folder): folder for folder in folders}
-    if pooled is not None:
-        folder_of = dict(zip(pooled.logs, pooled.folders, strict=True))
-        remarks = [*_unfinished(folder_of, folder), *_most_mistaken(pooled, method)]
+    if evaluation is not None:
+        folder_of = dict(zip(evaluation.counts.logs, evaluation.folders, strict=True))
+        remarks = [*_unfinished(folder_of, folder), *_most_mistaken(evaluation.counts, method)]
     else:
         sightings, unread = _sightings(folder_of, options)
         folders_read = {name: folder_of[name] for name in sightings}
@@ -105,24 +106,24 @@ def _unfinished(folder_of: dict[str, Path], results: Path | None) -> Iterator[tu
             yield name, f"partial: {run.input.problems[0]}{more}"
 
 
-def _most_mistaken(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
+def _most_mistaken(counts: Counts, method: str | None) -> Iterator[tuple[str, str]]:
     """(log, reason) of logs with the most mistakes, then with the most false claims."""
-    method = method or follows_by_default(pooled.methods)
-    if method not in pooled.methods:
-        methods = ", ".join(pooled.methods)
+    method = method or follows_by_default(counts.methods)
+    if method not in counts.methods:
+        methods = ", ".join(counts.methods)
         raise UsageError(f"--method {method}: no log that is scored has it; there is {methods}")
-    scored = cells.scored_by(pooled, method, cells.protocols(pooled)[0])
-    counts = [of_log[-1] for of_log in scored.counts_per_log()]
-    mistakes = [count.fn + count.fp for count in counts]
-    false = [count.fp for count in counts]
+    scored = cells.scored_by(counts, method, cells.protocols(counts)[0])
+    of_logs = [of_log[-1] for of_log in scored.counts_per_log()]
+    mistakes = [count.fn + count.fp for count in of_logs]
+    false = [count.fp for count in of_logs]
     for i in _most(mistakes):
-        count = counts[i]
+        count = of_logs[i]
         whole = f" of {count.tp + count.fn}" * bool(count.tp + count.fn)
         missed = f"{count.fn}{whole} missed"
         false_claims = number_of(count.fp, "false claim")
-        yield pooled.logs[i], f"most mistakes of {method}: {missed}, {false_claims}"
+        yield counts.logs[i], f"most mistakes of {method}: {missed}, {false_claims}"
     for i in _most([n if n > 1 else 0 for n in false]):  # a single one means little
-        yield pooled.logs[i], f"most false claims of {method}: {false[i]}"
+        yield counts.logs[i], f"most false claims of {method}: {false[i]}"
 
 
 def _sightings(

@@ -17,11 +17,10 @@ from sonarrec import __version__
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.counting.pooled import Pooled
-from sonarrec.evaluation.counting.reliability import FEW
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.summary import over_units, summarise, units_text
+from sonarrec.evaluation.summary import FEW, over_units, units_text
+from sonarrec.evaluation.tables import Evaluation
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
@@ -56,7 +55,6 @@ View = dict[str, Any]
 def render(
     logs: Sequence[ReportedLog],
     evaluation: Evaluation | None,
-    pooled: Pooled | None,
     wrong: Mapping[str, Sequence[Episode]],
     truth: Path | None,
     pictures: Sequence[Picture],
@@ -67,17 +65,17 @@ def render(
 ) -> str:
     """The whole page as HTML.
 
-    logs, evaluation: those with panels. pooled: all logs. evaluation, pooled, truth: None without
-    ground truth. wrong: the mistakes of each method. pictures, shown: of the recordings. unused: a
+    logs: those with panels. evaluation: of all logs; it and truth are None without ground truth.
+    wrong: the mistakes of each method. pictures, shown: of the recordings. unused: a
     line for each part of the input that could not be used. logs_in_all: also those without panels.
     outliers: logs that differ from the rest.
     """
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
-    methods = pooled.methods if pooled else logs[0].results.methods
+    methods = evaluation.counts.methods if evaluation else logs[0].results.methods
     scores = None
-    if evaluation is not None and pooled is not None:
-        scores = _scores(logs[0].tracker, evaluation, pooled, wrong)
+    if evaluation is not None:
+        scores = _scores(logs, evaluation, wrong)
     map_picture = _map_picture(logs)
     return filled(
         "report.html",
@@ -107,7 +105,7 @@ def render(
         logs_in_all=logs_in_all,
         outliers=outliers,
         most_outliers=MOST_RATES,
-        pooled=pooled,
+        counts=evaluation and evaluation.counts,
         **{
             name: [p for p in pictures if p.request.group == group]
             for name, group in (
@@ -195,7 +193,7 @@ def _json(shown: Sequence[ShownLog]) -> str:
 
 
 def _scores(
-    tracker: str, evaluation: Evaluation, pooled: Pooled, wrong: Mapping[str, Sequence[Episode]]
+    logs: Sequence[ReportedLog], evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]
 ) -> View:
     """What is known with ground truth.
 
@@ -203,31 +201,31 @@ def _scores(
     over: the part of captions on intervals. tested: labels of the figures in differences. starred:
     whether a table has a 0/0. curves: as from `_curves`. reliability: per method.
     """
-    methods, protocols = pooled.methods, cells.protocols(pooled)
-    summary = summarise(pooled)
-    per_log = cells.rates_per_log(pooled)
+    counts, summary = evaluation.counts, evaluation.summary
+    methods, protocols = counts.methods, cells.protocols(counts)
+    per_log = cells.rates_per_log(counts)
     if len(per_log) > MOST_RATES:
         per_log = sorted(per_log, key=_mistakes_of)[:MOST_RATES]
-    tables = [cells.paper_table(s, thousands=",") for s in pooled.scored]
+    tables = [cells.paper_table(s, thousands=",") for s in counts.scored]
     return {
         "protocols": protocols,
-        "rates": cells.rates(pooled, summary),
+        "rates": cells.rates(counts, summary),
         "rates_per_log": per_log,
         "units": units_text(summary.units),
         "over": over_units(summary),
         "others": cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
         "tested": [metric.label for metric in cells.TESTED],
         "differences": cells.differences(summary, protocols[0]),
-        "notes": _first([*pooled.notes, *summary.notes]),
+        "notes": _first(evaluation.notes),
         "tables": tables,
         "starred": any("*" in cell for table in tables for _, row in table.rows for cell in row),
-        "curves": _curves(pooled),
+        "curves": _curves(counts),
         "reliability": [
             (r.method, charts.reliability(r, methods.index(r.method)))
             for r in summary.reliability
             if r.landmark_text == "top"
         ],
-        "mistakes": _mistakes(tracker, evaluation, pooled, wrong),
+        "mistakes": _mistakes(logs, counts, wrong),
     }
 
 
@@ -336,15 +334,15 @@ def _track_view(log: ReportedLog, track: Track) -> View:
 
 
 def _curves(
-    evaluation: Pooled,
+    counts: Counts,
 ) -> list[tuple[str, Chart, list[tuple[int, Chart]]]]:
     """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
     curves = []
-    for protocol in cells.protocols(evaluation):
-        scored = [s for s in evaluation.scored if s.protocol == protocol]
+    for protocol in cells.protocols(counts):
+        scored = [s for s in counts.scored if s.protocol == protocol]
         per_id = [
             (k, charts.roc(scored, k))
-            for k in range(len(evaluation.ids))
+            for k in range(len(counts.ids))
             if scored[0].count(k).tp + scored[0].count(k).fn
         ]
         curves.append((protocol, charts.roc(scored), per_id))
@@ -352,23 +350,24 @@ def _curves(
 
 
 def _mistakes(
-    tracker: str,
-    evaluation: Evaluation,
-    pooled: Pooled,
+    logs: Sequence[ReportedLog],
+    counts: Counts,
     wrong: Mapping[str, Sequence[Episode]],
 ) -> list[View]:
     """Each method's episodes, the worst first."""
+    matched = {log.results.name: log.matched for log in logs}
     mistakes = []
-    for method in sorted(pooled.methods, key=lambda m: m != tracker):
-        count = cells.scored_by(pooled, method, cells.protocols(pooled)[0]).count()
+    for method in sorted(counts.methods, key=lambda m: m != logs[0].tracker):
+        count = cells.scored_by(counts, method, cells.protocols(counts)[0]).count()
         episodes = wrong.get(method, [])  # the method may be in other logs only
         shown = [
             {
                 "episode": episode,
-                "sentence": in_words(episode, evaluation.joined),
+                "sentence": in_words(episode, log),
                 "frames": _span(episode.first, episode.last),
             }
             for episode in episodes[:MOST_MISTAKES]
+            if (log := matched[episode.log]) is not None
         ]
         left = len(episodes) - len(shown)
         mistakes.append({"method": method, "count": count, "shown": shown, "left": left})

@@ -34,13 +34,47 @@ class TruthOf:
     """Hash over the rows."""
 
 
-@dataclass(frozen=True, slots=True)
 class CountedOnce:
-    """Which of several results count, by index, and the messages about the others."""
+    """Keeps the first results of each recording; copies would count as independent logs.
 
-    kept: list[int]
-    notes: list[str]
-    unused: list[str]
+    Results of different frames of one recording all count.
+
+    frames: gives the frame numbers of the i-th results; it is called only if two have one
+    recording. action: what a command does with the results, such as "scored".
+    """
+
+    def __init__(self, frames: Callable[[int], IntArray], action: str) -> None:
+        self.kept: list[int] = []
+        """Which results count, by index; the messages are about the others."""
+        self.notes: list[str] = []
+        self.unused: list[str] = []
+        self._frames, self._action = frames, action
+        self._seen: list[tuple[Path, TruthOf | None]] = []
+        self._first: dict[Recording, list[int]] = defaultdict(list)
+
+    def add(self, folder: Path, of: Recording, truth: TruthOf | None = None) -> bool:
+        """Whether these results count. of: from `recording`. truth: that of copies is not used."""
+        i, counted = len(self._seen), self._first[of]
+        self._seen.append((folder, truth))
+        same = (k for k in counted if np.intersect1d(self._frames(k), self._frames(i)).size)
+        twin = next(same, None)
+        if twin is None:
+            self.kept.append(i)
+            counted.append(i)
+            return True
+        first, truth_of_first = self._seen[twin]
+        by = f"SHA-256 {of[0][:12]}..." if of[0] else "by its tables"
+        line = f"{folder}: the same log as {first} ({by}), which counts once"
+        unused = ""
+        if _tables(folder) != _tables(first):
+            unused = f"these other results of it are not {self._action}"
+        elif truth is not None and truth_of_first is not None:
+            unused = _unused_truth(truth, truth_of_first) or ""
+        if unused:
+            self.unused.append(f"{line}; {unused}")
+        else:
+            self.notes.append(line)
+        return False
 
 
 def counted_once(
@@ -48,35 +82,12 @@ def counted_once(
     recordings: Sequence[Recording],
     frames: Callable[[int], IntArray],
     action: str,
-    truths: Sequence[TruthOf] | None = None,
 ) -> CountedOnce:
-    """Keep the first results of each recording; copies would count as independent logs.
-
-    Results of different frames of one recording all count.
-
-    recordings: from `recording`. frames: gives the frame numbers of the i-th results; it is called
-    only if two have one recording. action: what a command does with the results, such as "scored".
-    truths: the truth of each, if there is any; that of copies is not used.
-    """
-    selection = CountedOnce([], [], [])
-    first: dict[Recording, list[int]] = defaultdict(list)
-    for i, folder in enumerate(folders):
-        counted = first[recordings[i]]
-        twin = next((k for k in counted if np.intersect1d(frames(k), frames(i)).size), None)
-        if twin is None:
-            selection.kept.append(i)
-            counted.append(i)
-            continue
-        digest = recordings[i][0]
-        by = f"SHA-256 {digest[:12]}..." if digest else "by its tables"
-        line = f"{folder}: the same log as {folders[twin]} ({by}), which counts once"
-        if _tables(folder) != _tables(folders[twin]):
-            selection.unused.append(f"{line}; these other results of it are not {action}")
-        elif truths is not None and (message := _unused_truth(truths[i], truths[twin])):
-            selection.unused.append(f"{line}; {message}")
-        else:
-            selection.notes.append(line)
-    return selection
+    """CountedOnce of several results."""
+    once = CountedOnce(frames, action)
+    for folder, of in zip(folders, recordings, strict=True):
+        once.add(folder, of)
+    return once
 
 
 def recording(folder: Path, run: RunFile, estimates: int) -> Recording:

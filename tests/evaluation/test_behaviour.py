@@ -16,17 +16,17 @@ import tomli_w
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from sonarrec.evaluation.counting.uncertainty import Figure
-from sonarrec.evaluation.matching.joined import seconds_of_frames
+from sonarrec.evaluation.intervals import Figure
+from sonarrec.evaluation.match import seconds_of_frames
 from sonarrec.evaluation.summary import Summary, _notes, summarise, units_text
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.landmarks import load_landmarks
 from tests.evaluation.test_evaluation import write_case, write_csv
-from tests.support.claims import evaluate, evaluated, joined
+from tests.support.claims import counts, evaluate, evaluated, matched
 
 
 def summary_of(frames: int, truth: list, claims: list, **options) -> Summary:
-    return summarise(evaluated(joined(frames, truth, claims, **options)))
+    return summarise(counts(matched(frames, truth, claims, **options)))
 
 
 def value(summary: Summary, name: str, method: str = "a", landmark: str = "total") -> float:
@@ -63,15 +63,16 @@ def test_wait_for_a_lasting_id(right: str, wait: float) -> None:
     claims = [claim(f) for f in range(5)] + [
         claim(5 + i, declared=r == "1") for i, r in enumerate(right)
     ]
-    outcomes = evaluated(joined(40, truth, claims)).pooled().outcomes
-    assert [f.wait.tolist() for f in outcomes if f.method == "a"] == [[wait], [wait]]
-    assert [f.wait.tolist() for f in outcomes if f.method == "b"] == [[math.inf]] * 2
+    found = counts(matched(40, truth, claims))
+    for protocol in ("paper", "strict"):
+        assert found.outcomes(protocol, "a").wait.tolist() == [wait]
+        assert found.outcomes(protocol, "b").wait.tolist() == [math.inf]
 
 
 def test_wait_passes_over_frames_not_whole_in_view() -> None:
     truth = [(f, 1, 0, 0, f not in (4, 5)) for f in range(10)]
-    case = joined(10, truth, [claim(f) for f in range(2, 10) if f != 4])
-    assert evaluated(case).pooled().outcomes[0].wait.tolist() == [2]
+    case = matched(10, truth, [claim(f) for f in range(2, 10) if f != 4])
+    assert counts(case).outcomes("strict", "a").wait.tolist() == [2]
 
 
 def test_median_and_90_percent_over_passes() -> None:
@@ -113,14 +114,9 @@ def test_claims_on_nothing_and_of_another_id() -> None:
 
 def test_a_log_without_duration_is_left_out_of_claims_per_minute() -> None:
     """A log of a single frame took them from all logs, and with few passes no note said so."""
-    both = joined(
-        241,
-        [(f, 1, 0, 0, True) for f in range(20)],
-        [claim(f, 3, x=1.0) for f in (0, 1, 240)],
-        logs=[0] * 240 + [1],
-    )
-    seconds = np.where(both.log_index == 0, 0.25, np.nan)
-    summary = summarise(evaluated(replace(both, seconds=seconds)))
+    truth = [(f, 1, 0, 0, True) for f in range(20)]
+    timed = matched(240, truth, [claim(f, 3, x=1.0) for f in (0, 1)])
+    summary = summarise(counts(timed, matched(1, [], [claim(0, 3, x=1.0)], seconds=math.nan)))
     assert value(summary, "false_claims_per_min") == 2
     assert [note for note in summary.notes if "minute" in note] == [
         "claims per minute leave out log1: frames.csv has no timestamp_ns, or a single time"
@@ -135,7 +131,7 @@ def test_frames_of_one_time_share_it(tmp_path: Path, tick_s: float) -> None:
     claims = [(f, "m", 3.0, 0.0, 2, 0.9, 1) for f in (5, 6, 200)]
     out, truth = write_case(tmp_path, frames, claims, [(f, 1, 2.0, 0.0, 1) for f in range(9)])
     write_csv(out / "frames.csv", ["frame", "timestamp_ns"], zip(frames, times, strict=True))
-    summary = summarise(evaluate(out, truth))
+    summary = evaluate(out, truth).summary
     found = summary.figure("strict", "m", "false_claims_per_min")
     assert found is not None
     assert found.value == pytest.approx(3)
@@ -230,8 +226,7 @@ def test_orientation_from_files(tmp_path: Path) -> None:
         "frame,landmark,range_m,bearing_deg,orientation_deg\n0,1,2,0,10\n0,2,2,9,275\n0,3,3,9,7\n"
     )
     found = evaluate(tmp_path, tmp_path / "gt.csv")
-    assert found.joined.turn_deg.tolist() == [360, 180, 360, 360]  # 1000, 1010, 1100, 1110
-    summary = summarise(found)
+    summary = found.summary
     for landmark, error in (("1", 20), ("2", 5)):
         assert value(summary, "orientation_error_median_deg", "m", landmark) == error
     assert math.isnan(value(summary, "orientation_error_median_deg", "m", "3"))
@@ -239,9 +234,8 @@ def test_orientation_from_files(tmp_path: Path) -> None:
         load_landmarks("basin"), sectors=((1, 0, 0, 0), (1, 1, 1, 1), (1, 1, 0, 0), (0, 0, 0, 0))
     )
     (tmp_path / "plain.toml").write_text(tomli_w.dumps(plain.as_table()))
-    summary = summarise(
-        evaluate(tmp_path, tmp_path / "gt.csv", landmarks=str(tmp_path / "plain.toml"))
-    )
+    plain_set = str(tmp_path / "plain.toml")
+    summary = evaluate(tmp_path, tmp_path / "gt.csv", landmarks=plain_set).summary
     assert value(summary, "orientation_error_median_deg", "m", "1") == 20
     assert math.isnan(value(summary, "orientation_error_median_deg", "m", "2"))  # no orientation
 
@@ -308,7 +302,7 @@ def test_a_single_unit_is_singular() -> None:
 
 def test_a_share_below_a_hundredth_is_not_told_as_none() -> None:
     """Of 1,000 logs without a false claim fewer than 0.3 % may have one, not fewer than 0 %."""
-    found: Any = SimpleNamespace(placed=True, timed=np.array([True]))
+    found: Any = SimpleNamespace(placed=True, parts=[])
     units: Any = SimpleNamespace(count=1000, kind="log")
     fpr = Figure("strict", "a", "total", "fpr", 0.0, math.nan, math.nan, 1000, "")
     (note,) = _notes(found, units, [fpr])
@@ -372,12 +366,11 @@ def test_no_picture_of_an_earlier_scoring_remains(tmp_path: Path) -> None:
     truth = [(f, 1, 0, 0, True) for f in range(4)]
     claims = [claim(f, p=(0.9, 0.1, 0, 0, 0)) for f in range(4)]
     optional = [tmp_path / "det.png", tmp_path / "reliability.png"]
-    first = evaluated(joined(4, truth, claims))
-    write_evaluation(tmp_path, first.pooled(), summarise(first), det=True)
+    write_evaluation(tmp_path, evaluated(matched(4, truth, claims)), det=True)
     assert all(picture.is_file() for picture in optional)
-    second = evaluated(joined(4, truth, [claim(f) for f in range(4)]))
-    write_evaluation(tmp_path, second.pooled(), summarise(second))
+    second = evaluated(matched(4, truth, [claim(f) for f in range(4)]))
+    write_evaluation(tmp_path, second)
     assert not any(picture.exists() for picture in optional)
     optional[0].write_bytes(b"of somebody else")
-    write_evaluation(tmp_path, second.pooled(), summarise(second))
+    write_evaluation(tmp_path, second)
     assert optional[0].exists()

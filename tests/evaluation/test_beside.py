@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.evaluation.summary import summarise
 from tests.evaluation.test_evaluation import RUN_TOML, counts, scored, write_case, write_csv
 from tests.support.claims import evaluate
 
@@ -63,7 +62,7 @@ def test_each_log_has_its_own(logs: Path) -> None:
         told = f"note: {logs / 'out' / name}: ground truth {logs / 'logs' / file}, beside its log"
         assert told in done.stdout
     found = evaluate(logs / "out")
-    per_log = scored(found.pooled(), "strict").counts_per_log()
+    per_log = scored(found, "strict").counts_per_log()
     assert [(log[0].tp, log[0].fn) for log in per_log] == [(1, 3), (2, 6), (3, 9)]
     with (logs / "out" / "evaluation" / "per_log.csv").open() as file:
         assert {row["log"] for row in csv.DictReader(file)} == {"a", "b", "pings"}
@@ -74,7 +73,7 @@ def test_a_log_without_truth_is_left_out_and_said(logs: Path) -> None:
     done = command(logs / "out", code=3)
     assert "out/b: no ground truth: no b.gt.csv, nor gt.csv beside" in done.stderr
     assert f"no gt.csv in {logs}/logs/pings, nor pings.gt.csv in or beside it" in done.stderr
-    assert evaluate(logs / "out").joined.logs == ("a",)
+    assert evaluate(logs / "out").counts.logs == ("a",)
 
 
 def test_without_any_truth_one_line_says_where_it_was_looked_for(logs: Path) -> None:
@@ -132,7 +131,7 @@ def test_one_truth_beside_several_logs_must_tell_them_apart(logs: Path) -> None:
     rows = [("a", 0, 1, 2.0, 0.0), ("b", 0, 1, 2.0, 0.0), ("b", 1, 1, 2.0, 0.0)]
     write_csv(logs / "logs" / "gt.csv", ("log", *HEADER), rows)
     found = evaluate(logs / "out")
-    per_log = scored(found.pooled(), "strict").counts_per_log()
+    per_log = scored(found, "strict").counts_per_log()
     assert [(log[0].tp, log[0].fn) for log in per_log] == [(1, 0), (2, 0)]
 
 
@@ -180,7 +179,7 @@ def test_copies_of_one_recording_count_once(logs: Path) -> None:
     assert "these other results of it are not scored" in done.stderr
     one, all_ = evaluate(alone, logs / "gt.csv"), evaluate(few, logs / "gt.csv")
     assert counts(scored(one, "strict")) == counts(scored(all_, "strict"))
-    assert summarise(one).units.count == summarise(all_).units.count
+    assert one.summary.units.count == all_.summary.units.count
     # A table of pairs that names it four times.
     rows = [("few/a", "gt.csv")] * 3 + [("few/link", "gt.csv")]
     write_csv(logs / "pairs.csv", ("results", "ground_truth"), rows)
@@ -225,7 +224,7 @@ def test_other_topics_and_other_frames_of_a_recording_all_count(logs: Path) -> N
     names = ("late", "left", "right")
     rows = [(name, f, 1, 2.0, 0.0) for name in names for f in (0, 13)]
     write_csv(logs / "gt.csv", ("log", *HEADER), rows)
-    assert evaluate(logs / "x", logs / "gt.csv").joined.logs == names
+    assert evaluate(logs / "x", logs / "gt.csv").counts.logs == names
 
 
 # --- Truth that cannot fit -----------------------------------------------------------------------
@@ -277,7 +276,7 @@ def test_one_log_whose_truth_cannot_be_its_own_does_not_stop_the_others(logs: Pa
     assert "b.gt.csv: none of its 4 rows (frame 500 to 503) lies on a processed" in done.stderr
     assert "b is not scored" in done.stderr
     assert "pings: no row in the ground truth, so it is taken to hold no landmark" in done.stdout
-    assert evaluate(logs / "out").joined.logs == ("a", "pings")
+    assert evaluate(logs / "out").counts.logs == ("a", "pings")
 
 
 # --- What goes to stdout, which methods there are ------------------------------------------------
@@ -324,6 +323,6 @@ def test_methods_neither_listed_nor_seen_are_not_shown(tmp_path: Path) -> None:
     results, gt = write_case(tmp_path, FRAMES, claims, [(0, 1, 2.0, 0.0, 1.0)])
     run = results / "run.toml"
     run.write_text("finished = true\n")
-    assert set(evaluate(results, gt).joined.methods) == {claim[1] for claim in claims}
+    assert set(evaluate(results, gt).counts.methods) == {claim[1] for claim in claims}
     run.write_text('[program]\nmethods = ["smi", "framework:offline", "framework:seen_nothing"]\n')
-    assert "framework:seen_nothing" in evaluate(results, gt).joined.methods
+    assert "framework:seen_nothing" in evaluate(results, gt).counts.methods

@@ -14,10 +14,10 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.compare.compare import compare
-from sonarrec.evaluation.compare.screen import _rate_lines
-from sonarrec.evaluation.evaluate import evaluate_whole
-from sonarrec.evaluation.matching.pairs import Pair, read_pairs
+from sonarrec.evaluation.compare import compare
+from sonarrec.evaluation.compare_screen import _rate_lines
+from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.evaluation.pairs import Pair, read_pairs
 from tests.evaluation.test_evaluation import (
     ESTIMATE_HEADER,
     TRUTH_HEADER,
@@ -481,13 +481,13 @@ def test_pairs_are_pooled(tmp_path: Path) -> None:
         [(f"{n}/out", f"{n}/gt.csv", n) for n in ("one", "two")],
     )
     pairs = read_pairs(tmp_path / "pairs.csv")
-    pooled = evaluate_whole(pairs)
-    assert pooled.joined.logs == ("one", "two")
+    pooled = evaluate_logs(pairs)
+    assert pooled.counts.logs == ("one", "two")
     for protocol in ("paper", "strict"):
         parts = [scored(one, protocol) for one in alone]
         whole = scored(pooled, protocol)
-        np.testing.assert_array_equal(whole.declared, sum(p.declared for p in parts))
-        for i, log in enumerate(scored(pooled.pooled(), protocol).counts_per_log()):
+        np.testing.assert_array_equal(whole.declared, np.concatenate([p.declared for p in parts]))
+        for i, log in enumerate(whole.counts_per_log()):
             assert log == [parts[i].count(k) for k in (0, 1, 2, 3, None)]
     # The same from the command line; results lie beside the table.
     done = command("--pairs", tmp_path / "pairs.csv", "--details")
@@ -495,19 +495,19 @@ def test_pairs_are_pooled(tmp_path: Path) -> None:
     with (tmp_path / "evaluation" / "per_log.csv").open() as file:
         assert {r["log"] for r in csv.DictReader(file)} == {"one", "two"}
     # Without names both are called "out", and told apart by their folders.
-    unnamed = evaluate_whole([Pair(p.results, p.ground_truth) for p in pairs])
-    assert unnamed.joined.logs == tuple(str(p.results) for p in pairs)
+    unnamed = evaluate_logs([Pair(p.results, p.ground_truth) for p in pairs])
+    assert unnamed.counts.logs == tuple(str(p.results) for p in pairs)
 
 
 def test_pairs_take_the_rows_of_their_log(tmp_path: Path) -> None:
     results, _ = write_case(tmp_path, FRAMES, claims({5, 6}), [])
     rows = [("x", *row) for row in TRUTH] + [("y", 0, 2, 2.0, 0.0, 1.0)]
     write_csv(tmp_path / "both.csv", ("log", *TRUTH_HEADER), rows)
-    found = evaluate_whole([Pair(results, tmp_path / "both.csv", "x")])
+    found = evaluate_logs([Pair(results, tmp_path / "both.csv", "x")])
     assert scored(found, "strict").count().fn == 18
     assert found.unused == ()
     with pytest.raises(SonarrecError, match="its log column names none of out"):
-        evaluate_whole([Pair(results, tmp_path / "both.csv")])
+        evaluate_logs([Pair(results, tmp_path / "both.csv")])
 
 
 def test_logs_may_be_called_by_numbers(tmp_path: Path) -> None:
@@ -520,9 +520,9 @@ def test_logs_may_be_called_by_numbers(tmp_path: Path) -> None:
     write_csv(
         tmp_path / "pairs.csv", ("results", "ground_truth", "log"), [("007", "gt.csv", "007")]
     )
-    pairs = evaluate_whole(read_pairs(tmp_path / "pairs.csv"))
+    pairs = evaluate_logs(read_pairs(tmp_path / "pairs.csv"))
     for one in (found, pairs):
-        assert one.joined.logs == ("007",)
+        assert one.counts.logs == ("007",)
         assert scored(one, "strict").count().fn == 18
 
 
@@ -535,9 +535,9 @@ def test_a_pair_is_one_log(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / f"root_{name}").rename(root / name)
     with pytest.raises(SonarrecError, match="holds 2 logs; give each log its own row"):
-        evaluate_whole([Pair(root, tmp_path / "a" / "gt.csv")])
+        evaluate_logs([Pair(root, tmp_path / "a" / "gt.csv")])
     with pytest.raises(SonarrecError, match="no pair"):
-        evaluate_whole([])
+        evaluate_logs([])
 
 
 @pytest.mark.parametrize("also", ["evaluate", "report"])
@@ -572,7 +572,7 @@ def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: 
 def test_a_method_missing_from_one_log_is_said(tmp_path: Path) -> None:
     one, gt = write_case(tmp_path / "a", FRAMES, claims({5}) + claims({6}, method="n"), TRUTH)
     two, _ = write_case(tmp_path / "b", FRAMES, claims({5}), TRUTH)
-    found = evaluate_whole([Pair(one, gt, "a"), Pair(two, gt, "b")])
+    found = evaluate_logs([Pair(one, gt, "a"), Pair(two, gt, "b")])
     assert "b: has no estimates of n; this counts as no claim" in found.notes
 
 

@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.evaluation import plots
-from sonarrec.evaluation.counting.curves import Curve, area, macro_curve, tpr_at
-from sonarrec.evaluation.counting.scoring import score
+from sonarrec.evaluation.curves import Curve, area, macro_curve, tpr_at
 from tests.evaluation.test_evaluation import paper_case
-from tests.support.claims import IDS, evaluated, joined
+from tests.support.claims import IDS, counts, matched
 
 FRAMES = 250
 
@@ -32,7 +31,7 @@ def one_vs_rest(seed: int, claimed: float = 0.8):
     # Two digits, so that many are equal.
     points = np.round(rng.random(positive.shape) * 0.6 + positive * 0.3, 2)
     made = rng.random(positive.shape) < claimed
-    case = joined(
+    case = matched(
         FRAMES,
         [(f, k + 1, k, 0, True) for f, k in np.argwhere(positive)],
         [(0, f, k + 1, k, 0, points[f, k], False) for f, k in np.argwhere(made)],
@@ -47,7 +46,7 @@ def one_vs_rest(seed: int, claimed: float = 0.8):
 def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> None:
     metrics = pytest.importorskip("sklearn.metrics")
     case, positive, points = one_vs_rest(seed, claimed)
-    scored = score(case, 0, protocol)
+    (scored,) = [s for s in counts(case).scored if s.protocol == protocol]
     cells = [(k, positive[:, k], points[:, k]) for k in range(len(IDS))]
     for k, truth, value in [*cells, (None, positive.ravel(), points.ravel())]:
         curve = scored.curve(k)
@@ -69,7 +68,7 @@ def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> 
 @given(seed=st.integers(0, 2**32 - 1), most=st.floats(0, 1))
 def test_tpr_at_an_fpr_is_the_best_that_a_threshold_gives(seed: int, most: float) -> None:
     case, positive, points = one_vs_rest(seed)
-    curve = score(case, 0, "strict").curve(2)
+    curve = counts(case).scored[1].curve(2)
     truth, value = positive[:, 2], points[:, 2]
     reached = [
         np.mean(value[truth] >= t)
@@ -80,8 +79,8 @@ def test_tpr_at_an_fpr_is_the_best_that_a_threshold_gives(seed: int, most: float
 
 
 def curve_of(tp: list[int], fp: list[int], positives: int, negatives: int) -> Curve:
-    counts = [np.array(x) for x in (tp, [negatives - n for n in fp], fp)]
-    return Curve(np.linspace(1, 0, len(tp)), *counts, np.array([positives - n for n in tp]))
+    columns = [np.array(x) for x in (tp, [negatives - n for n in fp], fp)]
+    return Curve(np.linspace(1, 0, len(tp)), *columns, np.array([positives - n for n in tp]))
 
 
 def test_areas_by_hand() -> None:
@@ -152,8 +151,8 @@ def test_methods_of_any_name_stand_in_the_legend(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(plots, "write_figure", lambda _, figure: figures.append(figure))
     methods = ("_ours", "$x_$")
     claims = [(m, 0, 1, 0, 0, 0.9, True) for m in (0, 1)]
-    case = joined(2, [(0, 1, 0, 0, True)], claims, methods=methods)
-    scored = evaluated(case).pooled().scored
+    case = matched(2, [(0, 1, 0, 0, True)], claims, methods=methods)
+    scored = counts(case).scored
     for draw in (plots.draw_roc, plots.draw_roc_by_id, plots.draw_det):
         draw(Path(), scored)
         figures[-1].draw_without_rendering()

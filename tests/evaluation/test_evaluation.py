@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.evaluation.cells import rate
-from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.count import Scored
+from sonarrec.evaluation.tables import Evaluation
 from sonarrec.evaluation.tabulate import screen
 from sonarrec.landmarks import load_landmarks
 from tests.support.claims import evaluate
@@ -346,7 +346,7 @@ def test_id_without_positives_has_no_rate(tmp_path: Path) -> None:
     assert np.isnan(one.curve(1).tpr).all()
     assert one.count(1).fpr == 0.5
     assert any("ID.2 is never in view" in note for note in found.notes)
-    assert "0.0000*" in screen(found.pooled())
+    assert "0.0000*" in screen(found.counts)
 
 
 # --- Several logs --------------------------------------------------------------------------------
@@ -363,10 +363,11 @@ def test_logs_are_pooled(tmp_path: Path) -> None:
         rows += [(name, *row) for row in truth]
     write_csv(tmp_path / "gt.csv", ("log", *TRUTH_HEADER), rows)
     pooled = evaluate(tmp_path / "root", tmp_path / "gt.csv")
-    assert pooled.joined.logs == ("a", "b")
+    assert pooled.counts.logs == ("a", "b")
     for protocol in ("paper", "strict"):
         parts = [scored(one, protocol).declared for one in alone]
-        np.testing.assert_array_equal(scored(pooled, protocol).declared, sum(parts))
+        whole = scored(pooled, protocol).declared
+        np.testing.assert_array_equal(whole, np.concatenate(parts))
     # One log's folder takes its own rows of the same file, without complaint.
     one = evaluate(tmp_path / "root" / "b", tmp_path / "gt.csv")
     np.testing.assert_array_equal(
@@ -446,7 +447,7 @@ def test_run_toml_landmarks_set_ids_and_gate(tmp_path: Path) -> None:
         "[[landmarks.landmark]]\nid = 8\nsectors = [1, 1, 0]\n"
     )
     found = evaluate(results, truth)
-    assert found.joined.ids == (9, 8)
+    assert found.counts.ids == (9, 8)
     assert counts(scored(found, "strict"), 1) == (1, 0, 0, 0)
     assert counts(scored(found, "strict"), 0) == (0, 1, 0, 0)
 
@@ -462,8 +463,8 @@ def test_many_ids_are_still_readable(tmp_path: Path) -> None:
     claims = [(0, m, 2.0, 0.0, 6, 0.9, 1) for m in ("another", "framework", "smi")]
     results, truth = write_case(tmp_path, [0], claims, [(0, 6, 2.0, 0.0, 1.0)])
     found = evaluate(results, truth, landmarks=str(tmp_path / "six.toml"))
-    assert found.joined.methods == ("smi", "framework", "another")
-    lines = screen(found.pooled()).splitlines()
+    assert found.counts.methods == ("smi", "framework", "another")
+    lines = screen(found.counts).splitlines()
     assert max(map(len, lines)) <= 100
     assert sum("centre within 0.1 m" in line for line in lines) == 3
     assert sum("ID.6" in line for line in lines) == 6

@@ -21,17 +21,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.evaluation import summary, survey
-from sonarrec.evaluation.compare import compare as comparison
-from sonarrec.evaluation.compare.compare import compare
-from sonarrec.evaluation.counting import pooled
-from sonarrec.evaluation.counting.histogram import sum_by_value, values_at_ranks
-from sonarrec.evaluation.counting.passes import UnitKind
-from sonarrec.evaluation.counting.pooled import Pooled
-from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, coin_tosses
-from sonarrec.evaluation.evaluate import evaluate_many, evaluate_whole
-from sonarrec.evaluation.matching.pairs import Pair, read_pairs
-from sonarrec.evaluation.summary import summarise
+from sonarrec.evaluation import compare as comparison
+from sonarrec.evaluation import histogram, logs, summary
+from sonarrec.evaluation.compare import compare
+from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.evaluation.histogram import sum_by_value, values_at_ranks
+from sonarrec.evaluation.intervals import bootstrap_weights, coin_tosses
+from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.runs.two_cores import CAN_FORK
 from tests.evaluation.test_evaluation import write_case
@@ -87,35 +84,26 @@ def table(text: bytes) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_draws")
-def test_all_at_once_or_one_at_a_time_is_the_same(
+def test_values_rounded_by_unit_move_intervals_and_tests_alone(
     tmp_path: Path, pairs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All logs on one axis of frames, as `evaluate_whole` joins them, are the independent way."""
     rows = read_pairs(pairs)
     units: dict[UnitKind, int] = {"log": 12, "pass": 12 * 2}
-
-    def write(name: str, found: Pooled) -> None:
-        for unit in units:
-            write_evaluation(tmp_path / unit / name, found, summarise(found, unit), det=True)
-
-    write("whole", evaluate_whole(rows).pooled())
-    write("each", evaluate_many(rows))
-    monkeypatch.setattr(pooled, "MOST_ROWS", 20_000)
-    write("coarse", evaluate_many(rows))
     for unit, many in units.items():
-        whole, each, coarse = (files(tmp_path / unit / n) for n in ("whole", "each", "coarse"))
-        assert each == whole
-        # Coarse after the first logs: intervals and tests move a little, nothing else does.
-        for name in each.keys() - {"figures.csv", "tests.csv", "evaluation.json"}:
-            assert coarse[name] == each[name], name
+        for name, most in (("exact", histogram.MOST_ROWS), ("rounded", 20_000)):
+            monkeypatch.setattr(histogram, "MOST_ROWS", most)
+            write_evaluation(tmp_path / unit / name, evaluate_logs(rows, unit=unit), det=True)
+        exact, rounded = (files(tmp_path / unit / n) for n in ("exact", "rounded"))
+        for name in exact.keys() - {"figures.csv", "tests.csv", "evaluation.json"}:
+            assert rounded[name] == exact[name], name
         for name in ("figures.csv", "tests.csv"):
-            for a, b in zip(table(each[name]), table(coarse[name]), strict=True):
+            for a, b in zip(table(exact[name]), table(rounded[name]), strict=True):
                 for column, cell in a.items():
                     if column not in ("low", "high", "p"):
                         assert b[column] == cell
                     elif cell not in ("", "inf"):
                         assert float(b[column]) == pytest.approx(float(cell), abs=0.05)
-        told = json.loads(each["evaluation.json"])
+        told = json.loads(exact["evaluation.json"])
         assert list(told["methods"]) == ["smi", "framework", "another"]
         assert told["units"] == many
 
@@ -192,7 +180,6 @@ def test_a_log_that_cannot_be_read_is_left_out(
         for table in ("confusion.csv", "roc.csv", "figures.csv", "per_log.csv"):
             without = (tmp_path / "evaluation" / table).read_bytes()
             assert (tmp_path / "found" / table).read_bytes() == without
-        assert evaluate_whole(read_pairs(four)).unused == evaluate_many(read_pairs(four)).unused
         shutil.rmtree(tmp_path / "found")
         for n in (1, 2, 3):
             broke.enter_context(broken(four.parent / "out" / f"log000{n}", name))
@@ -315,7 +302,7 @@ def peak_mb(call: Callable[[], object]) -> float:
 @pytest.fixture
 def few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Already of a few logs values by unit are coarse."""
-    monkeypatch.setattr(pooled, "MOST_ROWS", 5_000)
+    monkeypatch.setattr(histogram, "MOST_ROWS", 5_000)
 
 
 @pytest.mark.slow
@@ -343,25 +330,25 @@ def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) ->
     for name, last in (("a", 20), ("b", 0)):
         claims = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f in range(5, last)]
         pairs.append(Pair(*write_case(tmp_path / name, range(40), claims, truth), name))
-    for name, found in (("w", evaluate_whole(pairs).pooled()), ("e", evaluate_many(pairs))):
-        write_evaluation(tmp_path / name, found, summarise(found))
-        assert found.scored[0].count().fn == 5 + 20
-    assert files(tmp_path / "e") == files(tmp_path / "w")
+    found = evaluate_logs(pairs)
+    assert found.scored[0].count().fn == 5 + 20
+    write_evaluation(tmp_path / "e", found)
+    assert {row["log"] for row in table(files(tmp_path / "e")["passes.csv"])} == {"a", "b"}
 
 
 def test_few_small_logs_start_no_process(pairs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(survey, "ProcessPoolExecutor", None)
-    assert len(evaluate_many(read_pairs(pairs)).logs) == 12
+    monkeypatch.setattr(logs, "ProcessPoolExecutor", None)
+    assert len(evaluate_logs(read_pairs(pairs)).folders) == 12
 
 
 def test_no_more_processes_than_the_cores_it_may_use(
     pairs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(survey, "WORTH_BYTES", 1)
+    monkeypatch.setattr(logs, "WORTH_BYTES", 1)
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5})
-    monkeypatch.setattr(survey, "ProcessPoolExecutor", None)
-    assert len(evaluate_many(read_pairs(pairs)).logs) == 12
+    monkeypatch.setattr(logs, "ProcessPoolExecutor", None)
+    assert len(evaluate_logs(read_pairs(pairs)).folders) == 12
 
 
 @pytest.mark.slow
@@ -374,11 +361,13 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
         ring = 'name = "x"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.62]\n'
         run.write_text(run.read_text() + "[landmarks]\n" + ring + "".join(of))
     rows = read_pairs(pairs)
-    whole, each = evaluate_whole(rows).pooled(), evaluate_many(rows)
-    assert each.ids == (1, 2, 3, 4)
-    write_evaluation(tmp_path / "a", whole, summarise(whole))
-    write_evaluation(tmp_path / "b", each, summarise(each))
-    assert files(tmp_path / "a") == files(tmp_path / "b")
+    found = evaluate_logs(rows)
+    assert found.counts.ids == (1, 2, 3, 4)
+    for n, row in enumerate(rows):
+        alone = evaluate_logs([row])
+        order = [alone.counts.ids.index(i) for i in (1, 2, 3, 4)]
+        for one, of_all in zip(alone.scored, found.scored, strict=True):
+            assert of_all.declared[n].tolist() == one.declared[0, order].tolist()
 
 
 @pytest.mark.slow
@@ -389,7 +378,7 @@ def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     .5 MB in all). What was read of a log is 4,000 estimates of 17 numbers, .5 MB: were it kept,
     nine more would be 4.5 MB. `make scoring` measures whole commands over a thousand logs."""
     pairs = read_pairs(make_logs(tmp_path / "made", 11, 1000, 2))
-    few, many = (peak_mb(lambda n=n: summarise(evaluate_many(pairs[:n], jobs=1))) for n in (2, 11))  # type: ignore[misc]
+    few, many = (peak_mb(lambda n=n: evaluate_logs(pairs[:n], jobs=1)) for n in (2, 11))  # type: ignore[misc]
     assert many - few < 1
 
 

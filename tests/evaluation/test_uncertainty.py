@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sonarrec.arrays import FloatArray
-from sonarrec.evaluation.counting.behaviour import PassOutcomes, wait_counts
-from sonarrec.evaluation.counting.curves import ratio
-from sonarrec.evaluation.counting.passes import MOST_UNITS, find_passes, find_units, log_units
-from sonarrec.evaluation.counting.scoring import score
-from sonarrec.evaluation.counting.uncertainty import (
+from sonarrec.evaluation.behaviour import PassOutcomes
+from sonarrec.evaluation.count import MOST_UNITS, PassTable, Units
+from sonarrec.evaluation.curves import ratio
+from sonarrec.evaluation.intervals import (
     MIN_UNITS,
     Tally,
     bootstrap_weights,
@@ -25,10 +26,11 @@ from sonarrec.evaluation.counting.uncertainty import (
     macro,
     replicates,
 )
-from sonarrec.evaluation.counting.unit_sums import rate_sums
-from sonarrec.evaluation.metrics import METRICS, rates, tally, waits
+from sonarrec.evaluation.metrics import METRICS, tally
+from sonarrec.evaluation.passes import find_passes
 from sonarrec.evaluation.summary import over_units, summarise
-from tests.support.claims import evaluated, joined
+from sonarrec.evaluation.unit_sums import rates, rates_of, waits
+from tests.support.claims import counts, matched
 
 LABELS = ("strict", "m", "total")
 RATES = [m.name for m in METRICS if m.counted is rates]
@@ -43,22 +45,10 @@ def ratio_tally(labels, names, parts, wholes) -> Tally:
     return Tally(*labels, names, values, cases, sums, lambda rows: rows[:, :n] / rows[:, n:])
 
 
-def rate_tallies(scored, units) -> list[Tally]:
-    """Per ID, then in total, of all claims at once."""
-    base = scored.base_by(units.of_frame, units.of_truth, units.count)
-    declared = scored.declared_by(units.of_frame, units.of_truth, units.count)
-    group = scored.claims_by(units.of_frame, units.of_truth)
-    found = []
-    for k, landmark in enumerate(scored.ids):
-        mine = scored.landmark_index == k
-        claims = [(scored.score[mine], scored.effect[mine], group[mine])]
-        labels = (scored.protocol, scored.method, str(landmark))
-        found.append(rate_sums(labels, base[:, k], declared[:, k], scored.curve(k), claims))
-    labels = (scored.protocol, scored.method, "total")
-    claims = [(scored.score, scored.effect, group)]
-    whole = base.sum(axis=1), declared.sum(axis=1)
-    found.append(rate_sums(labels, *whole, scored.curve(), claims))
-    return [tally(rates, counted) for counted in found]
+def rate_tallies(found, protocol: str, method: str) -> list[Tally]:
+    """Per ID, then in total."""
+    (one,) = [s for s in found.scored if (s.protocol, s.method) == (protocol, method)]
+    return [tally(rates, counted) for counted in rates_of(found, found.units("pass"), one)]
 
 
 # --- Passes and units ----------------------------------------------------------------------------
@@ -77,48 +67,38 @@ def spans(case) -> list[tuple[int, int, int]]:
 def test_passes_end_where_a_landmark_stays_away() -> None:
     truth = seen(1, 5, 20) + seen(1, 31, 40) + seen(1, 60, 70) + seen(2, 10, 12)
     truth += [(f, 3, 0, 0, False) for f in range(80)]  # partly in view only
-    case = joined(100, truth, [])
-    assert spans(case) == [(1, 5, 40), (2, 10, 12), (1, 60, 70)]
-    # The end of a log ends every pass.
-    assert spans(joined(100, seen(1, 40, 60), [], logs=[0] * 50 + [1] * 50)) == [
-        (1, 40, 49),
-        (1, 50, 60),
-    ]
+    assert spans(matched(100, truth, [])) == [(1, 5, 40), (2, 10, 12), (1, 60, 70)]
 
 
 def test_units_are_passes_and_what_is_nearest() -> None:
     # ID.1 and ID.2 are seen together, ID.3 after them with little in common, ID.4 long after.
     truth = seen(1, 10, 29) + seen(2, 15, 34) + seen(3, 31, 50) + seen(4, 71, 90)
-    case = joined(100, truth, [])
-    units = find_units(case, find_passes(case))
-    assert units.count == 3
-    assert evaluated(case).pooled().units().kind == "pass"
+    case = matched(100, truth, [])
+    passes = find_passes(case)
+    assert passes.units == 3
+    assert counts(case).units().kind == "pass"
     landmark = case.truth_landmark_index
-    assert set(units.of_truth[landmark < 2]) == {0}
-    assert set(units.of_truth[landmark == 2]) == {1}  # also in the frames that ID.2 shares
-    assert set(units.of_truth[landmark == 3]) == {2}
+    assert set(passes.unit_of_truth[landmark < 2]) == {0}
+    assert set(passes.unit_of_truth[landmark == 2]) == {1}  # also in the frames that ID.2 shares
+    assert set(passes.unit_of_truth[landmark == 3]) == {2}
     # Borders: the middle of frames 31 to 34, then of the gap from 50 to 71.
-    assert units.of_frame.tolist() == [0] * 33 + [1] * 28 + [2] * 39
+    assert passes.unit_of_frame.tolist() == [0] * 33 + [1] * 28 + [2] * 39
 
 
 def test_a_log_without_landmarks_is_a_unit_and_many_logs_are_units() -> None:
-    logs = np.repeat([0, 1, 2], 30)
-    case = joined(90, seen(1, 0, 9) + seen(1, 25, 29) + seen(2, 60, 80), [], logs=logs)
-    units = find_units(case, find_passes(case))
-    assert units.count == 4
-    assert set(units.of_frame[logs == 1]) == {2}
-    assert log_units(case).of_frame.tolist() == logs.tolist()
-    many = joined(100, seen(1, 0, 99), [], logs=np.arange(100) // 10)
-    assert evaluated(many).pooled().units().kind == "log"
+    three = [seen(1, 0, 9) + seen(1, 25, 29), [], seen(2, 0, 20)]
+    found = counts(*(matched(30, truth, []) for truth in three))
+    assert found.units().count == 4
+    assert found.units("log").of_pass_unit.tolist() == [0, 0, 1, 2]
+    assert counts(*[matched(10, seen(1, 0, 9), [])] * 10).units().kind == "log"
 
 
 def test_very_many_units_are_put_together_in_order() -> None:
     truth = [row for start in range(0, 30_000, 30) for row in seen(1, start, start + 9)]
-    case = joined(30_000, truth, [])
-    units = find_units(case, find_passes(case))
+    units = counts(matched(30_000, truth, [])).units()
     assert units.count == MOST_UNITS
-    assert (np.diff(units.of_frame) >= 0).all()
-    assert np.ptp(np.bincount(units.of_frame)) <= 30  # a pass more or less
+    assert (np.diff(units.of_pass_unit) >= 0).all()
+    assert np.ptp(np.bincount(units.of_pass_unit)) <= 1  # a pass more or less
 
 
 def random_case(rng: np.random.Generator, passes: int, length: int = 20, gap: int = 15):
@@ -133,39 +113,25 @@ def random_case(rng: np.random.Generator, passes: int, length: int = 20, gap: in
                 place = 0 if rng.random() < 0.7 else 1
                 points = float(rng.random())
                 claims.append((method, frame, claim, place, 0, points, points > 0.4))
-    return joined(passes * (length + gap), truth, claims)
+    return matched(passes * (length + gap), truth, claims)
 
 
 def test_units_add_up_to_the_whole() -> None:
-    case = random_case(np.random.default_rng(1), 8)
-    units = find_units(case, find_passes(case))
+    found = counts(random_case(np.random.default_rng(1), 8))
     for protocol in ("paper", "strict"):
-        scored = score(case, 0, protocol)
-        split = scored.declared_by(units.of_frame, units.of_truth, units.count)
-        np.testing.assert_array_equal(split.sum(axis=0), scored.declared)
+        split = found.declared(found.units(), protocol, "a")
+        (one,) = [s for s in found.scored if (s.protocol, s.method) == (protocol, "a")]
+        np.testing.assert_array_equal(split.sum(axis=0), one.declared.sum(axis=0))
         assert (split >= 0).all()  # what a claim takes away, its own unit has
-        for k, one in enumerate(rate_tallies(scored, units)):
-            found = dict(zip(one.names, one.figures(one.sums.sum(axis=0)[None])[0], strict=True))
-            exact = dict(zip(one.names, one.values, strict=True))
-            assert found["tpr"] == pytest.approx(exact["tpr"], abs=1e-6)
-            assert found["fpr"] == pytest.approx(exact["fpr"], abs=1e-6)
+        for k, of in enumerate(rate_tallies(found, protocol, "a")):
+            summed = dict(zip(of.names, of.figures(of.sums.sum(axis=0)[None])[0], strict=True))
+            exact = dict(zip(of.names, of.values, strict=True))
+            assert summed["tpr"] == pytest.approx(exact["tpr"], abs=1e-6)
+            assert summed["fpr"] == pytest.approx(exact["fpr"], abs=1e-6)
             # Curves are held in steps of .001 to .02 of FPR, over each of which the TPR rises.
-            assert found["auc"] == pytest.approx(exact["auc"], abs=0.01), k
+            assert summed["auc"] == pytest.approx(exact["auc"], abs=0.01), k
             for name in RATES[4:]:
-                assert found[name] == pytest.approx(exact[name], abs=1e-6), name
-
-
-def test_counts_per_log_add_up() -> None:
-    case = random_case(np.random.default_rng(2), 6)
-    second = case.frame >= 3 * 35  # three of the six passes
-    case = replace(case, logs=("x", "y"), log_index=second.astype(int))
-    scored = score(case, 0, "strict")
-    of_truth = case.log_index[case.truth_frame_index]
-    per_log = scored.declared_by(case.log_index, of_truth, 2)  # TP, TN, FP, FN of each ID
-    in_second = second[case.truth_frame_index]
-    positives = per_log[:, :, [0, 3]].sum(axis=(1, 2))
-    assert positives.tolist() == [(~in_second).sum(), in_second.sum()]
-    np.testing.assert_array_equal(per_log.sum(axis=0), scored.declared)
+                assert summed[name] == pytest.approx(exact[name], abs=1e-6), name
 
 
 # --- Intervals -----------------------------------------------------------------------------------
@@ -238,13 +204,11 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     assert (figure.value, figure.note) == (0.0, "alike in all 9 units: no interval")
     assert math.isnan(figure.high)
 
-    summary = summarise(evaluated(joined(40, seen(1, 0, 9) + seen(2, 20, 29), [])))
+    summary = summarise(counts(matched(40, seen(1, 0, 9) + seen(2, 20, 29), [])))
     assert "only 2 independent units" in summary.notes[0]
     assert over_units(summary) == ""
     often = [row for n in range(0, 90, 15) for row in seen(1, n, n)]
-    assert (
-        over_units(summarise(evaluated(joined(90, often, [])))) == "; 95% intervals over 6 passes"
-    )
+    assert over_units(summarise(counts(matched(90, often, [])))) == "; 95% intervals over 6 passes"
     assert all(math.isnan(f.low) for f in summary.figures)
     assert all(math.isnan(d.p) for d in summary.differences)
 
@@ -340,9 +304,8 @@ def test_null_simulation_of_every_figure() -> None:
                     for f, s in enumerate(points.tolist())
                     if s > 0
                 ]
-        case = joined(passes * (length + gap), truth, claims)
-        units = find_units(case, find_passes(case))
-        a, b = (rate_tallies(score(case, m, "strict"), units)[-1] for m in (0, 1))
+        case = counts(matched(passes * (length + gap), truth, claims))
+        a, b = (rate_tallies(case, "strict", m)[-1] for m in "ab")
         weights, tosses = bootstrap_weights(passes, rng, 10), coin_tosses(passes, rng)
         for found in differences(a, b, weights, tosses):
             rejected[found.name] += found.p <= 0.05
@@ -366,7 +329,7 @@ def test_a_true_difference_is_found() -> None:
 @pytest.mark.slow
 def test_a_tally_is_told_over_the_same_numbers_again() -> None:
     """The same input gives the same intervals and p-values."""
-    case = evaluated(random_case(np.random.default_rng(7), 8))
+    case = counts(random_case(np.random.default_rng(7), 8))
     # As texts: what is missing is NaN, which equals nothing.
     assert repr(summarise(case).figures) == repr(summarise(case).figures)
     assert repr(summarise(case).differences) == repr(summarise(case).differences)
@@ -405,8 +368,14 @@ def test_two_that_are_never_do_not_differ(never_a: int, never_b: int) -> None:
     wait_a = np.where(np.arange(12) < never_a, np.inf, 0.0)
     wait_b = np.where(np.arange(12) < never_b, np.inf, 2.0)
     one = np.ones(12, dtype=int)
-    outcomes = [PassOutcomes("strict", m, one, one, w) for m, w in (("a", wait_a), ("b", wait_b))]
-    counted = wait_counts(outcomes, (1,), 0 * one, np.arange(12), 12)
+    outcomes = {m: PassOutcomes(one, one, w) for m, w in (("a", wait_a), ("b", wait_b))}
+    case: Any = SimpleNamespace(
+        ids=(1,),
+        passes=PassTable(0 * one, 0 * one, one, one, np.arange(12)),
+        scored=[SimpleNamespace(protocol="strict", method=m) for m in outcomes],
+        outcomes=lambda _, method: outcomes[method],
+    )
+    counted = waits(case, Units("pass", 12, np.arange(12)))
     a, b = (tally(waits, c) for c in counted if c.landmark_text == "total")
     rng = np.random.default_rng(0)
     weights, tosses = bootstrap_weights(12, rng), coin_tosses(12, rng)

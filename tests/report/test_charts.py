@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.drawing.pen import landmark_colours
-from sonarrec.evaluation.counting.reliability import Reliability
+from sonarrec.evaluation.summary import Reliability
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, svg
 from sonarrec.report.logs import (

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.evaluation.compare.compare import compare
+from sonarrec.evaluation.compare import compare
 from tests.evaluation.test_evaluation import write_case
 from tests.support.pages import Page
 

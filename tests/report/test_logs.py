@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.counting.scoring import PROTOCOLS, score
+from sonarrec.evaluation.judge import PROTOCOLS
 from sonarrec.report.logs import (
     alongside,
     judged_sightings,
@@ -59,9 +59,10 @@ def test_mistakes_add_up_to_the_table(random_log: Path, tmp_path: Path, protocol
         truth = tmp_path / "gt.csv"
         truth.write_text("".join(f"{r[0]},{r[1]},{r[4]}\n" for r in rows))
     found = evaluate(random_log, truth)
-    for method in found.joined.methods:
-        count = score(found.joined, found.joined.methods.index(method), protocol).count()
-        wrong = episodes(found, method, protocol)
+    matched = reported(random_log, truth).matched
+    assert matched is not None
+    for one in (s for s in found.scored if s.protocol == protocol):
+        count, wrong = one.count(), episodes({"log": matched}, one.method, protocol)
         assert sum(e.count for e in wrong if e.kind == "claim") == count.fp > 50
         assert sum(e.count for e in wrong if e.kind == "miss") == count.fn > 50
         for e in wrong:
@@ -80,8 +81,9 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
     (log / "gt.csv").write_text(
         "frame,landmark,range_m,bearing_deg\n20,1,2.0,0\n21,1,2.0,0\n30,4,2.0,0\n"
     )
-    scored = evaluate(log, log / "gt.csv")
-    found = episodes(scored, "mine", "strict")
+    matched = reported(log, log / "gt.csv").matched
+    assert matched is not None
+    found = episodes({"log": matched}, "mine", "strict")
     shown = [(e.kind, e.landmark, e.first, e.last, e.worst, e.count) for e in found]
     assert shown == [
         ("claim", 2, 0, 8, 8, 5),
@@ -90,7 +92,7 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
         ("claim", 3, 20, 20, 20, 1),
         ("claim", 2, 14, 14, 14, 1),
     ]
-    assert [in_words(e, scored.joined) for e in found] == [
+    assert [in_words(e, matched) for e in found] == [
         "ID.2 declared (0.58) where no landmark lies",
         "ID.1 in view and not declared: called ID.3 (0.80)",
         "ID.4 in view and not declared: nothing found there",

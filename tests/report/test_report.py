@@ -18,8 +18,7 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.counting.scoring import PROTOCOLS
-from sonarrec.evaluation.summary import summarise
+from sonarrec.evaluation.judge import PROTOCOLS
 from sonarrec.report.settings import settings_tables
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
@@ -72,7 +71,7 @@ def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> No
 
 
 def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None:
-    found = summarise(evaluate(results, SAMPLE / "gt.csv"))
+    found = evaluate(results, SAMPLE / "gt.csv").summary
     page = Page(pages["full"])
     text = re.sub(r"\s+", "", page.text)
     for method in ("smi", "framework"):

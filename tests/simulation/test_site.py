@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.by_range import RangeRate, Rate, RecognitionRates
 from sonarrec.landmarks import BUILT_IN
 from sonarrec.simulation.simulate import write_recording
+from sonarrec.simulation.site.rates import RangeRate, Rate, RecognitionRates
 from sonarrec.simulation.site.results import ContrastResults, sentences
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.browser import look

@@ -13,9 +13,8 @@ from unittest.mock import patch
 import numpy as np
 
 from sonarrec.config import preset, with_assignments
-from sonarrec.evaluation.counting.curves import tpr_at
-from sonarrec.evaluation.counting.passes import find_passes
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.count import Counts
+from sonarrec.evaluation.curves import tpr_at
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.stage1 import RingScore, ScoreMaps
 from sonarrec.recogniser.stage3.expected_symbol import expected_symbols
@@ -157,7 +156,7 @@ def compare(ablations: Mapping[str, Ablation], asked: argparse.Namespace) -> Non
             {"in place": name, "how": str(ablation)} | _figures(found[name], folders[name])
             for name, ablation in ablations.items()
         ]
-        passes = len(find_passes(next(iter(found.values())).joined).first_frame_index)
+        passes = len(next(iter(found.values())).passes.unit)
         show(
             f"{world}, {len(drawn)} recordings of {asked.frames} frames, {passes} passes of "
             "landmarks:\nTPR and FPR, protocol strict, at the operating point; TPR at equal FPR; "
@@ -167,10 +166,10 @@ def compare(ablations: Mapping[str, Ablation], asked: argparse.Namespace) -> Non
     print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
 
 
-def _figures(found: Evaluation, folders: Sequence[Path]) -> dict[str, str]:
+def _figures(found: Counts, folders: Sequence[Path]) -> dict[str, str]:
     one = next(s for s in found.scored if (s.protocol, s.method) == ("strict", FRAMEWORK))
     count, curve = one.count(), one.curve()
-    off = np.abs(errors(found, one, folders).orientation_deg)
+    off = np.abs(errors(folders, FRAMEWORK).orientation_deg)
     return (
         {"TPR": told(count.tpr, ".3f"), "FPR": told(count.fpr, ".4f")}
         | {f"at FPR {fpr:g}": told(tpr_at(curve.fpr, curve.tpr, fpr), ".3f") for fpr in EQUAL_FPR}

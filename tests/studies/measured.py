@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sonarrec.arrays import FloatArray
-from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.arrays import BoolArray, FloatArray
+from sonarrec.evaluation.judge import judge
+from tests.support.simulated import matched
 
 SIGMAS = ["range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg"]
 BINS = 10
@@ -35,26 +35,25 @@ class Errors:
     orientation_sigma_deg: FloatArray
 
 
-def errors(evaluation: Evaluation, found: Scored, folders: Sequence[Path]) -> Errors:
-    """How far right claims are from the truth. evaluation: `simulated.score(folders)`; found: one
-    method of it."""
-    joined = evaluation.joined
-    right = found.declared_claim[found.declared_effect[:, 0] > 0]
-    claim, truth = found.claim[right], found.truth[right]
-    told, true = joined.claim_position[claim].T, joined.truth_position[truth].T
-    turn = joined.turn_deg[found.landmark_index[right]]
-    off = joined.claim_orientation[claim] - joined.truth_orientation[truth]
-    # The evaluation numbers claims as the files hold them, one log after the other.
-    sigmas = pd.concat([pd.read_csv(f / "estimates.csv", usecols=SIGMAS) for f in folders])
-    range_sigma, bearing_sigma, orientation_sigma = sigmas[SIGMAS].to_numpy()[claim].T
-    return Errors(
-        range_m=np.hypot(*told) - np.hypot(*true),
-        range_sigma_m=range_sigma,
-        bearing_deg=np.degrees(np.arctan2(*told) - np.arctan2(*true)),
-        bearing_sigma_deg=bearing_sigma,
-        orientation_deg=(off + turn / 2) % turn - turn / 2,
-        orientation_sigma_deg=orientation_sigma,
-    )
+def errors(folders: Sequence[Path], method: str) -> Errors:
+    """How far right claims of a method are from the truth. folders: as `recognise` writes them."""
+    columns = []
+    for folder in folders:
+        log = matched(folder)
+        found = judge(log, method, "strict")
+        claim, truth = found.claim[found.right], found.truth[found.right]
+        told, true = log.claim_position[claim].T, log.truth_position[truth].T
+        turn = log.turn_deg[found.landmark_index[found.right]]
+        off = log.claim_orientation[claim] - log.truth_orientation[truth]
+        sigmas = pd.read_csv(folder / "estimates.csv", usecols=SIGMAS)[SIGMAS].to_numpy()[claim].T
+        columns.append(
+            (
+                *(np.hypot(*told) - np.hypot(*true), sigmas[0]),
+                *(np.degrees(np.arctan2(*told) - np.arctan2(*true)), sigmas[1]),
+                *((off + turn / 2) % turn - turn / 2, sigmas[2]),
+            )
+        )
+    return Errors(*map(np.concatenate, zip(*columns, strict=True)))
 
 
 def honesty(error: FloatArray, sigma: FloatArray) -> tuple[float, float]:
@@ -85,12 +84,18 @@ class Reliability:
     brier: float
 
 
-def reliability(found: Scored) -> Reliability:
-    """Over all estimates, declared or not, but those on a landmark partly in view."""
-    right = found.truth >= 0
-    step = np.minimum((found.score * BINS).astype(int), BINS - 1)
+def stated(folders: Sequence[Path], method: str) -> tuple[FloatArray, BoolArray]:
+    """The scores of a method and whether each is right: of all estimates, declared or not, but
+    those on a landmark partly in view."""
+    found = [judge(matched(folder), method, "strict") for folder in folders]
+    return np.concatenate([f.score for f in found]), np.concatenate([f.truth >= 0 for f in found])
+
+
+def reliability(score: FloatArray, right: BoolArray) -> Reliability:
+    """Of (n,) estimates and whether each is right."""
+    step = np.minimum((score * BINS).astype(int), BINS - 1)
     count = np.bincount(step, minlength=BINS)
-    said = np.bincount(step, found.score, minlength=BINS)
+    said = np.bincount(step, score, minlength=BINS)
     was = np.bincount(step, right, minlength=BINS)
     total = count.sum()
     with np.errstate(invalid="ignore"):  # 0/0 without an estimate
@@ -99,5 +104,5 @@ def reliability(found: Scored) -> Reliability:
             said=said / count,
             was=was / count,
             ece=float(np.abs(said - was).sum() / total),
-            brier=float(((found.score - right) ** 2).sum() / total),
+            brier=float(((score - right) ** 2).sum() / total),
         )

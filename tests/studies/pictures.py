@@ -22,7 +22,7 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage
 from sonarrec.config import preset
-from sonarrec.evaluation.counting.curves import Count
+from sonarrec.evaluation.curves import Count
 from sonarrec.geometry import fan_mask
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers.decode.colour import LUMINANCE, find_map

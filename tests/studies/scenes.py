@@ -16,10 +16,8 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.config import preset
-from sonarrec.evaluation.counting.curves import Count, ratio
-from sonarrec.evaluation.counting.passes import find_passes
-from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, interval
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.curves import Count, ratio
+from sonarrec.evaluation.intervals import bootstrap_weights, interval
 from sonarrec.evaluation.summary import Summary, summarise
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import (
@@ -28,7 +26,7 @@ from tests.studies.learning.random_scenes import (
     STRETCH_KINDS,
     random_scene,
 )
-from tests.studies.measured import Reliability, errors, honesty, reliability
+from tests.studies.measured import Reliability, errors, honesty, reliability, stated
 from tests.studies.results.record import add_record_option, judge, save, show
 from tests.support.simulated import (
     METHODS,
@@ -116,7 +114,7 @@ def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
             for name, method in METHODS.items()
             if s.method == method
         }
-        passes = len(find_passes(found.joined).first_frame_index)
+        passes = len(found.passes.unit)
         rows.append(Row(recording.kind, recording.seed, passes, counts))
     return rows
 
@@ -140,9 +138,8 @@ def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], ...]
     return tuple(interval(ratio(n, n + of), len(counts)) for n, of in ((tp, fn), (fp, tn)))
 
 
-def beyond(found: Evaluation, summary: Summary, name: str, folders: Sequence[Path]) -> Beyond:
-    """found, summary: of `score(folders)`. name: short, of a method."""
-    strict = next(s for s in found.scored if (s.protocol, s.method) == ("strict", METHODS[name]))
+def beyond(summary: Summary, name: str, folders: Sequence[Path]) -> Beyond:
+    """summary: of `score(folders)`. name: short, of a method."""
 
     def figure(what: str) -> tuple[float, float, float]:
         """The figure and its interval."""
@@ -152,7 +149,7 @@ def beyond(found: Evaluation, summary: Summary, name: str, folders: Sequence[Pat
     def values(*names: str) -> tuple[float, ...]:
         return tuple(figure(what)[0] for what in names)
 
-    e = errors(found, strict, folders)
+    e = errors(folders, METHODS[name])
     return Beyond(
         tpr=figure("tpr")[1:],
         fpr=figure("fpr")[1:],
@@ -162,7 +159,7 @@ def beyond(found: Evaluation, summary: Summary, name: str, folders: Sequence[Pat
         range_sigma=honesty(e.range_m, e.range_sigma_m),
         bearing_sigma=honesty(e.bearing_deg, e.bearing_sigma_deg),
         orientation_sigma=honesty(e.orientation_deg, e.orientation_sigma_deg),
-        reliability=reliability(strict),
+        reliability=reliability(*stated(folders, METHODS[name])),
     )
 
 
@@ -343,9 +340,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     measured = {}
     folders = [r.folder for r in recordings if r.kind in KINDS_OF_SCENE]
     if folders:
-        found = score(folders)
-        summary = summarise(found)
-        measured = {name: beyond(found, summary, name, folders) for name in methods(rows)}
+        summary = summarise(score(folders))
+        measured = {name: beyond(summary, name, folders) for name in methods(rows)}
         show_beyond(measured)
     show_goals(rows, measured)
     save(asked.record)

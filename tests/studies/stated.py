@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.config import preset
-from sonarrec.evaluation.counting.curves import Count
+from sonarrec.evaluation.curves import Count
 from sonarrec.geometry import floor_depth
 from sonarrec.nouns import Frame
 from sonarrec.readers.guess.height import height_from_images

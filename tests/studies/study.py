@@ -19,9 +19,10 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.counting.curves import PUBLISHED
-from sonarrec.evaluation.counting.uncertainty import LEVEL
+from sonarrec.evaluation.curves import PUBLISHED
+from sonarrec.evaluation.intervals import LEVEL
 from sonarrec.evaluation.summary import Summary, summarise
+from sonarrec.evaluation.tables import Evaluation
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
@@ -30,6 +31,7 @@ from tests.studies.scenes import seeds, told
 from tests.support.simulated import (
     METHODS,
     PRESETS,
+    WHOLE,
     HoughRival,
     Job,
     in_processes,
@@ -160,13 +162,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for s in asked.seeds
     ]
     in_processes(recognise, jobs)
-    found = score([job.folder for job in jobs])
-    pooled = found.pooled()
-    summary = summarise(pooled, "log")
-    files = write_evaluation(asked.out, pooled, summary)
+    folders = tuple(job.folder for job in jobs)
+    counts = score(folders)
+    summary = summarise(counts, "log")
+    files = write_evaluation(asked.out, Evaluation(counts, summary, WHOLE, folders, (), ()))
     print(
         f"{len(jobs)} sequences of {asked.frames} frames (seeds {asked.seeds.start} to "
-        f"{asked.seeds.stop - 1}), {len(pooled.passes.first_frame)} passes of landmarks"
+        f"{asked.seeds.stop - 1}), {len(counts.passes.unit)} passes of landmarks"
     )
     for protocol in ("strict", "paper"):
         show_figures(summary, protocol)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sonarrec.config import PRESETS, preset
-from sonarrec.evaluation.counting.curves import PUBLISHED
+from sonarrec.evaluation.curves import PUBLISHED
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import scene_fan
 from tests.studies import baseline, bench, scenes, study

@@ -17,9 +17,8 @@ from click.testing import CliRunner
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset, with_assignments
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.counting.curves import Count
-from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.judge import judge
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.scene import (
     MotionSection,
@@ -30,8 +29,8 @@ from sonarrec.simulation.scene import (
 )
 from sonarrec.simulation.simulate import write_recording
 from tests.studies import ablation, baseline, scenes, study
-from tests.studies.measured import BINS, errors, honesty, reliability
-from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise, score
+from tests.studies.measured import BINS, errors, honesty, reliability, stated
+from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, matched, recognise
 
 pytestmark = pytest.mark.slow
 
@@ -61,15 +60,6 @@ def in_memory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("in_memory") / SCENE.name
     recognise(Job(SCENE, folder, [preset(name) for name in PRESETS], (HoughRival,)))
     return folder
-
-
-@pytest.fixture(scope="module")
-def found(in_memory: Path) -> Evaluation:
-    return score([in_memory])
-
-
-def strict(found: Evaluation, name: str) -> Scored:
-    return next(s for s in found.scored if (s.protocol, s.method) == ("strict", METHODS[name]))
 
 
 def test_harness_is_what_the_commands_do(in_memory: Path, tmp_path: Path) -> None:
@@ -102,7 +92,7 @@ def test_harness_is_what_the_commands_do(in_memory: Path, tmp_path: Path) -> Non
     assert expected["strict", "framework:default"][0] > 20
 
 
-def test_errors_are_of_the_right_claims(in_memory: Path, found: Evaluation) -> None:
+def test_errors_are_of_the_right_claims(in_memory: Path) -> None:
     truths = [t for t in table(in_memory / "gt.csv") if float(t["visible"]) >= 0.9]
     expected = []
     for claim in table(in_memory / "estimates.csv"):
@@ -125,7 +115,7 @@ def test_errors_are_of_the_right_claims(in_memory: Path, found: Evaluation) -> N
                         float(claim["bearing_sigma_deg"]),
                     )
                 )
-    e = errors(found, strict(found, "default"), [in_memory])
+    e = errors([in_memory], METHODS["default"])
     told = np.column_stack([e.range_m, e.bearing_deg, e.orientation_deg, e.bearing_sigma_deg])
     assert len(told) > 20
     # Claims come by falling score, rows of the file by frame.
@@ -149,10 +139,10 @@ def test_honesty_needs_a_sigma() -> None:
     assert np.isnan(honesty(np.ones(3), np.full(3, np.nan))).all()
 
 
-def test_reliability_by_hand(found: Evaluation) -> None:
+def test_reliability_by_hand(in_memory: Path) -> None:
     metrics = pytest.importorskip("sklearn.metrics")
-    one = strict(found, "default")
-    r = reliability(one)
+    one = judge(matched(in_memory), METHODS["default"], "strict")
+    r = reliability(*stated([in_memory], METHODS["default"]))
     right = one.truth >= 0
     assert r.brier == pytest.approx(metrics.brier_score_loss(right, one.score))
     gap = 0.0

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sonarrec.evaluation.counting.curves import Count
+from sonarrec.evaluation.curves import Count
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.results.record import add_record_option, save, show
 from tests.studies.scenes import told

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-from sonarrec.evaluation.matching.options import ScoringOptions
+from sonarrec.evaluation.match import ScoringOptions
 from sonarrec.report.logs import LogToShow, ReportedLog, read_logs
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth

@@ -20,9 +20,8 @@ import numpy as np
 from tqdm import tqdm
 
 from sonarrec.config import Config
-from sonarrec.evaluation.counting.parts import score_all
-from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.matching.joined import join
+from sonarrec.evaluation.count import Adder, Counts, count_log
+from sonarrec.evaluation.match import Matched, match
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
@@ -113,19 +112,21 @@ def in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> list[
         return list(tqdm(done, total=len(items), unit="recording", leave=False, disable=None))
 
 
-def score(folders: Sequence[Path]) -> Evaluation:
-    """What `recognise` wrote, pooled, by the project's own evaluation; all of the same IDs.
+def matched(folder: Path) -> Matched:
+    """What `recognise` wrote, with its truth."""
+    log = read_log(folder)
+    return match(log, match_truth(read_truth(folder / "gt.csv"), log), WHOLE)
+
+
+def score(folders: Sequence[Path]) -> Counts:
+    """What `recognise` wrote, by the project's own evaluation; all of the same IDs.
 
     Also of recordings without a landmark alone, which the command takes for a wrong truth.
     """
-    logs = [read_log(folder) for folder in folders]
-    truths = [
-        match_truth(read_truth(folder / "gt.csv"), log)
-        for folder, log in zip(folders, logs, strict=True)
-    ]
-    joined = join(logs, truths, WHOLE)
-    scored = score_all(joined)
-    return Evaluation(joined, tuple(folders), scored, min_visible=WHOLE, notes=(), unused=())
+    adder = Adder()
+    for folder in folders:
+        adder.add(count_log(matched(folder)))
+    return adder.counts([str(folder) for folder in folders])
 
 
 class HoughRival:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from sonarrec.errors import SonarrecError, printable
-from sonarrec.evaluation.evaluate import evaluate_whole
-from sonarrec.evaluation.matching.pairs import Pair, read_pairs
+from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.landmarks import load_landmarks
 from sonarrec.tables.read import read_table
 from sonarrec.truth.annotations import cvat, read_annotations
@@ -116,8 +116,8 @@ def test_one_result_is_not_several_logs(tmp_path: Path, again: str) -> None:
     else:
         second = first / ".." / "out"
     pairs = [Pair(folder, tmp_path / "gt.csv", str(n)) for n, folder in enumerate((first, second))]
-    found = evaluate_whole(pairs)
-    assert found.joined.logs == ("0",)
+    found = evaluate_logs(pairs)
+    assert found.counts.logs == ("0",)
     assert found.unused == ()
     assert any(f"{second}: the same log as {first} (by its tables)" in n for n in found.notes)
 
@@ -129,7 +129,6 @@ def test_what_a_terminal_obeys_is_escaped() -> None:
 
 
 def test_method_names_cannot_move_the_cursor(tmp_path: Path) -> None:
-    from sonarrec.evaluation.summary import summarise
     from sonarrec.evaluation.tabulate import screen, summary_screen
     from tests.support.claims import evaluate
 
@@ -139,6 +138,6 @@ def test_method_names_cannot_move_the_cursor(tmp_path: Path) -> None:
     )
     (tmp_path / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2,0\n")
     found = evaluate(tmp_path, tmp_path / "gt.csv")
-    shown = screen(found.pooled()) + summary_screen(found.pooled(), summarise(found), details=True)
+    shown = screen(found.counts) + summary_screen(found, details=True)
     assert r"m\x1b[2J" in shown
     assert "\x1b" not in shown + "".join(found.notes)

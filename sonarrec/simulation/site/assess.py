@@ -15,20 +15,19 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.drawing.results import Mark, draw_frame
-from sonarrec.evaluation.by_range import recognition_rates
-from sonarrec.evaluation.evaluate import evaluate_whole
-from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.matching.pairs import Pair
+from sonarrec.evaluation.match import match
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, FrameResult
 from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.recogniser.three_stages import FRAMEWORK
+from sonarrec.results.read import read_log
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs.one import process
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.simulation.background import Background, nearest_floor_m
 from sonarrec.simulation.background_files import DiscLook, write_backgrounds
 from sonarrec.simulation.layout import Layout, draw_layout, truth_of, without_room
+from sonarrec.simulation.site.rates import recognition_rates
 from sonarrec.simulation.site.results import (
     ENOUGH,
     ContrastResults,
@@ -36,6 +35,8 @@ from sonarrec.simulation.site.results import (
     Site,
     sentences,
 )
+from sonarrec.truth.match import match_truth
+from sonarrec.truth.table import read_truth
 
 RANGE_STEPS = 5  # into which the range window is divided
 MIN_VISIBLE = 0.9  # share of a disc that must be in view for a landmark to count
@@ -74,7 +75,7 @@ def assess(
     (config,), beam_width_deg = run_options.configs, background.beam_width_deg
     features = replace(config.features, beam_width_deg=beam_width_deg)
     own_options = replace(run_options, configs=[replace(config, features=features)])
-    pairs: dict[float, list[Pair]] = {db: [] for db in contrasts}
+    pairs: dict[float, list[tuple[Path, Path]]] = {db: [] for db in contrasts}
     examples: list[ExampleFrame] = []
     for number, layout in enumerate(drawn, 1):
         doing = f"layout {number} of {layouts}, "
@@ -92,7 +93,7 @@ def assess(
             if not keep:
                 for image in folder.glob("*.png"):
                     image.unlink()
-            pairs[db].append(Pair(results, folder / "gt.csv"))
+            pairs[db].append((results, folder / "gt.csv"))
     scored = tuple(_scored(background.fan, db, runs) for db, runs in pairs.items())
     frames = len(background.path)
     background.diagnostics.notes += without_room(drawn, count)
@@ -140,11 +141,17 @@ def _run(
     return count, of_frame
 
 
-def _scored(fan: Fan, contrast_db: float, runs: Sequence[Pair]) -> ContrastResults:
-    """Score the runs at one contrast, over RANGE_STEPS equal parts of the floor in view."""
+def _scored(fan: Fan, contrast_db: float, runs: Sequence[tuple[Path, Path]]) -> ContrastResults:
+    """Score the runs at one contrast, over RANGE_STEPS equal parts of the floor in view.
+
+    runs: results and truth of each.
+    """
     edges = np.linspace(nearest_floor_m(fan), fan.range_max_m, RANGE_STEPS + 1).tolist()
-    scored = evaluate_whole(runs, options=ScoringOptions(min_visible=MIN_VISIBLE))
-    rates = recognition_rates(scored, FRAMEWORK, edges)
+    logs = []
+    for results, ground_truth in runs:
+        log = read_log(results)
+        logs.append(match(log, match_truth(read_truth(ground_truth), log), MIN_VISIBLE))
+    rates = recognition_rates(logs, FRAMEWORK, edges)
     near = far = math.nan
     for step in (r for r in rates.by_range if r.tpr.cases):
         if step.tpr.value < ENOUGH:

@@ -11,7 +11,7 @@ from sonarrec import __version__
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
+from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
 from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline

@@ -11,9 +11,9 @@ from typing import Any
 
 from sonarrec.arrays import ByteImage
 from sonarrec.errors import Diagnostics, number_of
-from sonarrec.evaluation.by_range import Rate, RecognitionRates
-from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, unseen_share
+from sonarrec.evaluation.intervals import MIN_UNITS, unseen_share
 from sonarrec.simulation.layout import Layout
+from sonarrec.simulation.site.rates import Rate, RecognitionRates
 from sonarrec.tables.outputs import write_csv, write_text, writing
 
 ENOUGH = 0.9

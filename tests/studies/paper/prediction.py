@@ -26,8 +26,8 @@ from matplotlib.figure import Figure
 
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
-from sonarrec.evaluation.counting.curves import PUBLISHED, Count
-from sonarrec.evaluation.counting.scoring import Scored
+from sonarrec.evaluation.count import Scored
+from sonarrec.evaluation.curves import PUBLISHED, Count
 from sonarrec.nouns import Frame, FrameResult
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 from sonarrec.results.run_file import run_table

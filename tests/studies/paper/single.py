@@ -12,7 +12,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, FloatImage, IntArray
 from sonarrec.config import Candidates
-from sonarrec.evaluation.matching.joined import PAPER_MIN_VISIBLE
+from sonarrec.evaluation.match import PAPER_MIN_VISIBLE
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector

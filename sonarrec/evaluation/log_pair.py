@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 
 from sonarrec.errors import SonarrecError, number_of
-from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
-from sonarrec.evaluation.counting.parts import Part, part_of, score_all
-from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit
-from sonarrec.evaluation.matching.joined import join
-from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.survey import UnreadableLog, truth_table
+from sonarrec.evaluation.changes import ByMethod, changed_frames
+from sonarrec.evaluation.count import LogCounts, count_log
+from sonarrec.evaluation.logs import TruthCheck, UnreadableLog, check_fit, truth_table
+from sonarrec.evaluation.match import ScoringOptions, match
 from sonarrec.results.read import LogResults, not_whole, read_log
 from sonarrec.truth.match import match_truth
 
@@ -30,15 +28,15 @@ class LogPair:
     name: str
     """Name of the log, in messages and in the log column of the truth."""
     options: ScoringOptions
-    ids: tuple[int, ...] | None = None
-    """As in `survey.LogToScore`."""
+    ids: tuple[int, ...]
+    """As in `logs.LogToScore`."""
 
     @property
     def folders(self) -> tuple[Path, ...]:
         return self.old, self.new
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class CountedPair:
     """The counts of one LogPair."""
 
@@ -46,11 +44,12 @@ class CountedPair:
     ids: tuple[int, ...]
     methods: tuple[tuple[str, ...], tuple[str, ...]]
     """Of the old and the new results."""
-    truth_check: TruthCheck
+    check: TruthCheck
     unused: list[str]
     """A line for each part of the results that is not compared."""
-    parts: tuple[Part, Part] | None
-    """Of the old and the new results; None where the truth does not fit the log."""
+    counts: tuple[LogCounts, LogCounts] | None
+    """Of the old and the new results; None where the truth does not fit the log, or once they are
+    added to those of others."""
     changes: ByMethod
     """Frames and IDs that are counted differently."""
 
@@ -83,19 +82,17 @@ def _count_pair(pair: LogPair) -> CountedPair:
             unused.append(f"{log.name}: {frames} in {folder} only; not compared")
         unused += not_whole(log, "scored")
     old, new = (_only(replace(log, name=pair.name), common) for log in (old, new))
-    case = MatchedLog(new, table, match_truth(table, new, options.tolerance_s))
-    truth_check = check_fit(case)
-    labels = pair.name, new.landmarks.ids, (old.methods, new.methods), truth_check, unused
-    if truth_check.fault is not None:
+    new_truth = match_truth(table, new, options.tolerance_s)
+    check = check_fit(table, new, new_truth)
+    labels = pair.name, new.landmarks.ids, (old.methods, new.methods), check, unused
+    if check.fault is not None:
         return CountedPair(*labels, None, {})
     # Each side is scored as `evaluate` scores it: pixels lie where its own geometry puts them.
     old_truth = match_truth(table, replace(new, fan=old.fan or new.fan), options.tolerance_s)
-    scored = []
-    for log, truth in ((old, old_truth), (new, case.truth)):
-        joined = join([log], [truth], options.min_visible, pair.ids)
-        scored.append((joined, score_all(joined)))
-    before, after = (part_of(*side, rates_only=True) for side in scored)
-    return CountedPair(*labels, (before, after), changed_frames(*scored))
+    before = match(old, old_truth, options.min_visible, pair.ids)
+    after = match(new, new_truth, options.min_visible, pair.ids)
+    counts = count_log(before, rates_only=True), count_log(after, rates_only=True)
+    return CountedPair(*labels, counts, changed_frames(before, after))
 
 
 def _only(log: LogResults, frames: Any) -> LogResults:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from sonarrec.errors import number_of, printable
-from sonarrec.evaluation.compare.compare import Comparison, rate_text
+from sonarrec.evaluation.compare import Comparison, rate_text
 from sonarrec.evaluation.metrics import BY_NAME
 
 MOST_LINES = 12

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from textwrap import indent
 
-from sonarrec.evaluation.compare.compare import Comparison
+from sonarrec.evaluation.compare import Comparison
 from sonarrec.evaluation.write import as_record, finite_or_none, json_text, write_table
 from sonarrec.tables.outputs import (
     check_no_recording,

@@ -13,11 +13,10 @@ from itertools import pairwise
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.evaluation.counting.behaviour import positive_is_claimed
-from sonarrec.evaluation.counting.passes import find_passes, find_units
-from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, bootstrap_weights, interval
-from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.intervals import MIN_UNITS, bootstrap_weights, interval
+from sonarrec.evaluation.judge import judge
+from sonarrec.evaluation.match import Matched
+from sonarrec.evaluation.passes import find_passes
 
 SEED = 0
 
@@ -27,7 +26,7 @@ class Rate:
     """A share or a number per frame, and its interval.
 
     cases: frames with a whole landmark in view, or all frames. units: passes of landmarks, or
-    units of `passes.find_units`. count: recognised, or false. low, high: NaN if fewer than
+    units of `passes.Passes`. count: recognised, or false. low, high: NaN if fewer than
     MIN_UNITS units have a case, or if all are alike.
     """
 
@@ -58,32 +57,29 @@ class RecognitionRates:
 
 
 def recognition_rates(
-    evaluation: Evaluation, method: str, edges_m: Sequence[float]
+    logs: Sequence[Matched], method: str, edges_m: Sequence[float]
 ) -> RecognitionRates:
     """The rates of one method. edges_m: (n + 1,) rising, edges of n steps of slant range."""
-    joined = evaluation.joined
-    scored = next(s for s in evaluation.scored if (s.protocol, s.method) == ("strict", method))
-    passes = find_passes(joined)
-    positive = scored.positive
-    right = positive_is_claimed(scored, joined).astype(float)
-    unit = passes.of_truth[positive]
-    range_m = np.hypot(*joined.truth_position[positive].T)
-    count = len(passes.first_frame_index)
+    right, of_pass, range_m, false, of_frame = ([] for _ in range(5))
+    passes = units = 0
+    for log in logs:
+        judged, found = judge(log, method, "strict"), find_passes(log)
+        right.append(judged.positive_is_claimed.astype(float))
+        of_pass.append(found.of_truth[judged.positive] + passes)
+        range_m.append(np.hypot(*log.truth_position[judged.positive].T))
+        wrong = judged.frame_index[judged.declared_claim[judged.declared_effect[:, 2] > 0]]
+        false.append(np.bincount(wrong, minlength=len(log.frame)).astype(float))
+        of_frame.append(found.unit_of_frame + units)
+        passes, units = passes + len(found.unit), units + found.units
+    true, unit, range_of, false_of, frames = map(
+        np.concatenate, (right, of_pass, range_m, false, of_frame)
+    )
     steps = []
     for near, far in pairwise(edges_m):
-        here = (range_m >= near) & ((range_m < far) | (far == edges_m[-1]))
-        steps.append(RangeRate(near, far, _rate(right[here], unit[here], count)))
-    return RecognitionRates(
-        _rate(right, unit, count), tuple(steps), _false_claims(evaluation, scored)
-    )
-
-
-def _false_claims(evaluation: Evaluation, scored: Scored) -> Rate:
-    joined = evaluation.joined
-    units = find_units(joined, find_passes(joined))
-    wrong = scored.frame_index[scored.declared_claim[scored.declared_effect[:, 2] > 0]]
-    per_frame = np.bincount(wrong, minlength=len(joined.frame)).astype(float)
-    return _rate(100 * per_frame, units.of_frame, units.count, int(per_frame.sum()))
+        here = (range_of >= near) & ((range_of < far) | (far == edges_m[-1]))
+        steps.append(RangeRate(near, far, _rate(true[here], unit[here], passes)))
+    false_per_100 = _rate(100 * false_of, frames, units, int(false_of.sum()))
+    return RecognitionRates(_rate(true, unit, passes), tuple(steps), false_per_100)
 
 
 def _rate(value: FloatArray, unit: IntArray, units: int, count: int | None = None) -> Rate:

@@ -11,9 +11,10 @@ import numpy as np
 
 from sonarrec.arrays import IntArray
 from sonarrec.errors import SonarrecError, number_of
-from sonarrec.evaluation.compare.log_pair import LogPair
-from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.matching.pairs import (
+from sonarrec.evaluation.log_pair import LogPair
+from sonarrec.evaluation.logs import first_ids
+from sonarrec.evaluation.match import ScoringOptions
+from sonarrec.evaluation.pairs import (
     FindBeside,
     Pair,
     find_truths_beside,
@@ -78,8 +79,9 @@ def pair_logs(
     once = counted_once([after for _, after in pairs], recordings, frames, "compared")
     counted = [pairs[i] for i in once.kept]
     truths, truth_notes, without = _truths(counted, len(faults), ground_truth, find_beside)
+    ids = first_ids((after for _, after in counted), options.landmarks)
     logs = [
-        LogPair(*folders, truth.ground_truth, truth.log or log_of(folders[1]), options)
+        LogPair(*folders, truth.ground_truth, truth.log or log_of(folders[1]), options, ids)
         for folders, truth in zip(counted, truths, strict=True)
         if truth is not None
     ]

@@ -3,37 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError, printable
-from sonarrec.evaluation import metrics
-from sonarrec.evaluation.compare.changes import ByMethod, FrameChanges
-from sonarrec.evaluation.compare.log_pair import CountedPair, LogPair, count_pair
-from sonarrec.evaluation.compare.pairing import pair_logs
-from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
-from sonarrec.evaluation.counting.behaviour import PassOutcomes
-from sonarrec.evaluation.counting.passes import UnitKind
-from sonarrec.evaluation.counting.pooled import Parts, Pooled, PooledUnits, pool
-from sonarrec.evaluation.counting.uncertainty import (
+from sonarrec.evaluation import metrics, unit_sums
+from sonarrec.evaluation.changes import ByMethod, FrameChanges
+from sonarrec.evaluation.compare_settings import SettingChange, changed_settings
+from sonarrec.evaluation.count import Adder, Counts
+from sonarrec.evaluation.evaluate import distinct_names, other_ids
+from sonarrec.evaluation.intervals import (
     Difference,
+    Tally,
     bootstrap_weights,
     coin_tosses,
     differences,
 )
-from sonarrec.evaluation.counting.unit_sums import UnitSums
-from sonarrec.evaluation.evaluate import DEFAULT, distinct_names, other_ids
-from sonarrec.evaluation.matching.fit import scorable_logs
-from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.matching.pairs import FindBeside, Pair
+from sonarrec.evaluation.log_pair import CountedPair, LogPair, count_pair
+from sonarrec.evaluation.logs import UnreadableLog, check_logs, map_logs
+from sonarrec.evaluation.match import DEFAULT, ScoringOptions
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.summary import units_text
-from sonarrec.evaluation.survey import UnreadableLog, map_logs
+from sonarrec.evaluation.pairing import pair_logs
+from sonarrec.evaluation.pairs import FindBeside, Pair
+from sonarrec.evaluation.passes import UnitKind
+from sonarrec.evaluation.summary import SEED, units_text
 from sonarrec.evaluation.write import PAPER_KEY
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.truth.fits import rows_on_frames
@@ -90,19 +88,20 @@ class PassChange:
 class PassChanges:
     """All PassChange records. Each is made when it is asked for, since many logs have very many."""
 
-    outcomes: tuple[tuple[PassOutcomes, PassOutcomes], ...]
-    """Before and after, per method and protocol."""
-    pooled: Pooled
+    before: Counts
+    after: Counts
+    methods: tuple[tuple[str, str], ...]
+    """Protocol and method of those compared."""
 
     def __iter__(self) -> Iterator[PassChange]:
-        pooled, passes = self.pooled, self.pooled.passes
-        for a, b in self.outcomes:
+        counts, passes = self.after, self.after.passes
+        for of in self.methods:
+            a, b = self.before.outcomes(*of), counts.outcomes(*of)
             for i in np.flatnonzero(a.right != b.right).tolist():
                 yield PassChange(
-                    protocol=a.protocol,
-                    method=a.method,
-                    log=pooled.logs[passes.log_index[i]],
-                    landmark=pooled.ids[passes.landmark_index[i]],
+                    *of,
+                    log=counts.logs[passes.log_index[i]],
+                    landmark=counts.ids[passes.landmark_index[i]],
                     first_frame=int(passes.first_frame[i]),
                     last_frame=int(passes.last_frame[i]),
                     frames=int(b.frames[i]),
@@ -178,20 +177,20 @@ def compare(
     old, new: their logs are paired by name or SHA-256; if each holds one log, these are paired.
     ground_truth: one table for all logs, or pairs that name a truth per log; None: the truth
     beside each log. unit: as in `summary.summarise`. jobs, find_beside: as in
-    `evaluate.evaluate_many`.
+    `evaluate.evaluate_logs`.
     Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
     read.
     """
     options.check()
     pairing = pair_logs(old, new, ground_truth, options, find_beside)
-    counted = _count_pairs(pairing.pairs, jobs, options.min_visible)
+    counted = _count_pairs(pairing.pairs, jobs)
     notes = [*dict.fromkeys(pairing.notes), *counted.notes, *_scored_before(old, new)]
     unused = [*dict.fromkeys([*pairing.unused, *counted.cut]), *counted.unused]
-    settings = changed_settings(map(_runs, counted.used))
     before, after = counted.before, counted.after
     units = after.units(unit)
-    changes = _method_changes(before, after, units)
-    if not changes.methods:
+    scored = {(s.protocol, s.method): s for s in before.scored}
+    both = [s for s in after.scored if (s.protocol, s.method) in scored]
+    if not both:
         has = (f"{side} has {', '.join(p.methods)}" for side, p in ((old, before), (new, after)))
         raise SonarrecError(
             printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
@@ -201,6 +200,18 @@ def compare(
         notes.append(
             f"protocol strict is not compared: {without} has no positions that can be used"
         )
+    rng = np.random.default_rng(SEED)
+    weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
+    rates: list[RateChange] = []
+    tests: list[Difference] = []
+    for s in both:
+        # One ID at a time, since the curves of many logs are long.
+        olds = unit_sums.rates_of(before, units, scored[s.protocol, s.method])
+        for was, now in zip(olds, unit_sums.rates_of(after, units, s), strict=True):
+            a, b = (metrics.tally(unit_sums.rates, rate) for rate in (was, now))
+            rates += _rate_changes(a, b, now.exact.counts[0])
+            tests += differences(a, b, weights, tosses)
+    methods = tuple((s.protocol, s.method) for s in both)
     return Comparison(
         old=str(old),
         new=str(new),
@@ -208,17 +219,27 @@ def compare(
         frames_compared=after.frames,
         units=units_text(units),
         landmarks=after.ids,
-        settings=tuple(settings),
-        rates=tuple(changes.rates),
-        frames=counted.frames(tuple(changes.methods)),
-        passes=PassChanges(tuple(changes.outcomes), after),
-        differences=tuple(changes.tests),
+        settings=tuple(changed_settings(map(_runs, counted.used))),
+        rates=tuple(rates),
+        frames=FrameChanges(tuple(zip(after.logs, counted.changes, strict=True)), methods),
+        passes=PassChanges(before, after, methods),
+        differences=tuple(tests),
         lost=tuple(m for m in before.methods if m not in after.methods),
         gained=tuple(m for m in after.methods if m not in before.methods),
         unplaced=before.placed and not after.placed,
         notes=tuple(map(printable, notes)),
         unused=tuple(map(printable, unused)),
     )
+
+
+def _rate_changes(old: Tally, new: Tally, counts: FloatArray) -> Iterator[RateChange]:
+    """The rates of MAIN that are known in the old or the new results. counts: (4,) of the new."""
+    tp, tn, fp, fn = counts.tolist()
+    for name in MAIN:
+        was, now = (side.values[side.names.index(name)] for side in (old, new))
+        if not (math.isnan(was) and math.isnan(now)):
+            of = fp + tn if name == "fpr" else tp + fn
+            yield RateChange(new.protocol, new.method, new.landmark_text, name, was, now, of)
 
 
 def _scored_before(*sides: Path) -> Iterator[str]:
@@ -247,11 +268,11 @@ class _CountedPairs:
     """The counts of all pairs that can be compared."""
 
     used: list[LogPair]
-    before: Pooled
-    after: Pooled
+    before: Counts
+    after: Counts
     """Of the same logs, frames and passes."""
-    frames: Callable[[tuple[tuple[str, str], ...]], FrameChanges]
-    """The changed frames of the given protocols and methods."""
+    changes: list[ByMethod]
+    """Of each log."""
     notes: list[str]
     cut: list[str]
     """A line for each part of a log that is not compared."""
@@ -259,110 +280,52 @@ class _CountedPairs:
     """A line for each log that is not compared."""
 
 
-def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> _CountedPairs:
+def _count_pairs(pairs: Sequence[LogPair], jobs: int | None) -> _CountedPairs:
     """Read and count all pairs.
 
     Raises SonarrecError if none can be compared, or if they have different IDs or no method.
     """
-    before, after = Parts(), Parts()
-    changes: dict[int, ByMethod] = {}
+    before, after = Adder(), Adder()
+    changes: list[ByMethod] = []
     logs: list[CountedPair] = []
-    read: list[LogPair] = []
+    used: list[tuple[LogPair, CountedPair]] = []
     unread: list[UnreadableLog] = []
-    numbers: dict[int, int] = {}  # of a log, by its index in `logs`, the number of its parts
-    ids: tuple[int, ...] | None = None
     folders = (folder for pair in pairs for folder in pair.folders)
     for pair, log in zip(pairs, map_logs(count_pair, pairs, folders, jobs), strict=True):
-        counted = log
-        if isinstance(counted, CountedPair) and counted.parts is not None:
-            ids = ids or counted.ids
-            if counted.ids != ids and set(counted.ids) == set(ids):
-                counted = count_pair(replace(pair, ids=ids))  # again, in the first log's order
-        if isinstance(counted, UnreadableLog):
-            unread.append(counted)
+        if isinstance(log, UnreadableLog):
+            unread.append(log)
             continue
-        if counted.parts is not None:
-            number = numbers[len(logs)] = before.put(counted.parts[0])
-            after.put(counted.parts[1])
-            changes[number] = counted.changes
-        logs.append(replace(counted, parts=None, changes={}))
-        read.append(pair)
+        logs.append(log)
+        if log.counts is not None:
+            for side, counts in zip((before, after), log.counts, strict=True):
+                side.add(counts)
+            changes.append(log.changes)
+            used.append((pair, log))
+            log.counts, log.changes = None, {}
     if not logs:
         raise unread[0].error
-    scorable = scorable_logs([log.truth_check for log in logs])
-    used = [logs[i] for i in scorable.usable]
-    for log in used:
-        if set(log.ids) != set(used[0].ids):
-            raise other_ids(used[0].name, log.name)
-    names = distinct_names([(read[i].name, read[i].new) for i in scorable.usable])
-    part_numbers = [numbers[i] for i in scorable.usable]
-    old, new = (pool(parts, part_numbers, names, min_visible) for parts in (before, after))
+    notes, misfits = check_logs([log.check for log in logs])
+    for _, log in used:
+        if set(log.ids) != set(used[0][1].ids):
+            raise other_ids(used[0][1].name, log.name)
+    names = distinct_names([(log.name, pair.new) for pair, log in used])
+    old, new = before.counts(names), after.counts(names)
     if not (old.methods and new.methods):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
-    notes = [*scorable.notes]
     compared = [method for method in new.methods if method in old.methods]
-    for i, name in zip(scorable.usable, names, strict=True):
-        notes += _notes_on_log(name, read[i], logs[i], compared)
+    for name, (pair, log) in zip(names, used, strict=True):
+        notes += rows_on_frames(name, log.check.rows, log.check.between)
+        for folder, of_log in zip(pair.folders, log.methods, strict=True):
+            if missing := [method for method in compared if method not in of_log]:
+                notes.append(
+                    f"{folder}: has no estimates of {', '.join(missing)}; this counts as no claim"
+                )
     return _CountedPairs(
-        used=[replace(read[i], name=n) for i, n in zip(scorable.usable, names, strict=True)],
+        used=[replace(pair, name=name) for name, (pair, _) in zip(names, used, strict=True)],
         before=old,
         after=new,
-        frames=partial(FrameChanges, changes, tuple(zip(part_numbers, names, strict=True))),
+        changes=changes,
         notes=notes,
         cut=[line for log in logs for line in log.unused],
-        unused=[*(counted.message("compared") for counted in unread), *scorable.unused],
+        unused=[*(log.message("compared") for log in unread), *misfits],
     )
-
-
-def _notes_on_log(
-    name: str, pair: LogPair, log: CountedPair, methods: Sequence[str]
-) -> Iterator[str]:
-    """The notes of `evaluate` on one log. methods: those compared."""
-    yield from rows_on_frames(name, log.truth_check.rows, log.truth_check.between)
-    for folder, of_log in zip(pair.folders, log.methods, strict=True):
-        missing = [method for method in methods if method not in of_log]
-        if missing:
-            yield f"{folder}: has no estimates of {', '.join(missing)}; this counts as no claim"
-
-
-@dataclass(frozen=True, slots=True)
-class _MethodChanges:
-    """What changed for the methods that both sides have, under the protocols that both have."""
-
-    methods: list[tuple[str, str]] = field(default_factory=list)
-    """Protocol and method."""
-    outcomes: list[tuple[PassOutcomes, PassOutcomes]] = field(default_factory=list)
-    """Before and after, of each of these."""
-    rates: list[RateChange] = field(default_factory=list)
-    tests: list[Difference] = field(default_factory=list)
-
-
-def _method_changes(before: Pooled, after: Pooled, units: PooledUnits) -> _MethodChanges:
-    rng = np.random.default_rng(0)
-    weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
-    index_before = {(s.protocol, s.method): n for n, s in enumerate(before.scored)}
-    changes = _MethodChanges()
-    for m, scored in enumerate(after.scored):
-        n = index_before.get((scored.protocol, scored.method))
-        if n is None:
-            continue
-        changes.methods.append((scored.protocol, scored.method))
-        changes.outcomes.append((before.outcomes[n], after.outcomes[m]))
-        # One ID at a time, since the curves of many logs are long.
-        olds = metrics.rates_of(metrics.Case(before, units), before.scored[n])
-        news = metrics.rates_of(metrics.Case(after, units), scored)
-        for old, new in zip(olds, news, strict=True):
-            changes.rates.extend(_rate_changes(old, new))
-            old_tally, new_tally = (metrics.tally(metrics.rates, rate) for rate in (old, new))
-            changes.tests.extend(differences(old_tally, new_tally, weights, tosses))
-    return changes
-
-
-def _rate_changes(old: UnitSums, new: UnitSums) -> Iterable[RateChange]:
-    """The rates of MAIN that are known in the old or the new results."""
-    tp, tn, fp, fn = new.exact.counts[0].tolist()
-    for name in MAIN:
-        was, now = (BY_NAME[name].value(rate) for rate in (old, new))
-        if not (math.isnan(was) and math.isnan(now)):
-            of = fp + tn if name == "fpr" else tp + fn
-            yield RateChange(new.protocol, new.method, new.landmark_text, name, was, now, of)

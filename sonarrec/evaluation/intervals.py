@@ -16,7 +16,7 @@ from statistics import NormalDist
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.evaluation.counting.curves import ratio
+from sonarrec.evaluation.curves import ratio
 
 LEVEL = 0.95
 DRAWS = 1000

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import TypeVar
 
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.counting.parts import Part, part_of
-from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit
-from sonarrec.evaluation.matching.joined import join
-from sonarrec.evaluation.matching.options import ScoringOptions
+from sonarrec.evaluation.count import LogCounts, count_log
+from sonarrec.evaluation.match import ScoringOptions, match
 from sonarrec.results.folders import estimates_of, log_of
-from sonarrec.results.read import read_log
+from sonarrec.results.read import LogResults, not_whole, read_log
+from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import Recording, TruthOf, recording
 from sonarrec.runs.cores import cores
-from sonarrec.truth.match import match_truth
+from sonarrec.truth.fits import misfit, notes_on_fit, without_rows
+from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
 WORTH_BYTES = 4_000_000
@@ -35,11 +35,11 @@ class LogToScore:
 
     folder: Path
     ground_truth: Path
-    options: ScoringOptions
-    log: str | None = None
+    log: str | None
     """The log's name; None: the name of the folder."""
-    ids: tuple[int, ...] | None = None
-    """Its IDs in the wanted order; None: the order of its landmark set."""
+    options: ScoringOptions
+    ids: tuple[int, ...] = ()
+    """Its IDs in the wanted order; others are not used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,26 +55,85 @@ class UnreadableLog:
 
 
 @dataclass(frozen=True, slots=True)
-class SurveyedLog:
-    """One log as it was read."""
+class TruthCheck:
+    """How a truth fits a log, without the rows of either."""
+
+    name: str
+    """Name of the log."""
+    table: Path
+    """File of the truth."""
+    table_rows: int
+    """Rows in the file."""
+    rows: int
+    """Rows about this log."""
+    unprocessed: int
+    """Rows about it on frames that were not processed."""
+    between: int
+    """Rows about it between frames."""
+    frames: int
+    fault: str | None
+    """Why the truth does not fit the log; None if it does."""
+    notes: list[str]
+
+
+def check_fit(table: TruthTable, log: LogResults, truth: Truth) -> TruthCheck:
+    """Check that the truth fits the log."""
+    return TruthCheck(
+        name=log.name,
+        table=table.path,
+        table_rows=len(table.at),
+        rows=truth.rows,
+        unprocessed=truth.unprocessed,
+        between=truth.between,
+        frames=len(log.frame),
+        fault=misfit(table, log, truth),
+        notes=notes_on_fit(
+            table,
+            log,
+            truth,
+            "are scored",
+            "they say nothing about the results that they came from",
+        ),
+    )
+
+
+def check_logs(checks: Sequence[TruthCheck]) -> tuple[list[str], list[str]]:
+    """Notes on the logs whose truth fits, and a line for each other log.
+
+    Raises SonarrecError if there is none whose truth fits, or if no truth has a row.
+    """
+    if not any(check.rows for check in checks):
+        of = next((check for check in checks if check.table_rows), checks[0])
+        names = [check.name for check in checks]
+        raise SonarrecError(without_rows(of.table, of.table_rows, names, "nothing is scored"))
+    faults = [check for check in checks if check.fault is not None]
+    # A log without a row counts as empty, but only if others have rows.
+    if faults and not any(check.rows for check in checks if check.fault is None):
+        raise SonarrecError(str(faults[0].fault))
+    notes = [note for check in checks if check.fault is None for note in check.notes]
+    return notes, [f"{check.fault}; {check.name} is not scored" for check in faults]
+
+
+@dataclass(slots=True)
+class LogScore:
+    """One log as it was read and counted."""
 
     folder: Path
     ground_truth: TruthOf
     name: str
     ids: tuple[int, ...]
-    methods: tuple[str, ...]
     recording: Recording
-    truth_check: TruthCheck | None
+    check: TruthCheck | None
     """None if truth and log could not be matched; then `error` says why."""
     error: SonarrecError | None
-    case: MatchedLog | None
-    """All that was read, if `whole` was set and log and truth match."""
-    part: Part | None
-    """The counts, if the log can be scored."""
+    not_whole: list[str]
+    """As `results.read.not_whole`."""
+    counts: LogCounts | None
+    """None if the log cannot be scored, or once they are added to those of others."""
 
 
-def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | UnreadableLog:
-    """Read and count one log. whole: also keep all that was read."""
+def score_log(reading: LogToScore) -> LogScore | UnreadableLog:
+    """Read, match and count one log."""
     options = reading.options
     try:
         table = truth_table(reading.ground_truth)
@@ -82,30 +141,39 @@ def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | Unreada
     except SonarrecError as fault:  # the other logs can be scored
         return UnreadableLog(reading.log or log_of(reading.folder), fault)
     log = log if reading.log is None else replace(log, name=reading.log)
-    case: MatchedLog | None = None
-    truth_check: TruthCheck | None = None
+    check: TruthCheck | None = None
     error: SonarrecError | None = None
+    counts: LogCounts | None = None
     try:
-        case = MatchedLog(log, table, match_truth(table, log, options.tolerance_s))
-        truth_check = check_fit(case)
+        truth = match_truth(table, log, options.tolerance_s)
+        check = check_fit(table, log, truth)
+        if check.fault is None:
+            counts = count_log(match(log, truth, options.min_visible, reading.ids))
     except SonarrecError as fault:  # raised later, unless the log is a copy of another
         error = fault
-    part = None
-    if case is not None and truth_check is not None and truth_check.fault is None:
-        part = part_of(join([log], [case.truth], options.min_visible, reading.ids))
     rows = table.rows_of(log.name)
-    return SurveyedLog(
+    return LogScore(
         folder=reading.folder,
         ground_truth=TruthOf(reading.ground_truth, log.name, len(rows), table.digest_of(rows)),
         name=log.name,
         ids=log.landmarks.ids,
-        methods=log.methods,
         recording=recording(reading.folder, log.run, len(log.frame_index)),
-        truth_check=truth_check,
+        check=check,
         error=error,
-        case=case if whole else None,
-        part=part,
+        not_whole=not_whole(log, "scored"),
+        counts=counts,
     )
+
+
+def first_ids(folders: Iterable[Path], landmarks: str | None) -> tuple[int, ...]:
+    """The landmark IDs of the first log whose run.toml can be read: all are counted in its order.
+
+    landmarks: a set in place of that of run.toml.
+    """
+    for folder in folders:
+        with suppress(SonarrecError):
+            return read_run(folder / "run.toml").landmark_set(landmarks).ids
+    return ()
 
 
 @lru_cache(maxsize=1)
@@ -115,16 +183,16 @@ def truth_table(path: Path) -> TruthTable:
 
 
 Log = TypeVar("Log")
-Counts = TypeVar("Counts")
+Found = TypeVar("Found")
 
 
 def map_logs(
-    work: Callable[[Log], Counts],
+    work: Callable[[Log], Found],
     readings: Sequence[Log],
     folders: Iterable[Path],
     jobs: int | None,
-) -> Iterator[Counts]:
-    """Yield the result of `work`, such as `survey`, for each log, in order.
+) -> Iterator[Found]:
+    """Yield the result of `work`, such as `score_log`, for each log, in order.
 
     folders: the results that are read. jobs: number of processes; default: the number of cores, or
     fewer if the results are small.
@@ -149,9 +217,9 @@ def map_logs(
             workers.shutdown(wait=False, cancel_futures=True)
 
 
-def _in_order(starts: Iterable[Callable[[], Future[Counts]]], jobs: int) -> Iterator[Counts]:
+def _in_order(starts: Iterable[Callable[[], Future[Found]]], jobs: int) -> Iterator[Found]:
     """Results in order; only some tasks run ahead, since their results are kept in memory."""
-    ahead: deque[Future[Counts]] = deque()
+    ahead: deque[Future[Found]] = deque()
     for start in starts:
         ahead.append(start())
         if len(ahead) > 2 * jobs:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sonarrec.arrays import IntArray
-from sonarrec.evaluation.counting.scoring import PROTOCOLS, Scored, score
-from sonarrec.evaluation.matching.joined import Joined
+from sonarrec.evaluation.judge import PROTOCOLS, judge
+from sonarrec.evaluation.match import Matched
 
 CHANGE = np.dtype([("frame", "i4"), ("landmark", "i4"), ("old", "i2", 3), ("new", "i2", 3)])
+NONE = np.empty(0, dtype=CHANGE)
 VERDICTS = {"better": -1, "worse": 1, "other": 0}
 """The sign of the number of errors that came."""
 GAP = 2
@@ -59,25 +60,23 @@ class FrameRun:
 class FrameChanges:
     """All changes."""
 
-    rows: Mapping[int, ByMethod]
-    """By the number of the log."""
-    logs: tuple[tuple[int, str], ...]
-    """Number and name of each log that counts, in order."""
+    logs: tuple[tuple[str, ByMethod], ...]
+    """The name of each log, and its changes."""
     methods: tuple[tuple[str, str], ...]
     """Protocol and method, in order."""
 
     def __iter__(self) -> Iterator[FrameChange]:
         for protocol, method in self.methods:
-            for number, log in self.logs:
-                for row in self._rows(protocol, method, number):
+            for log, changes in self.logs:
+                for row in changes.get((protocol, method), NONE):
                     yield _change(protocol, method, log, row)
 
     def verdicts(self) -> dict[str, int]:
         """How many changes are better, worse and other."""
         counts: Counter[int] = Counter()
         for of in self.methods:
-            for number, _ in self.logs:
-                counts.update(np.sign(_more_errors(self._rows(*of, number))).tolist())
+            for _, changes in self.logs:
+                counts.update(np.sign(_more_errors(changes.get(of, NONE))).tolist())
         return {name: counts[sign] for name, sign in VERDICTS.items()}
 
     def runs(
@@ -87,14 +86,11 @@ class FrameChanges:
 
         Runs of equal length are ordered by protocol, method, log, ID and change.
         """
-        numbers: dict[str, list[int]] = {}
-        for number, log in self.logs:
-            numbers.setdefault(log, []).append(number)
         longest: list[FrameRun] = []
         count = 0
         for of in sorted(m for m in self.methods if protocol in (None, m[0])):
-            for log in sorted(numbers):
-                rows = np.concatenate([self._rows(*of, number) for number in numbers[log]])
+            for log, changes in sorted(self.logs, key=lambda named: named[0]):
+                rows = changes.get(of, NONE)
                 if verdict is not None:
                     rows = rows[np.sign(_more_errors(rows)) == VERDICTS[verdict]]
                 rows, start, length = _runs(rows)
@@ -107,50 +103,29 @@ class FrameChanges:
                 longest = heapq.nsmallest(most, longest, key=lambda run: -run.count)
         return longest, count
 
-    def _rows(self, protocol: str, method: str, number: int) -> npt.NDArray[Any]:
-        return self.rows[number].get((protocol, method), np.empty(0, dtype=CHANGE))
 
-
-def changed_frames(
-    before: tuple[Joined, Sequence[Scored]], after: tuple[Joined, Sequence[Scored]]
-) -> ByMethod:
+def changed_frames(before: Matched, after: Matched) -> ByMethod:
     """The changes in one log, whose frames and truth are the same before and after.
 
     A method that is missing on one side counts as making no claims there.
     """
-    methods = tuple(dict.fromkeys((*before[0].methods, *after[0].methods)))
-    placed = before[0].placed and after[0].placed
-    changes = {}
-    for protocol in PROTOCOLS if placed else PROTOCOLS[:1]:
-        for method in methods:
-            a, b = (_scored_or_silent(*side, protocol, method) for side in (before, after))
-            rows = _changes_between(a, b, after[0])
+    frames, ids = len(after.frame), np.array(after.ids)
+    found = {}
+    for protocol in PROTOCOLS if before.placed and after.placed else PROTOCOLS[:1]:
+        for method in dict.fromkeys((*before.methods, *after.methods)):
+            old, new = (
+                judge(log, method, protocol).declared(
+                    np.arange(frames), log.truth_frame_index, frames
+                )[:, :, [0, 2, 3]]
+                for log in (before, after)
+            )
+            frame, k = np.nonzero((old != new).any(axis=2))
+            rows = np.empty(len(frame), dtype=CHANGE)
+            rows["frame"], rows["landmark"] = after.frame[frame], ids[k]
+            rows["old"], rows["new"] = old[frame, k], new[frame, k]
             if len(rows):
-                changes[protocol, method] = rows
-    return changes
-
-
-def _scored_or_silent(
-    joined: Joined, scored: Sequence[Scored], protocol: str, method: str
-) -> Scored:
-    """One method under one protocol; without claims if the method is missing."""
-    for one in scored:
-        if (one.protocol, one.method) == (protocol, method):
-            return one
-    more = replace(joined, methods=(*joined.methods, method))
-    return score(more, len(joined.methods), protocol)
-
-
-def _changes_between(a: Scored, b: Scored, joined: Joined) -> npt.NDArray[Any]:
-    """The CHANGEs of one method from a (old) to b (new)."""
-    frames = len(joined.frame)
-    cells = [s.declared_by(np.arange(frames), joined.truth_frame_index, frames) for s in (a, b)]
-    old, new = (c[:, :, [0, 2, 3]] for c in cells)
-    frame, k = np.nonzero((old != new).any(axis=2))
-    rows = np.empty(len(frame), dtype=CHANGE)
-    rows["frame"], rows["landmark"] = joined.frame[frame], np.array(joined.ids)[k]
-    rows["old"], rows["new"] = old[frame, k], new[frame, k]
-    return rows
+                found[protocol, method] = rows
+    return found
 
 
 def _more_errors(rows: npt.NDArray[Any]) -> IntArray:

@@ -1,1 +1,0 @@
-"""Two sets of results on one truth, held against each other."""

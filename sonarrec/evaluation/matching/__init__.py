@@ -1,1 +1,0 @@
-"""Which truth goes with which results, and which claim lies on which landmark."""
