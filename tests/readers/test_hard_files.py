@@ -8,6 +8,8 @@ import struct
 import subprocess
 import sys
 import time
+import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -23,6 +25,9 @@ from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.messages import images as mcap_images
 from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.raw import UnusableError
+from sonarrec.simulation.mcap_writer import McapImageWriter
+from sonarrec.sonar import Sonar
+from tests.studies.memory import peak_of_reading
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 
 IMAGES = frames(6)
@@ -238,6 +243,9 @@ os.close(2)
 from pathlib import Path
 from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
+from sonarrec.simulation.mcap_writer import McapImageWriter
+from sonarrec.sonar import Sonar
+from tests.studies.memory import peak_of_reading
 for _ in range(2):
     try:
         decode_image(Path({str(tmp_path / "a.jpg")!r}).read_bytes())
@@ -374,6 +382,82 @@ def test_a_bag_that_is_still_recorded_has_a_hint(tmp_path: Path) -> None:
     (tmp_path / "dive.bag.active").write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(SonarrecError, match="`rosbag reindex dive"):
         open_log(tmp_path / "dive.bag.active")
+
+
+def png_of_size(rows: int, columns: int) -> bytes:
+    data = bytearray(cv2.imencode(".png", IMAGES[0])[1].tobytes())
+    data[16:24] = struct.pack(">II", columns, rows)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    return bytes(data)
+
+
+def jpeg_of_size(rows: int, columns: int) -> bytes:
+    data = bytearray(cv2.imencode(".jpg", IMAGES[0])[1].tobytes())
+    at = data.index(b"\xff\xc0")
+    data[at + 5 : at + 9] = struct.pack(">HH", rows, columns)
+    return bytes(data)
+
+
+def png_of_chunk(length: int) -> bytes:
+    data = bytearray(cv2.imencode(".png", IMAGES[0])[1].tobytes())
+    data[33:37] = struct.pack(">I", length)  # of the first chunk after the header
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [png_of_size(30000, 30000), jpeg_of_size(60000, 60000), png_of_chunk(2**32 - 1)],
+    ids=["png", "jpeg", "png chunk"],
+)
+def test_no_room_is_made_for_what_an_image_claims(image: bytes, tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        (tmp_path / name).write_bytes(cv2.imencode(".png", IMAGES[0])[1].tobytes())
+    (tmp_path / "aa.png").write_bytes(image)
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    frames_read, peak = peak_of_reading(tmp_path)
+    assert frames_read == 2
+    assert peak < 150
+
+
+def test_images_cut_short(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    image = rng.integers(0, 256, (60, 80), dtype=np.uint8)
+    (tmp_path / "whole.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
+    suffixes = (".png", ".jpg", ".tiff", ".bmp", ".pgm")
+    for suffix in suffixes:
+        data = cv2.imencode(suffix, image)[1].tobytes()
+        (tmp_path / f"cut{suffix}").write_bytes(data[: len(data) // 2])
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    with open_log(tmp_path) as opened:
+        assert len(list(opened)) == 1
+    assert len(opened.diagnostics.problems) == len(suffixes)
+
+
+def test_a_fan_too_large_to_make(tmp_path: Path) -> None:
+    """A window of 1 m at 1 km: bins of 1 cm ask for a fan of 100,000 pixels a side."""
+    bearings = tuple(np.linspace(-65, 65, 20).tolist())
+    sonar = Sonar(range_min_m=1000, range_max_m=1001, tilt_deg=20, bearings_deg=bearings)
+    path = tmp_path / "log.mcap"
+    (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
+    with McapImageWriter(
+        path, schema="sonar_oculus/msg/OculusPing", sonar=sonar.complete("test")
+    ) as writer:
+        writer.write(0, np.zeros((100, 20), np.uint8))
+    with pytest.raises(SonarrecError, match="186167 x 100100 pixels"), open_log(path) as opened:
+        list(opened)
+
+
+def test_a_window_too_short_to_be_meant(tmp_path: Path) -> None:
+    bearings = tuple(np.linspace(-30, 30, 20).tolist())
+    sonar = Sonar(range_min_m=1, range_max_m=2, tilt_deg=20, bearings_deg=bearings).complete("test")
+    sonar = replace(sonar, range_max_m=1.001)
+    path = tmp_path / "log.mcap"
+    (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
+    schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
+    with McapImageWriter(path, schema=schema, sonar=sonar) as writer:
+        writer.write(0, np.zeros((100, 20), np.uint8))
+    with pytest.raises(SonarrecError, match=r"a window of 0\.00099.* m"), open_log(path) as opened:
+        list(opened)
 
 
 @pytest.mark.skipif(not CASES.exists(), reason="the recordings are not here")

@@ -1,38 +1,41 @@
-"""MCAP files that are damaged, unindexed, overlapping, giant or lying."""
+"""MCAP files that are damaged, unindexed, overlapping, giant or lying, and what is told of each."""
 
 from __future__ import annotations
 
 import errno
 import struct
-import zlib
-from dataclasses import replace
+from collections.abc import Callable
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 
-import cv2
-import lz4.block
 import lz4.frame
 import numpy as np
 import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import NonSeekingReader
 from mcap.records import Channel, Schema, Statistics
+from mcap.writer import Writer
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.mcap import chunks, in_order
-from sonarrec.simulation.mcap_writer import McapImageWriter
-from sonarrec.sonar import Sonar
+from sonarrec.readers.containers.mcap import chunks, recording
+from sonarrec.readers.containers.mcap.recording import McapRecording
+from sonarrec.readers.messages.images import ChannelImages
 from tests.studies.memory import peak_of_reading, shapes
-from tests.support.hard_logs import HardLog, built, record
-from tests.support.logs import PERIOD_NS, cdr_image, frames
+from tests.support.hard_logs import HardLog, built, message, record
+from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames
 from tests.support.slow import but_first
 
 IMAGES = frames(12, 20, 20)
 TIMED = [(k * PERIOD_NS, cdr_image(image)) for k, image in enumerate(IMAGES)]
+HEAD = 9 + 22  # of a record, of a message
+ALL = list(range(12))
+WITHOUT_SECOND = [0, 1, 2, *range(6, 12)]
+"""The frames of the other chunks, of three each."""
 
 
 def read(path: Path) -> tuple[list[Frame], list[str]]:
@@ -40,59 +43,141 @@ def read(path: Path) -> tuple[list[Frame], list[str]]:
         return list(log), log.diagnostics.problems
 
 
-def assert_frames(found: list[Frame], numbers: list[int]) -> None:
-    """The frames of IMAGES with these numbers, which they keep, and no others."""
-    assert [f.index for f in found] == numbers
+def numbers(found: list[Frame]) -> list[int]:
+    """The frames' numbers, each of which must show its own image at its own time."""
     for frame in found:
         np.testing.assert_array_equal(frame.image, IMAGES[frame.index])
         assert frame.timestamp_ns == frame.index * PERIOD_NS
+    return [frame.index for frame in found]
 
 
-# Damage
+def by_times(found: list[Frame]) -> list[int]:
+    """Which frames these are, by their times: their numbers may be too low."""
+    for frame in found:
+        np.testing.assert_array_equal(frame.image, IMAGES[frame.timestamp_ns // PERIOD_NS])
+    return [frame.timestamp_ns // PERIOD_NS for frame in found]
 
 
-def flip(path: Path, place: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[place] ^= 0x10
-    path.write_bytes(data)
-
-
-@pytest.mark.parametrize(
-    ("compression", "indexed"), [("", True), ("", False), ("lz4", True), ("zstd", False)]
-)
-def test_a_chunk_that_fails_its_checksum(compression: str, indexed: bool, tmp_path: Path) -> None:
-    """It is skipped and counted; where the index tells, the frames after it keep their numbers."""
-    path = tmp_path / "log.mcap"
+def four_chunks(path: Path, compression: str = "", **how: bool) -> list[int]:
+    """Twelve frames in four chunks, and where these begin."""
     with HardLog(path) as log:
         for first in range(0, 12, 3):
-            log.chunk(TIMED[first : first + 3], compression, indexed=indexed)
-    flip(path, log.positions[1] + 150)
-    found, problems = read(path)
-    assert f"the chunk at byte {log.positions[1]} " in problems[0]
-    if indexed:
-        assert_frames(found, [0, 1, 2, *range(6, 12)])
-        assert len(problems) == 1
-        assert problems[0].endswith("; its 3 frames are lost")
-    else:
-        assert [f.timestamp_ns // PERIOD_NS for f in found] == [0, 1, 2, *range(6, 12)]
-        assert problems[1:] == ["log.mcap: in all, 3 of 12 frames are lost"]
+            log.chunk(TIMED[first : first + 3], compression, **how)
+    return log.positions
 
 
-def test_a_chunk_without_a_checksum_is_read(tmp_path: Path) -> None:
+# Damage to the second of four chunks
+
+Change = Callable[[bytearray, int], None]
+
+
+def flip(data: bytearray, at: int) -> None:
+    data[at] ^= 0x10
+
+
+def record_of(number: int, data: bytearray) -> int:
+    """Where the record of a message begins."""
+    return data.index(TIMED[number][1]) - HEAD
+
+
+def a_byte(data: bytearray, chunk: int) -> None:
+    flip(data, chunk + 150)
+
+
+def length_of_record(value: int) -> Change:
+    return lambda data, _: struct.pack_into("<Q", data, record_of(4, data) + 1, value)
+
+
+def length_of_chunk(value: int) -> Change:
+    return lambda data, chunk: struct.pack_into("<Q", data, chunk + 1, value)
+
+
+def channel_of_message(data: bytearray, _: int) -> None:
+    flip(data, record_of(4, data) + 9)
+
+
+LOST = "; its 3 frames are lost"
+UNCOUNTED = "in all, 3 of 12 frames are lost"
+GOES_ON = "where the index knows what follows"
+CASES = {
+    "checksum": ({}, a_byte, WITHOUT_SECOND, ["fails its checksum" + LOST]),
+    "checksum, lz4": ({"compression": "lz4"}, a_byte, WITHOUT_SECOND, [LOST]),
+    "checksum, no index": ({"indexed": False}, a_byte, None, ["fails its", UNCOUNTED]),
+    "zstd, no index": ({"compression": "zstd", "indexed": False}, a_byte, None, [UNCOUNTED]),
+    "record of no length": ({"crc": False}, length_of_record(0), WITHOUT_SECOND, [LOST]),
+    "record of 200": (
+        *({"crc": False}, length_of_record(200), WITHOUT_SECOND),
+        ["(`mcap recover` may save some)" + LOST],
+    ),
+    "record beyond all": (
+        *({"crc": False}, length_of_record(2**40), WITHOUT_SECOND),
+        ["is damaged at byte ", "(`mcap recover` may save some)" + LOST],
+    ),
+    "record beyond all, no index": (
+        *({"crc": False, "indexed": False}, length_of_record(2**40), None),
+        ["is damaged at byte ", "`mcap recover`", UNCOUNTED],
+    ),
+    "channel": (
+        *({"crc": False}, channel_of_message, WITHOUT_SECOND),
+        ["does not hold what its index names (`mcap recover` may save some)" + LOST],
+    ),
+    "chunk of 1": (
+        *({"compression": "zstd"}, length_of_chunk(1), None),
+        [GOES_ON, "contradicts its own length", UNCOUNTED],
+    ),
+    "chunk of 200": ({}, length_of_chunk(200), None, [GOES_ON, "contradicts its own", UNCOUNTED]),
+    "chunk beyond all": ({"compression": "zstd"}, length_of_chunk(2**64 - 1), ALL, [GOES_ON]),
+}
+
+
+@pytest.mark.parametrize(("how", "change", "kept", "told"), CASES.values(), ids=CASES)
+def test_damage_costs_its_own_chunk_and_is_told(
+    how: dict[str, bool], change: Change, kept: list[int] | None, told: list[str], tmp_path: Path
+) -> None:
+    """Where there is an index, the frames after it keep their numbers."""
     path = tmp_path / "log.mcap"
-    with HardLog(path) as log:
-        log.chunk(TIMED, crc=False)
-    assert_frames(read(path)[0], list(range(12)))
+    chunk = four_chunks(path, **how)[1]  # type: ignore[arg-type]
+    assert numbers(read(path)[0]) == ALL
     assert not read(path)[1]
+    data = bytearray(path.read_bytes())
+    change(data, chunk)
+    path.write_bytes(data)
+    found, problems = read(path)
+    if kept is None:
+        assert by_times(found) == WITHOUT_SECOND
+    else:
+        assert numbers(found) == kept
+    assert f"byte {chunk} " in problems[0] or GOES_ON in problems[0]
+    for text in told:
+        assert any(text in line for line in problems), text
+
+
+@pytest.mark.slow
+def test_every_flip_of_a_bit_in_the_head_of_a_message(tmp_path: Path) -> None:
+    """It costs nothing, or it is told; and no frame of another chunk is lost or changes its
+    number."""
+    path = tmp_path / "log.mcap"
+    four_chunks(path, crc=False)
+    data = bytearray(path.read_bytes())
+    at = record_of(4, data)
+    for bit in range(8 * HEAD):
+        damaged = data.copy()
+        damaged[at + bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        found, problems = read(path)
+        lost = set(ALL) - set(numbers(found))
+        assert lost <= {3, 4, 5}, bit
+        assert bool(lost) == bool(problems), bit
 
 
 def test_the_checksum_of_the_data_is_asked_where_chunks_have_none(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with HardLog(path, data_crc=True) as log:
         log.loose(TIMED)
-    assert_frames(read(path)[0], list(range(12)))
-    assert not read(path)[1]
-    flip(path, path.read_bytes().index(TIMED[5][1]) + len(TIMED[5][1]) - 1)
+    assert read(path)[1] == []
+    data = bytearray(path.read_bytes())
+    flip(data, data.index(TIMED[5][1]) + len(TIMED[5][1]) - 1)
+    path.write_bytes(data)
     found, problems = read(path)
     assert len(found) == 12
     assert problems == [
@@ -104,36 +189,12 @@ def test_a_summary_that_fails_its_checksum_is_not_used(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:
         log.chunk(TIMED)
-    data = path.read_bytes()
-    place = data.rindex(struct.pack("<HQ", 1, 12))  # messages counted on channel 1
-    flip(path, place + 2)
-    found, problems = read(path)
-    assert_frames(found, list(range(12)))
-    assert problems == ["log.mcap: the summary fails its checksum and was not used"]
-
-
-@pytest.mark.parametrize(("value", "compression"), [(1, "zstd"), (200, ""), (2**64 - 1, "zstd")])
-def test_a_lying_length_is_passed_over_by_the_index(
-    value: int, compression: str, tmp_path: Path
-) -> None:
-    """The length of the second chunk's record: what the index knows behind it is still read, and
-    the chunk itself where its record states more than it needs."""
-    path = tmp_path / "log.mcap"
-    with HardLog(path) as log:
-        for first in range(0, 12, 3):
-            log.chunk(TIMED[first : first + 3], compression)
     data = bytearray(path.read_bytes())
-    struct.pack_into("<Q", data, log.positions[1] + 1, value)
+    flip(data, data.rindex(struct.pack("<HQ", 1, 12)) + 2)  # messages counted on channel 1
     path.write_bytes(data)
     found, problems = read(path)
-    text = "\n".join(problems)
-    assert f"read on from byte {log.positions[2]}, where the index knows what follows" in text
-    if value > len(data):
-        assert_frames(found, list(range(12)))
-        return
-    assert [f.timestamp_ns // PERIOD_NS for f in found] == [0, 1, 2, *range(6, 12)]
-    assert f"the chunk at byte {log.positions[1]} contradicts its own length" in text
-    assert "in all, 3 of 12 frames are lost" in text
+    assert numbers(found) == ALL
+    assert problems == ["log.mcap: the summary fails its checksum and was not used"]
 
 
 def test_a_chunk_record_may_end_with_fields_of_a_later_version(tmp_path: Path) -> None:
@@ -145,7 +206,7 @@ def test_a_chunk_record_may_end_with_fields_of_a_later_version(tmp_path: Path) -
     struct.pack_into("<Q", data, log.positions[0] + 1, length + 7)
     end = log.positions[0] + 9 + length
     path.write_bytes(data[:end] + b"written" + data[end:])
-    assert_frames(read(path)[0], list(range(12)))
+    assert numbers(read(path)[0]) == ALL
 
 
 def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(tmp_path: Path) -> None:
@@ -157,7 +218,7 @@ def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(tmp_path: P
     struct.pack_into("<Q", data, log.positions[0] + 1, 1)  # its length
     path.write_bytes(data)
     found, problems = read(path)
-    assert_frames(found, list(range(6)))
+    assert numbers(found) == list(range(6))
     assert "contradicts its own length" in problems[1] + problems[0]
     assert any("the rest cannot be counted" in line for line in problems)
 
@@ -168,18 +229,15 @@ def test_a_time_that_lies(tmp_path: Path) -> None:
     with HardLog(path) as log:
         for first in range(0, 12, 3):
             log.chunk(TIMED[first : first + 3], start=0)
-    assert_frames(read(path)[0], list(range(12)))
+    assert numbers(read(path)[0]) == ALL
     with HardLog(path) as log:
         log.chunk(TIMED[:3], start=2**63)
         log.chunk(TIMED[3:])
     found, problems = read(path)
-    assert [f.timestamp_ns // PERIOD_NS for f in found] == [*range(3, 12), 0, 1, 2]
+    assert by_times(found) == [*range(3, 12), 0, 1, 2]
     assert problems == [
         "log.mcap: a chunk states a later time than it holds; frames are out of order there"
     ]
-
-
-# Bombs
 
 
 @pytest.mark.parametrize(
@@ -191,7 +249,7 @@ def test_a_chunk_that_lies_about_its_size(compression: str, declared: int, tmp_p
         log.chunk(TIMED[:6], compression, size=declared)
         log.chunk(TIMED[6:], compression)
     found, problems = read(path)
-    assert_frames(found, list(range(6, 12)))
+    assert numbers(found) == [*range(6, 12)]
     assert f"the chunk at byte {log.positions[0]} " in problems[0]
     assert f" {declared} bytes" in problems[0]
 
@@ -201,11 +259,14 @@ def test_bombs_are_given_up_at_the_size_they_declare(tmp_path: Path) -> None:
         "zstd": zstandard.compress(bytes(2**28)),
         "lz4": lz4.frame.compress(bytes(2**28), block_size=lz4.frame.BLOCKSIZE_MAX4MB),
     }
+    wide = zstandard.ZstdCompressionParameters(window_log=30, enable_ldm=True)
+    compressor = zstandard.ZstdCompressor(compression_params=wide).compressobj()
+    window = compressor.compress(bytes(1000)) + compressor.flush()
     path = tmp_path / "log.mcap"
     with HardLog(path, finished=False) as log:
         log.chunk(TIMED)
     data = path.read_bytes()
-    for name, bomb in bombs.items():
+    for name, bomb in [*bombs.items(), ("zstd", window)]:
         head = struct.pack("<QQQII", 0, 0, 2**20, 0, len(name)) + name.encode()
         data += record(0x06, head + struct.pack("<Q", len(bomb)) + bomb)
     path.write_bytes(data)
@@ -213,128 +274,40 @@ def test_bombs_are_given_up_at_the_size_they_declare(tmp_path: Path) -> None:
     assert frames_read == 12
     assert peak < 150
     problems = read(path)[1]
+    assert any("does not inflate" in p and "memory" in p for p in problems)  # zstd --long=31
     assert sum("inflates to more than the 1048576 bytes it declares" in p for p in problems) == 2
 
 
-def test_a_window_beyond_the_bound_is_refused(tmp_path: Path) -> None:
-    """zstd --long=31: the decoder would have to keep 2 GB."""
-    parameters = zstandard.ZstdCompressionParameters(window_log=30, enable_ldm=True)
-    compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
-    data = compressor.compress(bytes(1000)) + compressor.flush()
-    path = tmp_path / "log.mcap"
-    with HardLog(path, finished=False) as log:
-        log.chunk(TIMED)
-    head = struct.pack("<QQQII", 0, 0, 1000, 0, 4) + b"zstd" + struct.pack("<Q", len(data))
-    with path.open("ab") as file:
-        file.write(record(0x06, head + data))
-    found, problems = read(path)
-    assert_frames(found, list(range(12)))
-    assert any("does not inflate" in p and "memory" in p for p in problems)
-
-
 def test_a_message_beyond_the_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(in_order, "MAX_FRAME_BYTES", 500)
+    monkeypatch.setattr(recording, "MAX_FRAME_BYTES", 500)
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:
         log.loose([TIMED[0], (PERIOD_NS, bytes(600)), *TIMED[2:]])
     found, problems = read(path)
-    assert_frames(found, [0, *range(2, 12)])
+    assert numbers(found) == [0, *range(2, 12)]
     assert "message of 622 bytes, more than is read" in problems[0]
 
 
-# Images that are not what their headers say
-
-
-def png_of_size(rows: int, columns: int) -> bytes:
-    data = bytearray(cv2.imencode(".png", IMAGES[0])[1].tobytes())
-    data[16:24] = struct.pack(">II", columns, rows)
-    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
-    return bytes(data)
-
-
-def jpeg_of_size(rows: int, columns: int) -> bytes:
-    data = bytearray(cv2.imencode(".jpg", IMAGES[0])[1].tobytes())
-    at = data.index(b"\xff\xc0")
-    data[at + 5 : at + 9] = struct.pack(">HH", rows, columns)
-    return bytes(data)
-
-
-def png_of_chunk(length: int) -> bytes:
-    data = bytearray(cv2.imencode(".png", IMAGES[0])[1].tobytes())
-    data[33:37] = struct.pack(">I", length)  # of the first chunk after the header
-    return bytes(data)
-
-
-@pytest.mark.parametrize(
-    "image",
-    [png_of_size(30000, 30000), jpeg_of_size(60000, 60000), png_of_chunk(2**32 - 1)],
-    ids=["png", "jpeg", "png chunk"],
-)
-def test_no_room_is_made_for_what_an_image_claims(image: bytes, tmp_path: Path) -> None:
-    for name in ("a.png", "b.png"):
-        (tmp_path / name).write_bytes(cv2.imencode(".png", IMAGES[0])[1].tobytes())
-    (tmp_path / "aa.png").write_bytes(image)
-    with HardLog(tmp_path / "unused.mcap"):
-        pass  # its sonar.toml serves
-    frames_read, peak = peak_of_reading(tmp_path)
-    assert frames_read == 2
-    assert peak < 150
-
-
-def test_images_cut_short(tmp_path: Path) -> None:
-    rng = np.random.default_rng(2)
-    image = rng.integers(0, 256, (60, 80), dtype=np.uint8)
-    (tmp_path / "whole.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
-    suffixes = (".png", ".jpg", ".tiff", ".bmp", ".pgm")
-    for suffix in suffixes:
-        data = cv2.imencode(suffix, image)[1].tobytes()
-        (tmp_path / f"cut{suffix}").write_bytes(data[: len(data) // 2])
-    with HardLog(tmp_path / "unused.mcap"):
-        pass
-    found, problems = read(tmp_path)
-    assert len(found) == 1
-    assert len(problems) == len(suffixes)
-
-
-def test_a_fan_too_large_to_make(tmp_path: Path) -> None:
-    """A window of 1 m at 1 km: bins of 1 cm ask for a fan of 100,000 pixels a side."""
-    bearings = tuple(np.linspace(-65, 65, 20).tolist())
-    sonar = Sonar(range_min_m=1000, range_max_m=1001, tilt_deg=20, bearings_deg=bearings)
+def test_messages_of_no_channel_and_too_short_ones_are_told(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    with HardLog(path):
-        pass
-    (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
-    with McapImageWriter(
-        path, schema="sonar_oculus/msg/OculusPing", sonar=sonar.complete("test")
-    ) as writer:
-        writer.write(0, np.zeros((100, 20), np.uint8))
-    with pytest.raises(SonarrecError, match="186167 x 100100 pixels"):
-        read(path)
-
-
-def test_a_window_too_short_to_be_meant(tmp_path: Path) -> None:
-    bearings = tuple(np.linspace(-30, 30, 20).tolist())
-    sonar = Sonar(range_min_m=1, range_max_m=2, tilt_deg=20, bearings_deg=bearings).complete("test")
-    sonar = replace(sonar, range_max_m=1.001)
-    path = tmp_path / "log.mcap"
-    (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
-    schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
-    with McapImageWriter(path, schema=schema, sonar=sonar) as writer:
-        writer.write(0, np.zeros((100, 20), np.uint8))
-    with pytest.raises(SonarrecError, match=r"a window of 0\.00099.* m"):
-        read(path)
-
-
-def test_an_odd_first_frame_does_not_cost_the_others(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with HardLog(path) as log:
-        log.loose([(0, cdr_image(IMAGES[0][:-2])), *TIMED[1:]])
+    four_chunks(path, crc=False, indexed=False)
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<H", data, record_of(3, data) + 9, 77)
+    path.write_bytes(data)
     found, problems = read(path)
-    assert_frames(found, list(range(1, 12)))
-    assert problems == ["message 0 of /a: 20 x 18 pixels in a log of 20 x 20, skipped"]
-
-
-# Definitions that lie
+    assert by_times(found) == [0, 1, 2, *range(4, 12)]
+    assert any("1 messages of channels that nothing defines" in p for p in problems)
+    with HardLog(path, finished=False) as log:
+        log.loose(TIMED)
+    stray = message(5, b"data", channel=9) + record(0x05, b"short") + record(0x33, b"")
+    path.write_bytes(path.read_bytes() + stray)
+    found, problems = read(path)
+    assert numbers(found) == ALL
+    assert problems[1:] == [
+        "log.mcap: not read: 1 messages too short for a head",
+        "log.mcap: not read: 1 records of no known kind",
+        "log.mcap: not read: 1 messages of channels that nothing defines",
+    ]
 
 
 def test_definitions_that_lie_about_their_sizes(tmp_path: Path) -> None:
@@ -363,7 +336,7 @@ def test_definitions_that_lie_about_their_sizes(tmp_path: Path) -> None:
     ]
     path.write_bytes(data[:8] + b"".join(lies) + data[8:])
     found, problems = read(path)
-    assert_frames(found, list(range(12)))
+    assert numbers(found) == ALL
     assert "cut short" in problems[0]
     assert problems[1:] == [
         "log.mcap: not read: 6 damaged definitions",
@@ -378,8 +351,80 @@ def test_counts_that_lie_are_only_counts(tmp_path: Path) -> None:
         log._count = 40
     with open_log(path) as opened:
         assert opened.frame_count == 40
-        assert_frames(list(opened), list(range(12)))
+        assert numbers(list(opened)) == ALL
     assert opened.diagnostics.problems == ["log.mcap: in all, 28 of 40 frames are lost"]
+
+
+def test_what_follows_the_footer_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    four_chunks(path)
+    data = path.read_bytes()
+    for more, says in ((data, ": another recording begins there"), (b"garbage" * 9, "read")):
+        path.write_bytes(data + more)
+        found, problems = read(path)
+        assert numbers(found) == ALL
+        (problem,) = problems
+        assert f"{len(more)} bytes follow its end at byte {len(data)} and were not read" in problem
+        assert says in problem
+
+
+@pytest.mark.parametrize(
+    ("schemas", "channels", "statistics"),
+    [(False, False, False), (False, True, True), (True, False, True), (True, True, False)],
+)
+def test_what_only_a_chunk_defines(
+    schemas: bool, channels: bool, statistics: bool, tmp_path: Path
+) -> None:
+    """As the mcap package reads them too."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        writer = Writer(
+            file,
+            chunk_size=2000,
+            use_statistics=statistics,
+            repeat_schemas=schemas,
+            repeat_channels=channels,
+        )
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for moment, data in TIMED:
+            writer.add_message(channel, moment, data, moment)
+        writer.finish()
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    with path.open("rb") as file:
+        assert len(list(NonSeekingReader(file).iter_messages())) == 12
+    with open_log(path) as log:
+        assert log.frame_count == 12
+        assert numbers(list(log)) == ALL
+    assert not log.diagnostics.problems
+
+
+@pytest.mark.parametrize("compression", ["", "zstd"])
+@pytest.mark.parametrize("how", ["cut", "zeroed", "noise"])
+def test_a_recording_that_changes_while_it_is_read(
+    how: str, compression: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "log.mcap"
+    four_chunks(path, compression)
+    data = path.read_bytes()
+    reader = ChannelImages(McapRecording(path))
+    try:
+        passed = iter(reader)
+        next(passed)
+        if how == "cut":
+            with path.open("r+b") as file:
+                file.truncate(len(data) // 3)
+        else:
+            noise = np.random.default_rng(0).bytes(len(data))
+            path.write_bytes(noise if how == "noise" else bytes(len(data)))
+        rest = list(passed)
+    except SonarrecError:
+        return
+    finally:
+        reader.close()
+    assert len([f for f in rest if f.pixels is not None]) < 11
+    assert reader.diagnostics.faults
 
 
 # Overlap, order, memory
@@ -394,19 +439,19 @@ def test_any_spread_over_chunks_gives_log_time_order(
     """Chunks in any order, overlapping, unsorted inside, of any compression, and loose messages
     between them; with memory for next to none of it."""
     path = tmp_path_factory.mktemp("spread", numbered=True) / "log.mcap"
-    numbers = data.draw(st.permutations(range(12)))
+    order = data.draw(st.permutations(range(12)))
     cuts = sorted(data.draw(st.sets(st.integers(1, 11), max_size=5)))
     held = chunks.HELD_BYTES
     chunks.HELD_BYTES = data.draw(st.sampled_from([0, 1200, held]))
     try:
         with HardLog(path, finished=data.draw(st.booleans())) as log:
             for start, end in pairwise([0, *cuts, 12]):
-                part = [TIMED[n] for n in numbers[start:end]]
+                part = [TIMED[n] for n in order[start:end]]
                 if data.draw(st.booleans()):
                     log.chunk(part, data.draw(st.sampled_from(["", "lz4", "zstd"])))
                 else:
                     log.loose(part)
-        assert_frames(read(path)[0], list(range(12)))
+        assert numbers(read(path)[0]) == ALL
     finally:
         chunks.HELD_BYTES = held
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,24 +53,19 @@ class Recording(ABC):
     diagnostics: is told what is wrong or uncertain, all of it by the end of a pass.
     """
 
-    channels: Mapping[int, Channel]
-    counts: Mapping[int, int]
-    profile: str
-    library: str
-    span: tuple[int, int] | None
-    chunks: Mapping[str, int]
-
     def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
         self.path = path
         self.diagnostics = diagnostics or Diagnostics(path)
+        self.channels = dict[int, Channel]()
+        self.counts, self.chunks = Counter[int](), Counter[str]()
+        self.profile = self.library = ""
+        self.span: tuple[int, int] | None = None
         self.whole = True
 
     @abstractmethod
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
-        """One pass over the messages of some channels, in the order of log time.
-
-        Raises SonarrecError if nothing more can be read.
-        """
+        """One pass over the messages of some channels, in the order of log time. Raises
+        SonarrecError if nothing more can be read."""
 
     @abstractmethod
     def close(self) -> None:
@@ -94,23 +90,4 @@ class Recording(ABC):
                 f"log times go back by {back_ns / 1e9:.1f} s (was the clock set?); frames come in "
                 "the order of log time, so those recorded before and after that may be mixed",
                 about=self.path,
-            )
-
-    def up_to_damage(
-        self, messages: Iterator[Message], count: int, line: Callable[[Exception], str]
-    ) -> Iterator[Message]:
-        """Yield the messages that a library reads, until it raises an error of any kind.
-
-        Libraries do not list the errors that damaged files cause. count: how many messages there
-        should be. line: turns an error into a line.
-        """
-        messages_read = 0
-        try:
-            for message in messages:
-                messages_read += 1
-                yield message
-        except Exception as error:
-            self.whole = False
-            self.fault(
-                f"damaged ({line(error)}): {count - messages_read} of {count} frames are lost"
             )

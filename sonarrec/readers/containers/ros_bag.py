@@ -25,10 +25,8 @@ class RosBag(Recording):
     def __init__(
         self, path: Path, at: Path | None = None, diagnostics: Diagnostics | None = None
     ) -> None:
-        """path: the file's name in messages. at: the file to read, if it is another one.
-
-        Raises SonarrecError if it is no bag or is damaged, OSError if it cannot be read.
-        """
+        """path: the file's name in messages. at: the file to read, if it is another one. Raises
+        SonarrecError if it is no bag or is damaged, OSError if it cannot be read."""
         from rosbags.rosbag1 import Reader
 
         super().__init__(path, diagnostics)
@@ -36,15 +34,16 @@ class RosBag(Recording):
         self._reader = reader
         try:
             reader.open()
-            self.chunks: Counter[str] = Counter()
             for position, chunk in reader.chunks.items():
                 name, bounded = _bounded(chunk)
                 self.chunks[name] += 1
                 reader.chunks[position] = chunk._replace(decompressor=bounded)
-            self.channels = {c.id: _channel(c) for c in reader.connections}
+            for c in reader.connections:
+                definition = c.msgdef.data.encode(errors="replace")
+                self.channels[c.id] = Channel(c.topic, c.msgtype, "ros1msg", definition, "ros1")
             self.counts = Counter({c.id: c.msgcount for c in reader.connections})
-            count = reader.message_count
-            self.span = (reader.start_time, reader.end_time - 1) if count else None
+            if reader.message_count:
+                self.span = reader.start_time, reader.end_time - 1
         except OSError:
             raise
         except Exception as error:  # rosbags does not list what it raises for damaged bags
@@ -52,12 +51,19 @@ class RosBag(Recording):
             raise SonarrecError(
                 f"{path}: not a whole bag of ROS 1 ({_line(error)}){hint}"
             ) from None
-        self.profile, self.library = "ros1", ""
+        self.profile = "ros1"
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order."""
-        count = sum(self.counts[c] for c in channels)
-        return self.up_to_damage(self._messages(channels), count, _line)
+        read = 0
+        try:
+            for message in self._messages(channels):
+                read += 1
+                yield message
+        except Exception as error:
+            count = sum(self.counts[c] for c in channels)
+            self.whole = False
+            self.fault(f"damaged ({_line(error)}): {count - read} of {count} frames are lost")
 
     def _messages(self, channels: Collection[int]) -> Iterator[Message]:
         connections = [c for c in self._reader.connections if c.id in channels]
@@ -79,15 +85,11 @@ class RosBag(Recording):
             self._reader.close()
 
 
-class _TooLargeError(Exception):
-    pass
-
-
 def _bounded(chunk: Any) -> tuple[str, Callable[[bytes], bytes]]:
     """(compression, decompressor) of a chunk. rosbags inflates it in one go, however large."""
     plain = chunk.decompressor
     if chunk.datasize > MAX_CHUNK_BYTES:
-        return "none", _refuse
+        return "none", partial(_inflated, None)
     if plain is bz2.decompress:
         return "bz2", partial(_inflated, bz2.BZ2Decompressor)
     if plain is lz4.frame.decompress:
@@ -95,19 +97,13 @@ def _bounded(chunk: Any) -> tuple[str, Callable[[bytes], bytes]]:
     return "none", plain
 
 
-def _refuse(_: bytes) -> bytes:
-    raise _TooLargeError(f"a chunk of more than {MAX_CHUNK_BYTES} bytes")
-
-
-def _inflated(decompressor: Callable[[], Any], stored: bytes) -> bytes:
-    inflate = decompressor()
-    inflated: bytes = inflate.decompress(stored, max_length=MAX_CHUNK_BYTES)
-    return inflated if inflate.eof else _refuse(inflated)
-
-
-def _channel(connection: Any) -> Channel:
-    definition = connection.msgdef.data.encode(errors="replace")
-    return Channel(connection.topic, connection.msgtype, "ros1msg", definition, "ros1")
+def _inflated(decompressor: Callable[[], Any] | None, stored: bytes) -> bytes:
+    if decompressor is not None:
+        inflate = decompressor()
+        inflated: bytes = inflate.decompress(stored, max_length=MAX_CHUNK_BYTES)
+        if inflate.eof:
+            return inflated
+    raise ValueError(f"a chunk of more than {MAX_CHUNK_BYTES} bytes")
 
 
 def _line(error: BaseException) -> str:

@@ -63,9 +63,7 @@ class ChunkHead:
 
 def read_chunk_head(file: BinaryIO, position: int, file_size: int) -> ChunkHead | None:
     """Read the head of the chunk record at `position`; None if the file ends inside the head.
-
-    Raises DamagedError if the head contradicts itself.
-    """
+    Raises DamagedError if the head contradicts itself."""
     file.seek(position)
     head = file.read(RECORD_HEAD.size + _CHUNK_HEAD.size)
     if len(head) < RECORD_HEAD.size + _CHUNK_HEAD.size:
@@ -232,10 +230,8 @@ class _Source:
 
 
 def inflated_zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
-    """Inflate zstd frames, a MiB at a time. Of a cut frame only whole blocks are inflated.
-
-    Raises zstandard.ZstdError if they cannot be inflated.
-    """
+    """Inflate zstd frames, a MiB at a time. Of a cut frame only whole blocks are inflated. Raises
+    zstandard.ZstdError if they cannot be inflated."""
     # Nothing can be read of a cut block, because its sequences are coded backwards from its end.
     decoder = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
     with decoder.stream_reader(_Source(stored), read_across_frames=True) as reader:  # type: ignore[arg-type]

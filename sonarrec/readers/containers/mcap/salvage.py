@@ -72,9 +72,7 @@ class McapFile:
 
     def __init__(self, path: Path, at: Path, fault: Callable[[str], None]) -> None:
         """path: the file's name in messages. at: the file to read. fault: is told what is wrong.
-
-        Raises SonarrecError if it is no MCAP file, OSError if it cannot be read.
-        """
+        Raises SonarrecError if it is no MCAP file, OSError if it cannot be read."""
         self.path, self.fault = path, fault
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -125,17 +123,33 @@ class McapFile:
         while not self.whole:
             resume = next((p for p in self._indexed_positions() if p > stop), None)
             if resume is None:
-                self.fault(self._cut_text(stop))
+                what = (
+                    "what is whole before it is read, the rest cannot be counted"
+                    if self._data_end is None
+                    else "only the summary is lost, no message"
+                )
+                self.fault(
+                    f"cut short or damaged at byte {stop} of {self.size} (no footer): {what}"
+                )
                 break
             self.fault(
                 f"damaged at byte {stop}; read on from byte {resume}, where the index knows what "
                 "follows"
             )
             stop = self._scan_from(resume)
-        self._report_what_follows()
+        if self.whole and (more := self.size - self._end):
+            self.file.seek(self._end)
+            another = self.file.read(len(MAGIC)) == MAGIC
+            self.fault(
+                f"{more} bytes follow its end at byte {self._end} and were not read"
+                + (": another recording begins there; cut the file in two" if another else "")
+            )
         loose = self.counts.copy()
-        if not self._summary_is_complete():
-            self._look_into_chunks()
+        for position, channel in zip(self.positions, self.channels_of_units, strict=True):
+            if self._summary_is_complete():
+                break
+            if channel == CHUNK:
+                self._look_into(position)
         if self._statistics is not None and self._summary_is_complete():
             self.counts = Counter(self._statistics.channel_message_counts)
         undefined = sum(n for channel, n in loose.items() if channel not in self.channels)
@@ -145,10 +159,8 @@ class McapFile:
             self.fault(f"not read: {count} {oddity}")
 
     def _summary_is_complete(self) -> bool:
-        """Whether the summary counts all messages, and every channel and schema is defined.
-
-        Some writers leave out the counts by channel, or channels, or schemas.
-        """
+        """Whether the summary counts all messages, and every channel and schema is defined. Some
+        writers leave out the counts by channel, or channels, or schemas."""
         statistics = self._statistics
         if statistics is None:
             return False
@@ -160,27 +172,9 @@ class McapFile:
             and {c.schema_id for c in self.channels.values()} <= {0, *self.schemas}
         )
 
-    def _report_what_follows(self) -> None:
-        """Report bytes behind the footer, where the recording ends; they are not read."""
-        if self.whole and (more := self.size - self._end):
-            self.file.seek(self._end)
-            another = self.file.read(len(MAGIC)) == MAGIC
-            self.fault(
-                f"{more} bytes follow its end at byte {self._end} and were not read"
-                + (": another recording begins there; cut the file in two" if another else "")
-            )
-
-    def _cut_text(self, at: int) -> str:
-        where = f"cut short or damaged at byte {at} of {self.size} (no footer): "
-        if self._data_end is not None:
-            return where + "only the summary is lost, no message"
-        return where + "what is whole before it is read, the rest cannot be counted"
-
     def _scan_from(self, at: int) -> int:
-        """Register every record from `at` to the footer or to the first incomplete record.
-
-        Returns the position at which it stopped.
-        """
+        """Register every record from `at` to the footer or to the first incomplete record. Returns
+        the position at which it stopped."""
         last_times: dict[int, int] = {}
         for opcode, body, length in records_in(Contents(self.file, at, self.size), at):
             if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
@@ -225,10 +219,8 @@ class McapFile:
         self._count(channel, time)
 
     def _end_behind(self, at: int) -> int:
-        """Where the recording ends: behind its footer, or at the file's end if it has none.
-
-        at: where its summary begins.
-        """
+        """Where the recording ends: behind its footer, or at the file's end if it has none. at:
+        where its summary begins."""
         for opcode, body, length in records_in(Contents(self.file, at, self.size), at):
             if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
                 self.file.seek(body + length)
@@ -277,18 +269,8 @@ class McapFile:
         except (struct.error, UnicodeDecodeError, McapError):
             self._oddities["damaged definitions"] += 1
 
-    def _look_into_chunks(self) -> None:
-        """Register the definitions inside the chunks and count their messages.
-
-        It stops as soon as the summary is complete.
-        """
-        for position, channel in zip(self.positions, self.channels_of_units, strict=True):
-            if channel == CHUNK:
-                self._look_into(position)
-                if self._summary_is_complete():
-                    return
-
     def _look_into(self, position: int) -> None:
+        """Register the definitions inside a chunk and count its messages."""
         try:
             contents = self.store.open(self.chunk_at(position))
         except DamagedError:
