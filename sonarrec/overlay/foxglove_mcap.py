@@ -20,7 +20,7 @@ from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
 from sonarrec.overlay import detections
-from sonarrec.readers.messages.foxglove_schemas import json_schema
+from sonarrec.readers.messages.foxglove import json_schema
 from sonarrec.tables.outputs import OVERLAY_LIBRARY, writing
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"

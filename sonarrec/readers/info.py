@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -128,41 +128,33 @@ class LogInfo:
         return bool(self.faults) or any(i.problems for i in self.images)
 
 
-class _CountingLog(RawLog):
-    """A RawLog that counts the frames that pass through it, by size, type and time."""
+@dataclass(slots=True)
+class _Counts:
+    """What the raw frames of a log are, by size, type and time. observe: as in `describe`."""
 
-    def __init__(self, raw: RawLog, observe: Observe | None) -> None:
-        super().__init__(raw.diagnostics)
-        self._raw = raw
-        self._observe = observe
-        self.frame_count, self.topic = raw.frame_count, raw.topic
-        self.polar, self.header_info = raw.polar, raw.header_info
-        self.playback_hz = raw.playback_hz
-        self.frames = self.timed = 0
-        self.sizes: Counter[tuple[int, int]] = Counter()
-        self.pixels: Counter[str] = Counter()
-        self.start_ns: int | None = None
-        self.end_ns: int | None = None
+    frame_count: int | None
+    observe: Observe | None
+    frames: int = 0
+    timed: int = 0
+    sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
+    pixels: Counter[str] = field(default_factory=Counter)
+    start_ns: int | None = None
+    end_ns: int | None = None
 
-    def __iter__(self) -> Iterator[RawFrame]:
-        for frame in self._raw:
-            self.frames += 1
-            if frame.timestamp_ns is not None:
-                self.timed += 1
-                self.start_ns = frame.timestamp_ns if self.start_ns is None else self.start_ns
-                self.end_ns = frame.timestamp_ns
-            if frame.pixels is not None:
-                rows, columns, *channels = frame.pixels.shape
-                self.sizes[rows, columns] += 1
-                name = frame.pixels.dtype.newbyteorder("=").name
-                self.pixels[f"{channels[0]} x {name}" if channels else name] += 1
-            if self._observe is not None:
-                self._observe(self.frame_count)
-            yield frame
-
-    def close(self) -> None:
-        """Close the log."""
-        self._raw.close()
+    def add(self, frame: RawFrame) -> None:
+        """Count a frame."""
+        self.frames += 1
+        if frame.timestamp_ns is not None:
+            self.timed += 1
+            self.start_ns = frame.timestamp_ns if self.start_ns is None else self.start_ns
+            self.end_ns = frame.timestamp_ns
+        if frame.pixels is not None:
+            rows, columns, *channels = frame.pixels.shape
+            self.sizes[rows, columns] += 1
+            name = frame.pixels.dtype.newbyteorder("=").name
+            self.pixels[f"{channels[0]} x {name}" if channels else name] += 1
+        if self.observe is not None:
+            self.observe(self.frame_count)
 
     def rate_hz(self) -> float | None:
         """Frames per second between the first and the last time; None if unknown."""
@@ -204,8 +196,7 @@ def describe(
     images, faults = [], source.diagnostics.faults
     for name in [topic] if topic is not None else topics:
         of_topic = replace(source, diagnostics=Diagnostics(source.path))
-        raw = _CountingLog(of_topic.open(name), observe)
-        images.append(_images(of_topic, raw, stated, where, flags, quick))
+        images.append(_images(of_topic, of_topic.open(name), stated, where, flags, quick, observe))
         faults += [f for f in of_topic.diagnostics.faults if f not in faults]
     size = 0
     for file in source.files:
@@ -247,17 +238,22 @@ def _container(source: Source) -> Container:
 
 
 def _images(
-    source: Source, raw: _CountingLog, stated: Sonar, where: str, flags: Sonar, quick: bool
+    source: Source,
+    raw: RawLog,
+    stated: Sonar,
+    where: str,
+    flags: Sonar,
+    quick: bool,
+    observe: Observe | None,
 ) -> Images:
     """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
-
-    stated: the geometry by file and flags. where: its name in messages. flags: what they state.
-    """
+    stated: the geometry by file and flags. where: its name in messages. flags: what they state."""
     sonar = raw.geometry(stated)
     lacks = [key for key in sonar.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(sonar, lacks)
     usable, plausibility, why = 0, Plausibility(), []
-    with Log(source, complete, raw, "log") as log:
+    counts = _Counts(raw.frame_count, observe)
+    with Log(source, complete, raw, "log", counts.add) as log:
         try:
             if not raw.polar:
                 complete.complete(where)
@@ -281,24 +277,26 @@ def _images(
     polar = raw.polar or layout == "polar"
     height_stated = log.sonar.height_m is not None
     doubts = [] if lacks else plausibility.contradictions(height_stated=height_stated)
-    rows, columns = next(iter(raw.sizes.most_common(1)), ((None, None), 0))[0]
+    rows, columns = next(iter(counts.sizes.most_common(1)), ((None, None), 0))[0]
     return Images(
         topic=raw.topic,
-        frames=raw.frame_count if quick else raw.frames,
+        frames=raw.frame_count if quick else counts.frames,
         usable=None if quick else usable,
         rows=rows,
         columns=columns,
-        pixels=next((name for name, _ in raw.pixels.most_common(1)), None),
-        start_ns=None if quick else raw.start_ns,
-        end_ns=None if quick else raw.end_ns,
-        rate_hz=None if quick else raw.rate_hz(),
+        pixels=next((name for name, _ in counts.pixels.most_common(1)), None),
+        start_ns=None if quick else counts.start_ns,
+        end_ns=None if quick else counts.end_ns,
+        rate_hz=None if quick else counts.rate_hz(),
         layout="polar" if raw.polar else layout,
         polar_messages=raw.polar,
         header=dict(raw.header_info.values),
         geometry={key: value for key, value in geometry.items() if key not in lacks},
         geometry_from=where if where != name_as_text(source.path) else None,
         origins=origins,
-        assumed={} if lacks or log.fan is None else _assumed(log.sonar, log.fan, polar, raw.timed),
+        assumed={}
+        if lacks or log.fan is None
+        else _assumed(log.sonar, log.fan, polar, counts.timed),
         lacks=lacks,
         outline=plausibility.outline,
         notes=[*log.diagnostics.notes, *doubts],
@@ -319,10 +317,8 @@ def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:
 
 
 def _with_stand_ins(stated: Sonar, lacks: list[str]) -> Sonar:
-    """The geometry, with made-up values for the keys that it lacks.
-
-    Which frames can be used does not depend on these values.
-    """
+    """The geometry, with made-up values for the keys that it lacks. Which frames can be used does
+    not depend on these values."""
     near = stated.range_min_m if stated.range_min_m is not None else 0.0
     values = {
         "range_min_m": 0.0,

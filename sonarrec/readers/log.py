@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import chain, islice
 from typing import Any
@@ -35,8 +35,16 @@ class Log:
     assumed so far, because neither frames nor geometry state times.
     """
 
-    def __init__(self, source: Source, stated: Sonar, raw: RawLog, time: Clock) -> None:
-        """raw: the source, opened. time: which of its times names a frame."""
+    def __init__(
+        self,
+        source: Source,
+        stated: Sonar,
+        raw: RawLog,
+        time: Clock,
+        observe: Callable[[RawFrame], None] | None = None,
+    ) -> None:
+        """raw: the source, opened. time: which of its times names a frame. observe: called with
+        each raw frame that is read."""
         self.path = source.path
         self.name = source.name
         self.stated = stated
@@ -45,6 +53,7 @@ class Log:
         self._source = source
         self._raw = raw
         self._time = time
+        self._observe = observe
         origin = "headers" if raw.header_info.values else "messages"
         self._make = FrameMaker(stated, str(source.path), raw.diagnostics, origin)
         self.beam_width_deg: float | None = None
@@ -160,7 +169,7 @@ class Log:
 
     def _settled(self) -> Iterator[RawFrame]:
         """The raw frames, after the first few have decided how all are read."""
-        frames = _of_one_size(self._raw)
+        frames = _of_one_size(self._observed())
         first = _to_settle(frames)
         if self.fan is None:  # else an earlier pass has settled it
             self._make.settle(first)
@@ -171,6 +180,12 @@ class Log:
                 "the header stamps of its first frames are 0; --time log is used instead"
             )
         return chain(first, frames)
+
+    def _observed(self) -> Iterator[RawFrame]:
+        for raw in self._raw:
+            if self._observe is not None:
+                self._observe(raw)
+            yield raw
 
     def _time_of(self, index: int, raw: RawFrame) -> int:
         """The time that names a frame, ns. Raises UnusableError if the frame has no such time."""

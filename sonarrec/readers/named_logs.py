@@ -48,9 +48,7 @@ def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:
 
 def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:
     """The arguments of a command and the lines of a list, without empty lines and # comments.
-
-    Raises UsageError if no log is named.
-    """
+    Raises UsageError if no log is named."""
     lines = (line.strip() for line in listed)
     logs = [*names, *(line for line in lines if line and not line.startswith("#"))]
     if not logs:
@@ -78,24 +76,13 @@ def _logs_below(name: str, recursive: bool) -> list[NamedLog]:
 
 
 def _unreadable_folders(pattern: Path) -> set[Path]:
-    """The folders that a glob would search but that cannot be read.
+    """The folders that a glob would search but that cannot be read, to be reported as logs are.
 
-    Python's glob skips them, and the logs in them, silently. Returned here, they are reported when
-    they are opened.
+    Python's glob skips them, and the logs in them, silently.
     """
     above = pattern.parents[: len(pattern.parents) - len(_fixed(pattern).parents)]
-    folders = (folder for parent in above for folder in matches(os.path.join(parent, "")))  # noqa: PTH118
-    return {folder for folder in set(folders) if not _opens(folder)}
-
-
-def _opens(folder: Path) -> bool:
-    """Whether a folder can be listed, and files in it can be looked up."""
-    try:
-        with os.scandir(folder):
-            os.stat(os.path.join(folder, "."))  # noqa: PTH116, PTH118 - Path leaves the dot out
-    except OSError:
-        return False
-    return True
+    folders = {folder for parent in above for folder in matches(os.path.join(parent, ""))}  # noqa: PTH118
+    return {f for f in folders if not os.access(f, os.R_OK | os.X_OK, effective_ids=True)}
 
 
 def _sorted(logs: Iterable[Path], up_to: Path) -> list[NamedLog]:
@@ -124,10 +111,8 @@ def _holds_results(folder: Path) -> bool:
 
 
 def _is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag or cannot be read.
-
-    A folder that cannot be read is reported when it is opened; skipping it would hide its logs.
-    """
+    """Whether a folder is a bag or cannot be read. A folder that cannot be read is reported when it
+    is opened; skipping it would hide its logs."""
     try:
         return is_bag_folder(folder)
     except OSError:
@@ -136,9 +121,7 @@ def _is_bag(folder: Path) -> bool:
 
 def _in_folder(folder: Path) -> list[Path]:
     """The logs of one folder: the folder itself if it holds images, else each file and bag in it.
-
-    Raises UsageError if it holds both, because it is not clear which are meant.
-    """
+    Raises UsageError if it holds both, because it is not clear which are meant."""
     image, logs, bags = None, [], []
     with os.scandir(folder) as entries:
         for entry in entries:

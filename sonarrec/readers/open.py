@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 
 from sonarrec.errors import (
@@ -24,9 +25,9 @@ from sonarrec.errors import (
 from sonarrec.nouns import IMAGE_SUFFIXES, PART
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf.frames import DdfFrames
-from sonarrec.readers.containers.gemini.log import GeminiPings
+from sonarrec.readers.containers.gemini import GeminiPings
 from sonarrec.readers.containers.images import ImageFiles, ImagePaths, is_image
-from sonarrec.readers.containers.oculus.log import OculusPings
+from sonarrec.readers.containers.oculus import OculusPings
 from sonarrec.readers.containers.packed import PACKINGS, unpacked
 from sonarrec.readers.containers.recording import Recording
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
@@ -39,28 +40,11 @@ _UNPACK = {".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz", ".zst": "zstd -d",
 """The command that unpacks a compressed file, by its suffix, for error messages."""
 
 
-def _mcap(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
-    from sonarrec.readers.containers.mcap.recording import (
-        McapRecording,  # with its decompressors, if needed
-    )
-
-    return McapRecording(path, at, diagnostics)
-
-
-def _db3(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
-    from sonarrec.readers.containers.db3 import Db3Recording
-
-    return Db3Recording(path, at, diagnostics)
-
-
-def _ros_bag(path: Path, at: Path, diagnostics: Diagnostics) -> Recording:
-    from sonarrec.readers.containers.ros_bag import RosBag  # with rosbags, where needed
-
-    return RosBag(path, at, diagnostics)
-
-
-def _bag_folder(path: Path, _: Path, diagnostics: Diagnostics) -> Recording:
-    return BagFolder(path, open_recording, diagnostics)
+def _recorded(module: str, name: str) -> Callable[[Path, Path, Diagnostics], Recording]:
+    """A class of `containers`, whose libraries are loaded only where it is needed."""
+    return lambda path, at, diagnostics: getattr(
+        import_module(f"sonarrec.readers.containers.{module}"), name
+    )(path, at, diagnostics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +78,15 @@ class Reader:
 
 
 _IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
-_BAG_FOLDER = Reader("ROS 2 bag", frozenset(), recording=_bag_folder)
+_BAG_FOLDER = Reader(
+    "ROS 2 bag", frozenset(), recording=lambda path, _, told: BagFolder(path, open_recording, told)
+)
 READERS = (
     _IMAGES,
     Reader("video", VIDEO_SUFFIXES, lambda files, told: VideoFrames(files[0], told)),
-    Reader("MCAP", frozenset({".mcap"}), recording=_mcap),
-    Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_db3),
-    Reader("ROS 1 bag", frozenset({".bag"}), recording=_ros_bag),
+    Reader("MCAP", frozenset({".mcap"}), recording=_recorded("mcap.recording", "McapRecording")),
+    Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_recorded("db3", "Db3Recording")),
+    Reader("ROS 1 bag", frozenset({".bag"}), recording=_recorded("ros_bag", "RosBag")),
     _BAG_FOLDER,
     Reader("ARIS", frozenset({".aris"}), lambda files, told: DdfFrames(files[0], told)),
     Reader("DIDSON", frozenset({".ddf"}), lambda files, told: DdfFrames(files[0], told)),
@@ -162,10 +148,8 @@ class Source:
         return _recording(self.reader, file, self.diagnostics)
 
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
-        """(the geometry that file and flags state, its name in error messages).
-
-        Raises UsageError if the flags contradict each other.
-        """
+        """(the geometry that file and flags state, its name in error messages). Raises UsageError
+        if the flags contradict each other."""
         file = sonar_file or self.beside(SONAR_FILE)
         stated = Sonar() if file is None else load_sonar(file)
         # Bearings take precedence over a field of view, but flags take precedence over the file.
@@ -202,10 +186,8 @@ def _recording(reader: Reader, path: Path, diagnostics: Diagnostics) -> Recordin
 
 
 def find_log(path: str | Path, up_to: Path | None = None) -> Source:
-    """Find the log at a path, or the images or the one log that a glob matches.
-
-    up_to: see Source. Raises SonarrecError if there is no log, or several.
-    """
+    """Find the log at a path, or the images or the one log that a glob matches. up_to: see Source.
+    Raises SonarrecError if there is no log, or several."""
     path = Path(path)
     try:
         return _find(path, up_to)
@@ -262,10 +244,8 @@ def names_a_log(name: str) -> bool:
 
 
 def is_log_file(path: Path) -> bool:
-    """Whether a path is a file that is a log by itself, or a link to a missing one.
-
-    The link is reported when it is opened; skipping it would hide that the log is missing.
-    """
+    """Whether a path is a file that is a log by itself, or a link to a missing one. The link is
+    reported when it is opened; skipping it would hide that the log is missing."""
     return names_a_log(path.name) and (path.is_file() or (path.is_symlink() and not path.exists()))
 
 

@@ -90,10 +90,8 @@ def _times_ns(path: Path, table: Table) -> IntArray:
 
 
 def _nanoseconds(path: Path, timestamp: FloatArray, step: float) -> IntArray:
-    """(rows,) times in ns. timestamp: (rows,) in s or ns. step: median time from row to row.
-
-    Raises SonarrecError if they are in another unit.
-    """
+    """(rows,) times in ns. timestamp: (rows,) in s or ns. step: median time from row to row. Raises
+    SonarrecError if they are in another unit."""
     if SECONDS_BELOW <= step < NANOSECONDS_FROM:
         raise SonarrecError(
             f"{path}: timestamp must be seconds or nanoseconds; rows {step:g} apart are "

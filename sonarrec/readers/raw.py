@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,6 +57,20 @@ class RawFrame:
     def shows(self) -> bool:
         """Whether it could be read, and is not blank."""
         return self.pixels is not None and bool(self.pixels.any())
+
+
+def frame_of(
+    name: str, log_ns: int | None, decode: Callable[[], Ping], publish_ns: int | None = None
+) -> RawFrame:
+    """The frame of a ping; without pixels if `decode` raises UnusableError. log_ns, publish_ns:
+    when it was recorded and sent; None if the log keeps no such time."""
+    try:
+        ping = decode()
+    except UnusableError as error:
+        return RawFrame(name, log_ns, None, str(error))
+    timestamp_ns = ping.stamp_ns if log_ns is None else log_ns
+    stamps = Stamps(log_ns, publish_ns, ping.stamp_ns)
+    return RawFrame(name, timestamp_ns, ping.pixels, None, ping.sonar, stamps)
 
 
 def showing(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
@@ -114,10 +128,8 @@ class RawLog(ABC):
 
 
 def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometry:
-    """The geometry of a ping from the ranges of its bins' middles and its beams' bearings.
-
-    Raises UnusableError if these are impossible.
-    """
+    """The geometry of a ping from the ranges of its bins' middles and its beams' bearings. Raises
+    UnusableError if these are impossible."""
     steps = np.diff(ranges_m)
     if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(steps > 0):
         raise UnusableError("ranges do not rise from bin to bin")

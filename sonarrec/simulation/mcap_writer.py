@@ -16,7 +16,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.readers.messages import foxglove_schemas
+from sonarrec.readers.messages import foxglove
 from sonarrec.readers.messages.ros import known_messages
 from sonarrec.simulation import mcap_fields as fields
 from sonarrec.simulation.mcap_fields import MakeFields
@@ -142,13 +142,13 @@ def _json(values: dict[str, Any]) -> bytes:
 def _foxglove_family(name: str, encoding: str) -> _Family:
     make = _FOXGLOVE_TYPES[name]
     if encoding == "json":
-        schema = json.dumps(foxglove_schemas.json_schema(name)).encode()
+        schema = json.dumps(foxglove.json_schema(name)).encode()
         named = partial(fields.with_clock, make, "sec", "nsec")
         return _Family(name, "jsonschema", schema, "json", named, _json)
-    message = foxglove_schemas.message_class(name)
+    message = foxglove.message_class(name)
     named = partial(fields.with_clock, make, "seconds", "nanos")
     return _Family(
-        name, "protobuf", foxglove_schemas.descriptor_set(name), "protobuf", named,
+        name, "protobuf", foxglove.descriptor_set(name), "protobuf", named,
         lambda values: bytes(message(**values).SerializeToString()),
     )  # fmt: skip
 

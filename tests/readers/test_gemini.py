@@ -15,7 +15,7 @@ from pytritech.util.range import calculate_range
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.gemini.log import GeminiPings
+from sonarrec.readers.containers.gemini import GeminiPings
 from sonarrec.readers.raw import RawFrame
 from tests.readers.test_ddf import as_fan
 from tests.support.command import sonarrec

@@ -14,7 +14,7 @@ import pytest
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.oculus.log import OculusPings
+from sonarrec.readers.containers.oculus import OculusPings
 from tests.readers.test_ddf import as_fan
 from tests.support.command import sonarrec
 from tests.support.logs import frames

@@ -32,9 +32,7 @@ Open = Callable[[Path, Diagnostics], Recording]
 
 def is_bag_folder(folder: Path) -> bool:
     """Whether a folder is a bag: it has the metadata.yaml of a bag, or parts with usual names.
-
-    Usual names are FOLDER_0, FOLDER_1, ... or rosbag2_..._0, ... Raises OSError.
-    """
+    Usual names are FOLDER_0, FOLDER_1, ... or rosbag2_..._0, ... Raises OSError."""
     if (folder / METADATA).is_file():
         with (folder / METADATA).open("rb") as file:
             if b"rosbag2_bagfile_information" in file.read(2**12):
@@ -44,7 +42,7 @@ def is_bag_folder(folder: Path) -> bool:
 
 def are_parts(names: Iterable[str], folder: str) -> bool:
     """Whether all logs among the file names in a folder have the usual names of parts."""
-    stems = {match[1] if (match := _numbers(n)) else None for n in names if _is_stored(n)}
+    stems = {match[1] if (match := _numbered(n)) else None for n in names if _is_stored(n)}
     if len(stems) != 1:
         return False
     stem = stems.pop()
@@ -53,9 +51,8 @@ def are_parts(names: Iterable[str], folder: str) -> bool:
 
 def bag_files(folder: Path) -> list[Path]:
     """The files of a bag, in order: metadata.yaml, and the parts that exist."""
-    head = folder / METADATA
     parts, _ = _listed(folder, Diagnostics(folder))
-    return [*([head] if head.is_file() else []), *(p for p in parts if p.is_file())]
+    return [path for path in (folder / METADATA, *parts) if path.is_file()]
 
 
 def _stored_parts(folder: Path) -> list[Path]:
@@ -74,7 +71,8 @@ def _parts_by_name(folder: Path) -> list[Path]:
     return parts if are_parts((p.name for p in parts), folder.resolve().name) else []
 
 
-def _numbers(part: str) -> re.Match[str] | None:
+def _numbered(part: str) -> re.Match[str] | None:
+    """The stem and the number of a part's usual name."""
     return re.match(r"(.*)_([0-9]{1,9})\.[^_]*$", part)
 
 
@@ -83,24 +81,20 @@ def _listed(folder: Path, diagnostics: Diagnostics) -> tuple[list[Path], dict[st
     metadata, problem = _metadata(folder / METADATA)
     names = metadata.get("relative_file_paths")
     if isinstance(names, list) and names:
-        # Old bags put the folder in front of the names. Nothing outside of the folder is read.
-        listed = Counter(
-            _as_stored(folder / (PurePosixPath(name).name or "unnamed"))
-            for name in names
-            if isinstance(name, str)  # one of aliases within aliases would be a text of gigabytes
-        )
-        parts = list(listed)
+        # Old bags put the folder in front of the names. Nothing outside of the folder is read. One
+        # of aliases within aliases would be a text of gigabytes.
+        texts = (PurePosixPath(name).name for name in names if isinstance(name, str))
+        parts = list(dict.fromkeys(_as_stored(folder / (name or "unnamed")) for name in texts))
+        stems = {match[1] for p in parts if (match := _numbered(p.name))}
         for part in _stored_parts(folder):
-            if part not in listed and _follows(part, parts):
+            match = _numbered(part.name)
+            if part not in parts and match is not None and match[1] in stems:
                 diagnostics.fault(f"{METADATA} does not list it, so it is not read", part.name)
-        for part, times in listed.items():
-            if times > 1:
-                diagnostics.fault(f"{METADATA} lists it {times} times; it is read once", part.name)
         return parts, metadata
     parts = _parts_by_name(folder) or _stored_parts(folder)
     if problem is not None:
         diagnostics.fault(f"{problem}; the parts are read by their names", METADATA)
-    numbers = [int(match[2]) for p in parts if (match := _numbers(p.name))]
+    numbers = [int(match[2]) for p in parts if (match := _numbered(p.name))]
     for before, after in pairwise([-1, *numbers] if len(numbers) == len(parts) else []):
         if after > before + 1:
             which = f"{before + 1}" + f" to {after - 1}" * (after > before + 2)
@@ -118,17 +112,9 @@ def _as_stored(part: Path) -> Path:
     return next((p for p in (part, *other_names) if p.is_file()), part)
 
 
-def _follows(path: Path, parts: list[Path]) -> bool:
-    """Whether a file has the same kind of name as the parts."""
-    stems = {match[1] for p in parts if (match := _numbers(p.name))}
-    return (match := _numbers(path.name)) is not None and match[1] in stems
-
-
 def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
-    """(table of the bag in metadata.yaml, what is wrong with the file).
-
-    The table is empty if there is no such file or it cannot be used.
-    """
+    """(table of the bag in metadata.yaml, what is wrong with the file). The table is empty if there
+    is no such file or it cannot be used."""
     if not file.is_file():
         return {}, None
     try:
@@ -139,9 +125,9 @@ def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
         return {}, f"cannot be read ({error.strerror})"
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=1)  # each bag needs it several times
 def _parsed(data: bytes) -> tuple[dict[str, Any], str | None]:
-    """As `_metadata`, from the file's bytes. Cached, because each bag needs it several times."""
+    """As `_metadata`, from the file's bytes."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -157,19 +143,18 @@ def _parsed(data: bytes) -> tuple[dict[str, Any], str | None]:
 class _Part:
     """One file of a bag.
 
-    numbers: from the file's channel numbers to those of the bag. found: messages by the bag's
-    channels. start, end: first and last log time, ns. sound: whole and without faults. lost: number
-    of lost messages by the bag's channels. read: first and last log time of what a pass has read,
-    ns; None if nothing.
+    numbers: from the file's channel numbers to those of the bag. found, lost: messages by the bag's
+    channels. start, end: first and last log time, ns. sound: whole and without faults. read: first
+    and last log time of what a pass has read, ns; None if nothing.
     """
 
     path: Path
     numbers: dict[int, int] = field(default_factory=dict)
     found: Counter[int] = field(default_factory=Counter)
+    lost: Counter[int] = field(default_factory=Counter)
     start: int = 0
     end: int = 0
     sound: bool = False
-    lost: Counter[int] = field(default_factory=Counter)
     read: tuple[int, int] | None = None
 
 
@@ -184,21 +169,18 @@ class BagFolder(Recording):
         """open_part: opens one file. Raises SonarrecError if no part can be read."""
         super().__init__(path, diagnostics)
         self._open = open_part
-        self.channels: dict[int, Channel] = {}
-        self.counts: Counter[int] = Counter()
-        self.chunks: Counter[str] = Counter()
-        self.profile, self.library = "ros2", ""
-        self.span: tuple[int, int] | None = None
-        files, self._metadata = _listed(path, self.diagnostics)
+        self.profile = "ros2"
+        files, metadata = _listed(path, self.diagnostics)
         self._parts = [_Part(file) for file in files]
         for part in self._parts:
             self._look_into(part)
+            self.counts.update(part.found)
         if not any(part.numbers for part in self._parts):
             faults = self.diagnostics.faults
             reason = f" ({faults[0]})" if faults else ""
             raise SonarrecError(f"{path}: no part of this bag can be read{reason}")
         self.whole = all(part.sound for part in self._parts)
-        self._count()
+        self._count_lost(metadata)
 
     def _look_into(self, part: _Part) -> None:
         """Open a part and register its channels, counts, times and faults."""
@@ -225,13 +207,12 @@ class BagFolder(Recording):
             self.span = min(first, part.start), max(last, part.end)
 
     def _number_of(self, channel: Channel) -> int:
-        """The bag's number for a channel of a part; a new number for a new channel.
-
-        A part may lack the definition of a channel that other parts have.
-        """
-        alike = ("topic", "schema", "message_encoding")
+        """The bag's number for a channel of a part; a new number for a new channel. A part may lack
+        the definition of a channel that other parts have."""
         for number, other in self.channels.items():
-            if all(getattr(channel, name) == getattr(other, name) for name in alike):
+            if replace(channel, definition=b"", schema_encoding="") == replace(
+                other, definition=b"", schema_encoding=""
+            ):
                 if not other.definition:
                     self.channels[number] = channel
                     return number
@@ -240,50 +221,38 @@ class BagFolder(Recording):
         self.channels[len(self.channels)] = channel
         return len(self.channels) - 1
 
-    def _count(self) -> None:
+    def _count_lost(self, metadata: dict[str, Any]) -> None:
         """Find out how many messages each part has lost, from the counts in metadata.yaml."""
-        for part in self._parts:
-            self.counts.update(part.found)
         damaged = [part for part in self._parts if not part.sound]
-        files = _counts(self._metadata.get("files"), "path", "message_count")
-        for number, count in self._counts_in_metadata().items():
+        files = _counts(metadata.get("files"), "path", "message_count")
+        rows = metadata.get("topics_with_message_count")
+        flat = [
+            row["topic_metadata"] | {"count": row.get("message_count")}
+            for row in (rows if isinstance(rows, list) else [])
+            if isinstance(row, dict) and isinstance(row.get("topic_metadata"), dict)
+        ]
+        by_topic = _counts(flat, "name", "count")
+        topics = Counter(channel.topic for channel in self.channels.values())
+        for number, channel in self.channels.items():
+            count = by_topic.get(channel.topic, 0) if topics[channel.topic] == 1 else 0
             short = count - self.counts[number]
             if short <= 0 or short > _MAX_LOST:
                 continue
             # Lost messages of all channels; right for this one if the others lost none.
-            shares = {id(p): files.get(p.path.name, 0) - p.found.total() for p in damaged}
+            shares = [files.get(part.path.name, 0) - part.found.total() for part in damaged]
             if len(damaged) == 1:
                 damaged[0].lost[number] = short
-            elif damaged and min(shares.values()) >= 0 and sum(shares.values()) == short:
-                for part in damaged:
-                    part.lost[number] = shares[id(part)]
+            elif damaged and min(shares) >= 0 and sum(shares) == short:
+                for part, share in zip(damaged, shares, strict=True):
+                    part.lost[number] = share
             else:
                 where = "; in which part cannot be known" if damaged else ""
                 self.fault(
-                    f"{METADATA} counts {number_of(count, 'message')} of "
-                    f"{self.channels[number].topic}, the parts hold {count - short}{where}, so "
-                    "numbers of frames may be too low"
+                    f"{METADATA} counts {number_of(count, 'message')} of {channel.topic}, the "
+                    f"parts hold {count - short}{where}, so numbers of frames may be too low"
                 )
                 continue
             self.counts[number] = count
-
-    def _counts_in_metadata(self) -> dict[int, int]:
-        """Counts by channel from metadata.yaml, for topics with a single channel."""
-        by_topic: dict[str, list[int]] = {}
-        for number, channel in self.channels.items():
-            by_topic.setdefault(channel.topic, []).append(number)
-        rows = self._metadata.get("topics_with_message_count")
-        flat = [
-            {"name": row["topic_metadata"].get("name"), "count": row.get("message_count")}
-            for row in (rows if isinstance(rows, list) else [])
-            if isinstance(row, dict) and isinstance(row.get("topic_metadata"), dict)
-        ]
-        counts = _counts(flat, "name", "count")
-        return {
-            numbers[0]: counts[topic]
-            for topic, numbers in by_topic.items()
-            if len(numbers) == 1 and topic in counts
-        }
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order; those of equal time by their parts.
@@ -302,29 +271,27 @@ class BagFolder(Recording):
             if (message := next(run, None)) is not None:
                 heapq.heappush(runs, (message.log_time, index, message, run))
 
-        def merged_before(time_ns: float) -> Iterator[Message]:
+        for index, time_ns in zip(
+            [*order, None], [*(self._parts[i].start for i in order), math.inf], strict=True
+        ):
             while runs and runs[0][0] < time_ns:
-                _, index, message, run = heapq.heappop(runs)
+                _, first, message, run = heapq.heappop(runs)
                 yield message
-                advanced(index, run)
-
-        for index in order:
-            yield from merged_before(self._parts[index].start)
-            advanced(index, self._messages_of(self._parts[index], channels))
-        yield from merged_before(math.inf)
+                advanced(first, run)
+            if index is not None:
+                advanced(index, self._messages_of(self._parts[index], channels))
         self.note_set_back(part.read for part in self._parts if part.read is not None)
 
     def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
         passed: Counter[int] = Counter()
         last = part.start
         numbers = {own: number for own, number in part.numbers.items() if number in channels}
-        if numbers:
-            for message in self._read(part, numbers):
-                number = numbers[message.channel]
-                passed[number] += 1
-                last = max(last, message.log_time)
-                part.read = part.read[0] if part.read else message.log_time, last
-                yield replace(message, channel=number)
+        for message in self._read(part, numbers) if numbers else ():
+            number = numbers[message.channel]
+            passed[number] += 1
+            last = max(last, message.log_time)
+            part.read = part.read[0] if part.read else message.log_time, last
+            yield replace(message, channel=number)
         for number in channels:
             gone = part.found[number] + part.lost[number] - passed[number]
             if part.lost[number]:

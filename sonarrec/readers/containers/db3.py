@@ -26,13 +26,10 @@ class Db3Recording(Recording):
     def __init__(
         self, path: Path, at: Path | None = None, diagnostics: Diagnostics | None = None
     ) -> None:
-        """path: the file's name in messages. at: the file to read, if it is another one.
-
-        Raises SonarrecError if it is no such database, or nothing in it can be read.
-        """
+        """path: the file's name in messages. at: the file to read, if it is another one. Raises
+        SonarrecError if it is no such database, or nothing in it can be read."""
         super().__init__(path, diagnostics)
         self.profile, self.library = "ros2", "SQLite"
-        self.chunks: dict[str, int] = {}
         # Row, topic and time (ns) of each message in the order of recording: 24 bytes each.
         self._rows, self._topics, self._times = array("q"), array("q"), array("q")
         # Quoted, because the name becomes part of a URI, in which ? and # have a meaning.
@@ -43,14 +40,18 @@ class Db3Recording(Recording):
             self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_FRAME_BYTES)
             self._db.text_factory = lambda text: text.decode(errors="replace")
             self._db.execute("PRAGMA writable_schema = ON")  # else a short file is not opened
-            self._check_tables()
-            self.channels = self._read_channels()
+            kinds = dict(self._db.execute("SELECT name, type FROM sqlite_master"))
+            for table in ("messages", "topics"):
+                if kinds.get(table) != "table":  # a view may have no end
+                    raise ValueError(f"it has no table {table}")
+            self._read_channels()
         except (sqlite3.Error, TypeError, ValueError) as error:
             self._db.close()
             raise SonarrecError(f"{path}: not a database of a ROS 2 bag ({error})") from None
         self._find_rows()
         self.counts = Counter(self._topics)
-        self.span = (min(self._times), max(self._times)) if self._times else None
+        if self._times:
+            self.span = min(self._times), max(self._times)
         for ending in ("-wal", "-journal"):
             log = path.with_name(f"{path.name}{ending}")
             if log.exists() and log.stat().st_size:
@@ -59,14 +60,7 @@ class Db3Recording(Recording):
                     f"`sqlite3 {path.name} .tables` merges it"
                 )
 
-    def _check_tables(self) -> None:
-        """Raise ValueError unless messages and topics are tables: a view may have no end."""
-        kinds = dict(self._db.execute("SELECT name, type FROM sqlite_master"))
-        for name in ("messages", "topics"):
-            if kinds.get(name) != "table":
-                raise ValueError(f"it has no table {name}")
-
-    def _read_channels(self) -> dict[int, Channel]:
+    def _read_channels(self) -> None:
         definitions: dict[str, tuple[str, bytes]] = {}
         try:
             for kind, encoding, text in self._db.execute(
@@ -75,14 +69,11 @@ class Db3Recording(Recording):
                 definitions[kind] = str(encoding), str(text).encode(errors="replace")
         except sqlite3.Error:  # older databases have none
             pass
-        return {
-            int(number): Channel(
-                str(topic), str(kind), *definitions.get(kind, ("", b"")), str(encoding)
-            )
-            for number, topic, kind, encoding in self._db.execute(
-                "SELECT id, name, type, serialization_format FROM topics"
-            )
-        }
+        for number, topic, kind, encoding in self._db.execute(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
+            definition = definitions.get(kind, ("", b""))
+            self.channels[int(number)] = Channel(str(topic), str(kind), *definition, str(encoding))
 
     def _find_rows(self) -> None:
         """Remember where each message is, up to the cut if there is one."""

@@ -27,10 +27,8 @@ def names_an_image(name: str) -> bool:
 
 
 def is_image(path: Path) -> bool:
-    """Whether a path is taken for an image: a known suffix, not hidden, and a file.
-
-    A link to a file that is not there is an image that cannot be read: it keeps its number.
-    """
+    """Whether a path is taken for an image: a known suffix, not hidden, and a file. A link to a
+    file that is not there is an image that cannot be read: it keeps its number."""
     if not names_an_image(path.name):
         return False
     try:
@@ -105,13 +103,15 @@ class ImageFiles(RawLog):
         self.frame_count = len(self.files)
         stems = [file.stem for file in self.files]
         self._times = times_in_names(stems)
-        note = self._about_times(stems)
-        if note is not None:
+        if (note := self._about_times(stems)) is not None:
             diagnostics.note(note)
 
     def _about_times(self, stems: Sequence[str]) -> str | None:
         """What a user should know of the frames' times and numbers. stems: names without suffix."""
-        if self._of_two_kinds(stems):
+        # Whether most images are named like another but for the suffix.
+        if len(set(stems)) < len(stems) and 3 * len(
+            {file.with_suffix("") for file in self.files}
+        ) <= 2 * len(stems):
             return (
                 "it has images of two kinds with the same names, and each is a frame; if they show "
                 f"the same, quote a glob of one kind, such as '*{self.files[0].suffix}'"
@@ -134,12 +134,6 @@ class ImageFiles(RawLog):
                 f"{name} is frame {index}"
             )
         return None
-
-    def _of_two_kinds(self, stems: Sequence[str]) -> bool:
-        """Whether most images are named like another but for the suffix."""
-        if len(set(stems)) == len(stems):
-            return False
-        return 3 * len({file.with_suffix("") for file in self.files}) <= 2 * len(stems)
 
     def __iter__(self) -> Iterator[RawFrame]:
         for number, file in enumerate(self.files):

@@ -17,10 +17,8 @@ VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
 
 
 def opencv_name(path: Path) -> str:
-    """A video's path for OpenCV, which takes what is before a colon for a protocol.
-
-    Raises SonarrecError if the name is not UTF-8, because OpenCV would crash.
-    """
+    """A video's path for OpenCV, which takes what is before a colon for a protocol. Raises
+    SonarrecError if the name is not UTF-8, because OpenCV would crash."""
     try:
         str(path).encode()
     except UnicodeEncodeError:
@@ -91,10 +89,8 @@ class VideoFrames(RawLog):
         return self._path.suffix.lower() == ".mkv" and ending
 
     def _packets(self) -> int:
-        """How many frames the container holds, whether they decode or not; 0 if unknown.
-
-        In AVI files a packet may be empty or hold no frame; in the others each is one frame.
-        """
+        """How many frames the container holds, whether they decode or not; 0 if unknown. In AVI
+        files a packet may be empty or hold no frame; in the others each is one frame."""
         if self._path.suffix.lower() == ".avi":
             return 0
         packets = 0

@@ -46,10 +46,8 @@ def is_coloured(pixels: np.ndarray) -> bool:
 
 
 def find_map(images: Sequence[np.ndarray]) -> str | None:
-    """The colour map of a log's first images; None if it is not one of MAPS.
-
-    images: (rows, columns, 3 or more) uint8, BGR.
-    """
+    """The colour map of a log's first images; None if it is not one of MAPS. images: (rows,
+    columns, 3 or more) uint8, BGR."""
     colours = np.concatenate([_sample(image) for image in images])
     if not len(colours):
         return None

@@ -78,11 +78,8 @@ class FrameMaker:
         self._skipped = 0  # pings that show too little of the fan
 
     def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan, PolarToFan | None]:
-        """The fields `pixels`, `fan` and `polar` of a Frame.
-
-        Raises UnusableError if the frame cannot be used, SonarrecError if the geometry does not fit
-        the log.
-        """
+        """The fields `pixels`, `fan` and `polar` of a Frame. Raises UnusableError if the frame
+        cannot be used, SonarrecError if the geometry does not fit the log."""
         if raw.pixels is None:
             raise UnusableError(str(raw.problem))
         pixels = single_channel(raw.pixels, self.colour_map)
@@ -237,10 +234,8 @@ class FrameMaker:
         return image
 
     def _note_order(self, order: BeamOrder, shape: tuple[int, int]) -> None:
-        """Add a note on an order that nobody stated, unless it is the usual one.
-
-        shape: (bins, beams).
-        """
+        """Add a note on an order that nobody stated, unless it is the usual one. shape: (bins,
+        beams)."""
         if shape[0] == shape[1]:
             self.order_from = "assumed"
             self._note(
@@ -309,9 +304,7 @@ class FrameMaker:
         self, geometry: Geometry, shape: tuple[int, ...], fan: Fan | None = None
     ) -> PolarToFan:
         """The resampler for polar images of this shape (bins, beams). fan: of the log, if known.
-
-        Raises SonarrecError as PolarToFan does. Without a fan the message names the log.
-        """
+        Raises SonarrecError as PolarToFan does. Without a fan the message names the log."""
         bins, beams = shape
         try:
             return PolarToFan(geometry, bins, beams, fan)

@@ -190,9 +190,7 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
 
 def _speckle(image: np.ndarray, white: np.float32 | None) -> FloatArray:
     """(3, n) level, spread and skew of an image's blocks, without those that show no speckle.
-
-    white: what counts as 255; None: 255 itself.
-    """
+    white: what counts as 255; None: 255 itself."""
     rows, columns = _BLOCK
     down, across = image.shape[0] // rows, image.shape[1] // columns
     blocks = image[: down * rows, : across * columns].reshape(down, rows, across, columns)
@@ -210,10 +208,8 @@ def _speckle(image: np.ndarray, white: np.float32 | None) -> FloatArray:
 
 
 def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
-    """(rows, columns) uint8, from the pixels of single_channel; NaN (no data) becomes 0.
-
-    Raises UnusableError if pixels are out of bounds.
-    """
+    """(rows, columns) uint8, from the pixels of single_channel; NaN (no data) becomes 0. Raises
+    UnusableError if pixels are out of bounds."""
     full = scale.full_scale
     if scale.pixel_scale == "linear":
         if pixels.dtype == np.uint8 and full == 255:

@@ -62,9 +62,7 @@ def extent(fan: Fan) -> str:
 
 def as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]:
     """A ping's geometry, replaced by what the user states, and a text for each contradiction.
-
-    Ranges that agree to half a bin, and a field of view to half a beam, contradict nothing.
-    """
+    Ranges that agree to half a bin, and a field of view to half a beam, contradict nothing."""
     against = []
     if stated.layout == "fan":
         against.append('layout = "fan" (they are polar, and read so)')

@@ -9,7 +9,8 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from functools import cache
-from typing import BinaryIO, NamedTuple
+from itertools import islice
+from typing import BinaryIO
 
 import cv2
 import numpy as np
@@ -50,11 +51,8 @@ _IN_HEAD = re.compile(rb"Corrupt JPEG data: \d+ extraneous bytes before marker 0
 
 
 def _jpeg_is_damaged(data: np.ndarray, warning: bytes) -> bool:
-    """Whether the decoder of a JPEG met damage, by its warning.
-
-    libjpeg gives an image all the same. Zeros before the end marker are padding: some cameras
-    write them.
-    """
+    """Whether the decoder of a JPEG met damage, by its warning. libjpeg gives an image all the
+    same. Zeros before the end marker are padding: some cameras write them."""
     warning = _IN_HEAD.sub(b"", warning)  # no pixel is lost there
     if b"Corrupt JPEG" not in warning and b"Premature end" not in warning:
         return False
@@ -70,10 +68,8 @@ _PNG_CHUNK = struct.Struct(">I4s")  # length, name; a checksum of 4 bytes follow
 
 
 def _png_is_whole(data: memoryview) -> bool:
-    """Whether a PNG has all its chunks up to the last; True for anything else.
-
-    OpenCV trusts the stated length of a chunk, and allocates it (up to 4 GB), before it reads.
-    """
+    """Whether a PNG has all its chunks up to the last; True for anything else. OpenCV trusts the
+    stated length of a chunk, and allocates it (up to 4 GB), before it reads."""
     if data[: len(_PNG)] != _PNG:
         return True
     at = len(_PNG)
@@ -95,69 +91,47 @@ def pgm_maxval(data: np.ndarray) -> int | None:
     return int(header[1]) if header and int(header[1]) not in (0, 255, 65535) else None
 
 
-class _TiffLayout(NamedTuple):
-    """One kind of TIFF. order, offset, length: struct formats of the byte order, an offset and the
-    length of a directory."""
-
-    order: str
-    first_at: int  # where the offset of the first directory is
-    offset: str
-    length: str
-    entry_bytes: int
-
-    def unpack(self, form: str, data: memoryview, at: int) -> tuple[int, ...]:
-        """The numbers of a struct format at a place of the file."""
-        return struct.unpack_from(self.order + form, data, at)
-
-
+# By the first bytes of a TIFF, struct formats: byte order, where the offset of the first directory
+# is, an offset, the length of a directory, and the bytes of an entry.
 _TIFFS = {
-    b"II*\0": _TiffLayout("<", 4, "I", "H", 12),
-    b"MM\0*": _TiffLayout(">", 4, "I", "H", 12),
-    b"II+\0": _TiffLayout("<", 8, "Q", "Q", 20),
-    b"MM\0+": _TiffLayout(">", 8, "Q", "Q", 20),
+    b"II*\0": ("<", 4, "I", "H", 12),
+    b"MM\0*": (">", 4, "I", "H", 12),
+    b"II+\0": ("<", 8, "Q", "Q", 20),
+    b"MM\0+": (">", 8, "Q", "Q", 20),
 }
-"""By the first bytes of the file."""
 _SUBFILE_TYPE, _PART_OF_ANOTHER = 254, 0b101  # bits: a smaller copy of another image, its mask
 _PHOTOMETRIC, _WHITE_IS_ZERO = 262, 0
 _PLANES, _APART = 284, 2
+_SHORT = 3  # type of a field
 
 
-def _tiff_holds_several(data: memoryview) -> bool:
-    """Whether this is a TIFF of several images, without smaller copies of one and its mask."""
-    tiff = _TIFFS.get(data[:4].tobytes())
-    if tiff is None:
-        return False
-    images, met = 0, set[int]()
-    with contextlib.suppress(struct.error, OverflowError):  # cut short, or an offset beyond the end
-        (at,) = tiff.unpack(tiff.offset, data, tiff.first_at)
+def _tiff_images(data: memoryview) -> Iterator[dict[int, int]]:
+    """The first value of each field of each image of a TIFF, by its tag; none for other files.
+
+    It ends where the file does, or where it leads back.
+    """
+    if (kind := data[:4].tobytes()) not in _TIFFS:
+        return
+    order, first_at, offset, length, entry_bytes = _TIFFS[kind]
+    met = set[int]()
+    with contextlib.suppress(struct.error, OverflowError):
+        (at,) = struct.unpack_from(order + offset, data, first_at)
         while at and at not in met:
             met.add(at)
-            (entries,) = tiff.unpack(tiff.length, data, at)
-            at += struct.calcsize(tiff.order + tiff.length)
-            # Entries are sorted by tag, and this is the lowest tag.
-            tag, _, _, value = tiff.unpack(f"HH{tiff.offset}I", data, at)
-            images += not (tag == _SUBFILE_TYPE and value & _PART_OF_ANOTHER)
-            if images > 1:
-                return True
-            (at,) = tiff.unpack(tiff.offset, data, at + entries * tiff.entry_bytes)
-    return False
-
-
-def _tiff_fields(data: memoryview) -> dict[int, int]:
-    """The first value of each field of a TIFF's first image, by its tag; empty for other files.
-
-    It must be whole.
-    """
-    tiff = _TIFFS.get(data[:4].tobytes())
-    if tiff is None:
-        return {}
-    (at,) = tiff.unpack(tiff.offset, data, tiff.first_at)
-    (entries,) = tiff.unpack(tiff.length, data, at)
-    at += struct.calcsize(tiff.order + tiff.length)
-    fields = (
-        tiff.unpack(f"HH{tiff.offset}H", data, at + k * tiff.entry_bytes) for k in range(entries)
-    )
-    return {tag: value for tag, _, _, value in fields}
+            (entries,) = struct.unpack_from(order + length, data, at)
+            at += struct.calcsize(order + length)
+            end = at + entries * entry_bytes
+            (following,) = struct.unpack_from(order + offset, data, end)
+            fields = {}
+            for entry in range(at, end, entry_bytes):
+                # A number of two bytes stands first in its field.
+                tag, kind_of_field = struct.unpack_from(f"{order}HH", data, entry)
+                form = f"{order}{'H' if kind_of_field == _SHORT else 'I'}"
+                (fields[tag],) = struct.unpack_from(
+                    form, data, entry + 4 + struct.calcsize(order + offset)
+                )
+            yield fields
+            at = following
 
 
 # Of any type, and turned by EXIF data as viewers and annotation tools show it. A TIFF is turned in
@@ -176,7 +150,10 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("empty image")
     if not _png_is_whole(buffer.data):
         raise UnusableError("unreadable image")
-    if _tiff_holds_several(buffer.data):
+    images_held = (
+        not fields.get(_SUBFILE_TYPE, 0) & _PART_OF_ANOTHER for fields in _tiff_images(buffer.data)
+    )
+    if sum(islice(filter(None, images_held), 2)) > 1:
         raise UnusableError("a TIFF of several images; one image a file is read")
     flags = cv2.IMREAD_UNCHANGED if buffer[:4].tobytes() in _TIFFS else _AS_SHOWN
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -200,7 +177,7 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("a JPEG that is damaged inside")
     # OpenCV itself inverts such images of 8 bits.
     if image.dtype == np.uint16:
-        fields = _tiff_fields(buffer.data)
+        fields = next(_tiff_images(buffer.data), {})
         if image.ndim == 3 and fields.get(_PLANES) == _APART:
             raise UnusableError("a TIFF of 16 bit whose colours lie in planes of their own")
         if fields.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:

@@ -199,10 +199,8 @@ def _pieces(picture: FloatArray) -> tuple[FloatArray, list[BoolArray]]:
 
 
 def _edges(level: FloatArray, lit: BoolArray) -> tuple[Line, Line] | None:
-    """The left and the right edge.
-
-    None if they do not show. level, lit: as `_pieces` gives them.
-    """
+    """The left and the right edge. None if they do not show. level, lit: as `_pieces` gives
+    them."""
     if lit.mean() < LEAST_AREA:
         return None
     columns = lit.shape[1]

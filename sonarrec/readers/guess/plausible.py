@@ -66,10 +66,8 @@ class Plausibility:
 
     @cached_property
     def outline(self) -> FanOutline | None:
-        """The fan's outline as the pictures show it, if they do and are fan images.
-
-        It is looked for once: ask when all frames were added.
-        """
+        """The fan's outline as the pictures show it, if they do and are fan images. It is looked
+        for once: ask when all frames were added."""
         return None if self._sum is None or self._polar else find_outline(self._picture())
 
     def contradictions(self, *, height_stated: bool = True) -> list[str]:
@@ -110,18 +108,15 @@ def as_polar(picture: FloatArray | ByteImage, fan: Fan) -> FloatArray:
 
 def _cells(frame: Frame, polar: PolarImages) -> FloatArray:
     """As `as_polar`, of a frame of polar pixels; 0 where they show nothing. The fan image, which
-    may have many times their number, is not made.
-    """
+    may have many times their number, is not made."""
     beam, range_bin, seen = polar.pixel(*np.broadcast_arrays(*_rings_and_bearings(frame.fan)))
     cells = frame.pixels[np.rint(range_bin).astype(int), np.rint(beam).astype(int)]
     return np.where(seen, cells, 0)
 
 
 def levels_by_range(picture: FloatArray, fan: Fan) -> tuple[FloatArray, FloatArray]:
-    """(n,) slant ranges (m) that the picture shows, and (n,) median grey levels there.
-
-    picture: as `as_polar` gives it.
-    """
+    """(n,) slant ranges (m) that the picture shows, and (n,) median grey levels there. picture: as
+    `as_polar` gives it."""
     is_shown = ~np.isnan(picture).all(axis=1)
     if not is_shown.any():
         return np.empty(0), np.empty(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
@@ -13,7 +13,6 @@ from sonarrec.arrays import IntArray
 # No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
 LEAST_STEP_NS = 5_000_000
 MOST_COUNTED_NS = 50_000_000  # thousandths that rise by more do not count frames
-MOST_STRAYS = 10  # names without a time among others with one, to be told
 
 _NANOSECONDS = re.compile(r"\A[0-9]{19}\Z")
 # A dot or comma leads a fraction of any length. Behind other signs, or none, stand milliseconds,
@@ -53,22 +52,11 @@ def times_in_names(stems: Iterable[str]) -> IntArray | None:
 
 
 def name_without_time(stems: Sequence[str]) -> int | None:
-    """Index of the first of a few names without a time, but for which the others hold theirs.
-
-    None if there is none. For names in which `times_in_names` finds none.
-    """
+    """Index of the first name without a time, where most others seem to hold one; else None."""
     for form in (_DATE, _SINCE_1970):
-        strays = list[int]()
-        for index, stem in enumerate(stems):
-            if form.search(stem) is None:
-                strays.append(index)
-                if len(strays) > MOST_STRAYS:
-                    break
-        others = np.delete(np.array(stems, object), strays)
-        if 0 < len(strays) <= min(MOST_STRAYS, len(others) // 2) and (
-            _rising_times(form, others.tolist()) is not None
-        ):
-            return strays[0]
+        is_held = [form.search(stem) is not None for stem in stems]
+        if len(is_held) > sum(is_held) > len(is_held) / 2:
+            return is_held.index(False)
     return None
 
 
@@ -86,10 +74,15 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
         kind = of_name["sign"], len(of_name["in_full"])
         if kind != (alike := alike or kind):
             return None
-        try:
-            seconds.append(_seconds(of_name))
-        except ValueError:  # a 13th month
-            return None
+        if form is _SINCE_1970:
+            seconds.append(int(of_name["since_1970"]))
+        else:
+            keys = ("year", "month", "day", "hour", "minute", "second")
+            try:
+                moment = datetime(*(int(of_name[key]) for key in keys), tzinfo=UTC)  # type: ignore[misc, arg-type]
+            except ValueError:  # a 13th month
+                return None
+            seconds.append(int(moment.timestamp()))
         fractions.append(int(f"{of_name['fraction'] or of_name['in_full']:0<9}"))
     whole, parts = np.array(seconds, np.int64), np.array(fractions, np.int64)
     if alike is not None and _fraction_counts(whole, parts, *alike):
@@ -97,17 +90,11 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     steps = np.diff(times := whole * 10**9 + parts)
     if len(steps) and (steps.min() <= 0 or np.median(steps) < LEAST_STEP_NS):
         return None
-    if form is _DATE and not parts.any() and _seconds_count(whole):
-        return None
-    return times
-
-
-def _seconds(of_name: Mapping[str, str]) -> int:
-    """Seconds since 1970. Raises ValueError if it is no date."""
-    if "since_1970" in of_name:
-        return int(of_name["since_1970"])
-    parts = [int(of_name[key]) for key in ("year", "month", "day", "hour", "minute", "second")]
-    return int(datetime(*parts, tzinfo=UTC).timestamp())  # type: ignore[misc, arg-type]
+    # What seems a time of day is a counter of six digits that has not reached 60, or is between two
+    # hundreds.
+    within_a_minute = np.ptp(whole // 60) == 0 and whole[0] % 86400 < 3600
+    counts = len(whole) > 1 and within_a_minute and np.ptp(whole) == len(whole) - 1
+    return None if form is _DATE and not parts.any() and counts else times
 
 
 def _fraction_counts(seconds: IntArray, fractions: IntArray, sign: str, digits: int) -> bool:
@@ -124,11 +111,3 @@ def _fraction_counts(seconds: IntArray, fractions: IntArray, sign: str, digits: 
     in_one_second = np.ptp(seconds) == 0
     by_little = bool(in_one_second and np.median(np.diff(fractions)) < MOST_COUNTED_NS)
     return digits == 3 and (by_little or bool(np.ptp(fractions) == 0))
-
-
-def _seconds_count(seconds: IntArray) -> bool:
-    """Whether what seems a time of day is a counter of six digits that has not reached 60, or is
-    between two hundreds."""
-    first, last = int(seconds[0]), int(seconds[-1])
-    within_a_minute = first // 60 == last // 60 and first % 86400 < 3600
-    return len(seconds) > 1 and within_a_minute and last - first == len(seconds) - 1

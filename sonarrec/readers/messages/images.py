@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.nouns import Stamps
 from sonarrec.readers.containers.recording import Recording
 from sonarrec.readers.messages.fields import DefinitionError
 from sonarrec.readers.messages.types import READABLE, Decoder, decoder_for
-from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
+from sonarrec.readers.raw import RawFrame, RawLog, frame_of
 
 
 def image_decoders(log: Recording) -> dict[int, Decoder]:
-    """A decoder for every channel with sonar images.
-
-    If the definition of a channel's messages cannot be used, the recording's faults say why.
-    """
+    """A decoder for every channel with sonar images. If the definition of a channel's messages
+    cannot be used, the recording's faults say why."""
     decoders: dict[int, Decoder] = {}
     # Channels may share a definition.
     by_definition: dict[tuple[str, str, bytes, str], Decoder | None] = {}
@@ -62,14 +60,9 @@ class ChannelImages(RawLog):
             name = f"message {number} of {self._log.channels[message.channel].topic}"
             if message.data is None or number in self.passed_over:
                 yield RawFrame(name, message.log_time, None, message.problem)
-                continue
-            try:
-                ping = self._decoders[message.channel](message.data)
-            except UnusableError as error:
-                yield RawFrame(name, message.log_time, None, str(error))
             else:
-                stamps = Stamps(message.log_time, message.publish_time, ping.stamp_ns)
-                yield RawFrame(name, message.log_time, ping.pixels, None, ping.sonar, stamps)
+                decode = partial(self._decoders[message.channel], message.data)
+                yield frame_of(name, message.log_time, decode, message.publish_time)
 
 
 def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:

@@ -17,9 +17,8 @@ from sonarrec.errors import (
 from sonarrec.nouns import Clock
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.containers.recording import Message, Recording
-from sonarrec.readers.messages.decode import Decode, fields_decoder
 from sonarrec.readers.messages.fields import DefinitionError, Fields
-from sonarrec.readers.messages.types import message_type
+from sonarrec.readers.messages.types import Decode, fields_decoder, message_type
 from sonarrec.readers.open import find_log
 from sonarrec.readers.raw import UnusableError
 

@@ -128,17 +128,13 @@ class RosDecoder:
 
     def __init__(self, types: Types, name: str, ros1: bool) -> None:
         """types: the definitions in the file; messages missing there are from known_messages.
-
-        Raises DefinitionError if a message is not defined anywhere or is too large.
-        """
+        Raises DefinitionError if a message is not defined anywhere or is too large."""
         self._types, self._name, self._ros1 = types, name.replace("/", "/msg/"), ros1
         self._layouts = {"": _Layout(types, self._name, ros1)}
 
     def __call__(self, message: memoryview) -> dict[str, Any]:
         """The fields of a message. A CDR message begins with an encapsulation header of 4 bytes.
-
-        Bytes behind its end are ignored. Raises UnusableError if it is malformed.
-        """
+        Bytes behind its end are ignored. Raises UnusableError if it is malformed."""
         if self._ros1:
             return self._layouts[""].fields("deserialize_ros1", message)
         if message[:4] == _ZSTD:  # a bag that was compressed message by message

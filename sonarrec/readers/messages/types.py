@@ -1,25 +1,31 @@
 """The message types that hold sonar images, and how each is turned into a Ping.
 
 To add a message type, write one function from Fields to a Ping and add one row to MESSAGES.
-Decoding the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) into Fields is done in decode.py.
+`fields_decoder` finds what turns the bytes into Fields: CDR, ROS 1, JSON, protobuf, flatbuffers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.readers.containers.oculus.samples import oculus_geometry, oculus_samples
+from sonarrec.readers.containers.oculus import oculus_geometry, oculus_samples
 from sonarrec.readers.decode.pixels import decode_image, raw_pixels
-from sonarrec.readers.messages.decode import Decode, fields_decoder
+from sonarrec.readers.messages import foxglove
 from sonarrec.readers.messages.fields import Fields
 from sonarrec.readers.raw import Ping, UnusableError, ping_geometry
 from sonarrec.sonar import PingGeometry
 
 WIDEST_BEAM_DEG = 5.0
+Decode = Callable[[memoryview], Mapping[str, Any]]
+"""Decodes a message into its fields; raises UnusableError if it is malformed. Texts of binary
+messages may come as bytes."""
 
 # What each message means
 
@@ -72,10 +78,8 @@ def _beam_count(image: Fields, bearings: np.ndarray) -> int:
 
 
 def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
-    """(beams,) bearings, deg, rising.
-
-    Drivers disagree on which side is positive, but all list their beams from left to right.
-    """
+    """(beams,) bearings, deg, rising. Drivers disagree on which side is positive, but all list
+    their beams from left to right."""
     falls = len(bearings_deg) > 1 and bearings_deg[0] > bearings_deg[-1]
     return -bearings_deg if falls else bearings_deg
 
@@ -193,10 +197,8 @@ READABLE = f"{', '.join(MESSAGES)} (CDR, ROS 1 or JSON; foxglove also protobuf a
 
 
 def message_type(schema_name: str) -> str:
-    """The message type (package/Name) that a schema's name stands for.
-
-    "sensor_msgs/msg/Image" and "sensor_msgs.msg.Image", as some recorders write it, are the same.
-    """
+    """The message type (package/Name) that a schema's name stands for. "sensor_msgs/msg/Image" and
+    "sensor_msgs.msg.Image", as some recorders write it, are the same."""
     return schema_name.replace(".", "/").replace("/msg/", "/")
 
 
@@ -226,3 +228,34 @@ def decoder_for(
         return None
     fields = fields_decoder(name, schema_encoding, schema_data, message_encoding)
     return None if fields is None else Decoder(fields, kind)
+
+
+def fields_decoder(
+    name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
+) -> Decode | None:
+    """The decoder of a message type (package/Name); None if it cannot be decoded.
+
+    Encodings: CDR, ROS 1, JSON, and for Foxglove's own types protobuf and flatbuffer. A ROS message
+    is decoded by the definition in the file, whose version may differ from ours; if the file has
+    none, by our own. Raises DefinitionError if the only definition cannot be used.
+    """
+    if message_encoding == "json":
+        return decode_json
+    if message_encoding in ("cdr", "ros1"):
+        from sonarrec.readers.messages.ros import ros_decoder  # with rosbags, where needed
+
+        definition = schema_data if schema_encoding in ("ros1msg", "ros2msg") else b""
+        return ros_decoder(name, definition, message_encoding == "ros1")
+    decode = foxglove.DECODERS.get(message_encoding)
+    return None if decode is None or name not in foxglove.FIELDS else partial(decode, name)
+
+
+def decode_json(message: memoryview) -> Mapping[str, Any]:
+    """The fields of a JSON object. Raises UnusableError if the message is no JSON object."""
+    try:
+        table = json.loads(bytes(message))
+    except (ValueError, RecursionError):
+        table = None
+    if not isinstance(table, dict):
+        raise UnusableError("malformed message (no JSON object)")
+    return table

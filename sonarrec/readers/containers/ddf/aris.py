@@ -70,20 +70,25 @@ CHANNELS = (10, 2, 14, 6, 8, 0, 12, 4, 11, 3, 15, 7, 9, 1, 13, 5)
 
 
 class Aris:
-    """DDF_05; see `frames.Layout`."""
+    """DDF_05.
+
+    file_header, frame_header: structured dtypes, little-endian, as long as the headers. A header
+    is one `np.void` of such a dtype.
+    """
 
     name = "ARIS"
     file_header = header_dtype(FILE_HEADER, _HEADER_BYTES)
     frame_header = header_dtype(FRAME_HEADER, _HEADER_BYTES)
 
     def shape(self, file: np.void, frame: np.void | None) -> tuple[int, int]:
-        """(samples of a beam, beams of this ping mode)."""
+        """(samples, beams) of every frame. frame: the first one's header, if there is one."""
         if frame is None:
             return int(file["SamplesPerChannel"]), int(file["NumRawBeams"])
         return int(frame["SamplesPerBeam"]), BEAMS.get(int(frame["PingMode"]), 0)
 
     def geometry(self, file: np.void, frame: np.void, shape: tuple[int, int]) -> PingGeometry:  # noqa: ARG002
-        """The window from times and sound speed, the bearings from the table of the lens."""
+        """The window from times and sound speed, the bearings from the table of the lens. Raises
+        UnusableError if it is impossible."""
         samples, beams = shape
         speed = float(frame["SoundSpeed"])
         if not 1000 <= speed <= 2000:
@@ -100,7 +105,8 @@ class Aris:
         return PingGeometry(start, start + length, bearings, None, "range-major")
 
     def pixels(self, frame: np.void, samples: np.ndarray) -> np.ndarray:
-        """The samples in the order of the beams; the sonar may have sorted them already."""
+        """(samples, beams) uint8 in the order of the beams; the sonar may have sorted them. Raises
+        UnusableError if the order is unknown."""
         if frame["ReorderedSamples"]:
             return samples
         mode = int(frame["PingMode"])
@@ -112,13 +118,13 @@ class Aris:
         return in_beam_order(samples, pings)
 
     def times(self, frame: np.void) -> tuple[int | None, int | None]:
-        """(the computer's time, the sonar's time)."""
+        """(the computer's time, the sonar's time), ns since 1970; None if unknown."""
         return _nanoseconds(frame["FrameTime"]), _nanoseconds(frame["sonarTimeStamp"])
 
     def header_info(
         self, file: np.void, frames: list[np.void], diagnostics: Diagnostics
     ) -> HeaderInfo:
-        """Tilt and frame rate; everything else for `info`."""
+        """Tilt and frame rate; everything else for `info`. frames: some from all over the file."""
         frame = frames[0]
         tilt = attitude_of(frames, "SonarTilt", diagnostics)
         if file["Reverse"]:

@@ -74,7 +74,7 @@ def lens_bearings_deg(beams: int) -> np.ndarray:
 
 
 class Didson:
-    """DDF_03 or DDF_04; see `frames.Layout`."""
+    """DDF_03 or DDF_04, with the methods of `Aris`."""
 
     name = "DIDSON"
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,49 +17,14 @@ from sonarrec.nouns import Stamps
 from sonarrec.readers.containers.ddf.aris import Aris
 from sonarrec.readers.containers.ddf.didson import Didson
 from sonarrec.readers.containers.file_bytes import FileBytes
-from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.sonar import PingGeometry
+from sonarrec.readers.raw import MAX_FRAME_BYTES, RawFrame, RawLog, UnusableError
 
 _VERSION_AT = 12  # in a frame's header
 _HEADERS_LOOKED_AT = 32  # spread over the file, for the tilt
 
 
-class Layout(Protocol):
-    """One version of the format: its headers, and what they mean.
-
-    file_header, frame_header: structured dtypes, little-endian, as long as the headers. A header
-    is one `np.void` of such a dtype.
-    """
-
-    name: str
-    file_header: np.dtype[Any]
-    frame_header: np.dtype[Any]
-
-    def shape(self, file: np.void, frame: np.void | None) -> tuple[int, int]:
-        """(samples, beams) of every frame. frame: the first one's header, if there is one."""
-        ...
-
-    def geometry(self, file: np.void, frame: np.void, shape: tuple[int, int]) -> PingGeometry:
-        """The geometry of one frame. Raises UnusableError if it is impossible."""
-        ...
-
-    def pixels(self, frame: np.void, samples: np.ndarray) -> np.ndarray:
-        """(samples, beams) uint8 in beam order. Raises UnusableError if that is unknown."""
-        ...
-
-    def times(self, frame: np.void) -> tuple[int | None, int | None]:
-        """(when the frame was recorded, the sonar's own time), ns since 1970; None if unknown."""
-        ...
-
-    def header_info(
-        self, file: np.void, frames: list[np.void], diagnostics: Diagnostics
-    ) -> HeaderInfo:
-        """What the headers say about the log. frames: some from all over it, with the first."""
-        ...
-
-
-LAYOUTS: dict[int, Layout] = {3: Didson(3), 4: Didson(4), 5: Aris()}
-"""By the version, which is the fourth byte of the file."""
+LAYOUTS: dict[int, Didson | Aris] = {3: Didson(3), 4: Didson(4), 5: Aris()}
+"""What the headers of each version mean. The version is the fourth byte of the file."""
 
 
 class DdfFrames(RawLog):
