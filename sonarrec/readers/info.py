@@ -12,7 +12,6 @@ from typing import Any
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
-from sonarrec.nouns import Fan
 from sonarrec.readers.guess.outline import FanOutline
 from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.log import Log
@@ -250,7 +249,14 @@ def _images(
     stated: the geometry by file and flags. where: its name in messages. flags: what they state."""
     sonar = raw.geometry(stated)
     lacks = [key for key in sonar.missing() if key == "tilt_deg" or not raw.polar]
-    complete = _with_stand_ins(sonar, lacks)
+    # Which frames can be used does not depend on the stand-ins.
+    stand_ins = {
+        "range_min_m": 0.0,
+        "range_max_m": max(sonar.range_min_m or 0.0, sonar.height_m or 0.0) + 1.0,
+        "tilt_deg": 0.0,
+        "field_of_view_deg": 30.0,
+    }
+    complete = sonar.updated(sonar_from_table({k: stand_ins[k] for k in lacks}, "stand-ins"))
     usable, plausibility, why = 0, Plausibility(), []
     counts = _Counts(raw.frame_count, observe)
     with Log(source, complete, raw, "log", counts.add) as log:
@@ -277,6 +283,15 @@ def _images(
     polar = raw.polar or layout == "polar"
     height_stated = log.sonar.height_m is not None
     doubts = [] if lacks else plausibility.contradictions(height_stated=height_stated)
+    assumed: dict[str, Any] = {}
+    if not lacks and log.fan is not None:
+        fan = log.fan
+        if not polar:
+            assumed["metres_per_pixel"] = fan.metres_per_pixel
+            assumed["apex_px"] = [fan.apex_column, fan.apex_row]
+        assumed["tilt_deg"], assumed["height_m"] = fan.tilt_deg, floor_depth(fan)
+        if not counts.timed:
+            assumed["frame_rate_hz"] = 1.0
     rows, columns = next(iter(counts.sizes.most_common(1)), ((None, None), 0))[0]
     return Images(
         topic=raw.topic,
@@ -294,36 +309,9 @@ def _images(
         geometry={key: value for key, value in geometry.items() if key not in lacks},
         geometry_from=where if where != name_as_text(source.path) else None,
         origins=origins,
-        assumed={}
-        if lacks or log.fan is None
-        else _assumed(log.sonar, log.fan, polar, counts.timed),
+        assumed={k: value for k, value in assumed.items() if getattr(log.sonar, k) is None},
         lacks=lacks,
         outline=plausibility.outline,
         notes=[*log.diagnostics.notes, *doubts],
         problems=log.diagnostics.skipped or why,
     )
-
-
-def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:
-    """The values that are used for keys that nobody states."""
-    values: dict[str, Any] = {} if polar else {
-        "metres_per_pixel": fan.metres_per_pixel,
-        "apex_px": [fan.apex_column, fan.apex_row],
-    }  # fmt: skip
-    values["tilt_deg"], values["height_m"] = fan.tilt_deg, floor_depth(fan)
-    if not timed:
-        values["frame_rate_hz"] = 1.0
-    return {key: value for key, value in values.items() if getattr(sonar, key) is None}
-
-
-def _with_stand_ins(stated: Sonar, lacks: list[str]) -> Sonar:
-    """The geometry, with made-up values for the keys that it lacks. Which frames can be used does
-    not depend on these values."""
-    near = stated.range_min_m if stated.range_min_m is not None else 0.0
-    values = {
-        "range_min_m": 0.0,
-        "range_max_m": max(near, stated.height_m or 0.0) + 1.0,
-        "tilt_deg": 0.0,
-        "field_of_view_deg": 30.0,
-    }
-    return stated.updated(sonar_from_table({key: values[key] for key in lacks}, "stand-ins"))

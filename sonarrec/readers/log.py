@@ -246,11 +246,9 @@ def digest_of(log: Source) -> tuple[int, str]:
 
 
 def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
-    """The frames. Among the first few, those of another size than most are marked as unusable.
-
-    The first usable frame decides the size of the log. If a driver sent it before it had its
-    settings, all others would be lost.
-    """
+    """The frames. Among the first few, those of another size than most are marked as unusable. The
+    first usable frame decides the size of the log. If a driver sent it before it had its settings,
+    all others would be lost."""
     frames = iter(frames)
     first = _to_settle(frames)
     sizes = Counter(size for f in showing(first) if (size := _stored_size(f)) is not None)

@@ -77,9 +77,7 @@ def _logs_below(name: str, recursive: bool) -> list[NamedLog]:
 
 def _unreadable_folders(pattern: Path) -> set[Path]:
     """The folders that a glob would search but that cannot be read, to be reported as logs are.
-
-    Python's glob skips them, and the logs in them, silently.
-    """
+    Python's glob skips them, and the logs in them, silently."""
     above = pattern.parents[: len(pattern.parents) - len(_fixed(pattern).parents)]
     folders = {folder for parent in above for folder in matches(os.path.join(parent, ""))}  # noqa: PTH118
     return {f for f in folders if not os.access(f, os.R_OK | os.X_OK, effective_ids=True)}
@@ -146,11 +144,9 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _below(top: Path) -> Iterator[Path]:
-    """The logs of a folder and of all folders below it, except hidden folders and results.
-
-    Links to folders are followed last, so that folders inside `top` are found under their own
-    names. A folder is searched once, and folders that hold `top` are not searched.
-    """
+    """The logs of a folder and of all folders below it, except hidden folders and results. Links to
+    folders are followed last, so that folders inside `top` are found under their own names. A
+    folder is searched once, and folders that hold `top` are not searched."""
     met = {_identity(above) for above in top.resolve().parents}
     places = [top]
     for start in places:  # grows by the links that are found

@@ -196,12 +196,9 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
 
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
-    """The file `name` that belongs to a log (a file or folder); None if there is none.
-
-    Searched in this order: LOG.name and then name, beside a file or inside a folder; LOG.name
-    beside a folder; both in the folders above, up to and with `up_to`. Raises OSError if a folder
-    cannot be read.
-    """
+    """The file `name` that belongs to a log (a file or folder); None if there is none. Searched in
+    this order: LOG.name and then name, beside a file or inside a folder; LOG.name beside a folder;
+    both in the folders above, up to and with `up_to`. Raises OSError if a folder cannot be read."""
     own_name = f"{log_name(log)}.{name}"
     folder = log if log.is_dir() else log.parent
     places = [folder / own_name, folder / name]
@@ -209,8 +206,9 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
         places.append(
             (log.parent if log.name not in ("", "..") else log.resolve().parent) / own_name
         )
-    for above in _folders_up_to(folder, up_to):
-        places += [above / own_name, above / name]
+    if up_to is not None and up_to.resolve() in folder.resolve().parents:
+        for above in folder.resolve().relative_to(up_to.resolve()).parents:
+            places += [up_to / above / own_name, up_to / above / name]
     return next((place for place in places if _is_file(place)), None)
 
 
@@ -221,13 +219,6 @@ def _is_file(place: Path) -> bool:
         if error.errno != errno.ENAMETOOLONG:
             raise
         return False  # LOG.name is too long, because the log's name is near the limit
-
-
-def _folders_up_to(folder: Path, up_to: Path | None) -> list[Path]:
-    """The folders above one, up to and with `up_to`; none if it is not below `up_to`."""
-    if up_to is None or up_to.resolve() not in folder.resolve().parents:
-        return []
-    return [up_to / above for above in folder.resolve().relative_to(up_to.resolve()).parents]
 
 
 def log_name(path: Path) -> str:

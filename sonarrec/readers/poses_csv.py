@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import IntArray
 from sonarrec.errors import SonarrecError
 from sonarrec.poses import PoseTable, pose_table
 
@@ -47,8 +47,8 @@ def read_poses(path: Path) -> PoseTable:
     kinds |= {"timestamp_ns": "whole", "timestamp": "time"}
     table = read_table(path, kinds, ("yaw",), HEADER)
     _check_columns(path, table, read_header(path, HEADER))
-    at = _times_ns(path, table)
-    still = np.zeros(len(at))
+    times_ns = _times_ns(path, table)
+    still = np.zeros(len(times_ns))
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
@@ -56,7 +56,7 @@ def read_poses(path: Path) -> PoseTable:
     return pose_table(
         path.name,
         {"name": path.name, "sha256": digest},
-        at,
+        times_ns,
         table["yaw"],
         table.get("x", still),
         table.get("y", still),
@@ -82,24 +82,21 @@ def _check_columns(path: Path, table: Table, header: Sequence[str]) -> None:
 
 def _times_ns(path: Path, table: Table) -> IntArray:
     """(rows,) times in ns. Raises SonarrecError if they are all one, or in another unit."""
-    at = table["timestamp_ns"] if "timestamp_ns" in table else table["timestamp"]
-    steps = np.diff(np.unique(at))
+    times: np.ndarray = table["timestamp_ns" if "timestamp_ns" in table else "timestamp"]
+    steps = np.diff(np.unique(times))
     if not len(steps):
         raise SonarrecError(f"{path}: a motion needs rows at two times or more")
-    return at if "timestamp_ns" in table else _nanoseconds(path, at, float(np.median(steps)))
-
-
-def _nanoseconds(path: Path, timestamp: FloatArray, step: float) -> IntArray:
-    """(rows,) times in ns. timestamp: (rows,) in s or ns. step: median time from row to row. Raises
-    SonarrecError if they are in another unit."""
+    if "timestamp_ns" in table:
+        return np.asarray(times, np.int64)
+    step = float(np.median(steps))
     if SECONDS_BELOW <= step < NANOSECONDS_FROM:
         raise SonarrecError(
             f"{path}: timestamp must be seconds or nanoseconds; rows {step:g} apart are "
             "neither (milliseconds or microseconds?); name nanoseconds timestamp_ns"
         )
-    at = np.rint(timestamp * 1e9 if step < SECONDS_BELOW else timestamp)
-    if np.abs(at).max() >= 2**63:
+    times = np.rint(times * 1e9 if step < SECONDS_BELOW else times)
+    if np.abs(times).max() >= 2**63:
         raise SonarrecError(
             f"{path}: timestamp must be seconds or nanoseconds; these are neither (milliseconds?)"
         )
-    return np.asarray(at, np.int64)
+    return np.asarray(times, np.int64)

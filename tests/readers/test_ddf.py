@@ -19,8 +19,13 @@ from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.ddf.aris import BEAMS, FILE_HEADER, FRAME_HEADER, PINGS_PER_FRAME
-from sonarrec.readers.containers.ddf.aris_beams import BEARINGS_DEG
+from sonarrec.readers.containers.ddf.aris import (
+    BEAMS,
+    BEARINGS_DEG,
+    FILE_HEADER,
+    FRAME_HEADER,
+    PINGS_PER_FRAME,
+)
 from sonarrec.readers.containers.ddf.didson import lens_bearings_deg
 from tests.support.command import sonarrec
 from tests.support.logs import frames

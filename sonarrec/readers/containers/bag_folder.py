@@ -210,14 +210,12 @@ class BagFolder(Recording):
         """The bag's number for a channel of a part; a new number for a new channel. A part may lack
         the definition of a channel that other parts have."""
         for number, other in self.channels.items():
-            if replace(channel, definition=b"", schema_encoding="") == replace(
-                other, definition=b"", schema_encoding=""
+            alike = [(c.topic, c.schema, c.message_encoding) for c in (channel, other)]
+            if alike[0] == alike[1] and (
+                not other.definition or not channel.definition or channel == other
             ):
-                if not other.definition:
-                    self.channels[number] = channel
-                    return number
-                if not channel.definition or channel == other:
-                    return number
+                self.channels[number] = channel if channel.definition else other
+                return number
         self.channels[len(self.channels)] = channel
         return len(self.channels) - 1
 
@@ -255,11 +253,9 @@ class BagFolder(Recording):
             self.counts[number] = count
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
-        """The messages of some channels in log-time order; those of equal time by their parts.
-
-        A lost message that metadata.yaml counts is yielded without data, so that others keep their
-        numbers.
-        """
+        """The messages of some channels in log-time order; those of equal time by their parts. A
+        lost message that metadata.yaml counts is yielded without data, so that others keep their
+        numbers."""
         end = 0
         for part in self._parts:  # one that cannot be read follows the one before it
             part.start = part.start or end

@@ -227,11 +227,9 @@ def _find_dat(file: FileBytes, where: str) -> tuple[int, int]:
 
 
 def records(data: Iterator[bytes]) -> Iterator[tuple[int, bytes | None, str]]:
-    """Yield (position, bytes, problem) of each image's record; no bytes if it is damaged.
-
-    data: the `.dat`, in pieces. position: in the `.dat`. Other records (the sonar's status, a
-    compass) are skipped. An error of `data` is raised after the records before it.
-    """
+    """Yield (position, bytes, problem) of each image's record; no bytes if it is damaged. data: the
+    `.dat`, in pieces. position: in the `.dat`. Other records (the sonar's status, a compass) are
+    skipped. An error of `data` is raised after the records before it."""
     window = _Window(data)
     follows = True  # whether the window begins where a record ended
     while window.fill(HEAD_3.itemsize):

@@ -73,10 +73,8 @@ class ImagePaths(Sequence[Path]):
 
 def _not_as_numbered(files: Sequence[Path]) -> tuple[int, str] | None:
     """(index, name) of the first image whose number in its name does not follow from the first's.
-
     None if there is none, and if the names differ in more than one number or lack more numbers than
-    they have: then these are times, or every tenth frame.
-    """
+    they have: then these are times, or every tenth frame."""
     first = number = 0
     around, uncounted = None, None
     for index, file in enumerate(files):

@@ -37,11 +37,9 @@ from sonarrec.sonar import PingGeometry
 def oculus_geometry(
     hundredths: FloatArray, resolution_m: float, bins: int, beams: int
 ) -> PingGeometry:
-    """The geometry of a ping whose bins are `resolution_m` long and begin at the sonar.
-
-    hundredths: (beams,) bearings in hundredths of a degree. Raises UnusableError if the numbers are
-    impossible.
-    """
+    """The geometry of a ping whose bins are `resolution_m` long and begin at the sonar. hundredths:
+    (beams,) bearings in hundredths of a degree. Raises UnusableError if the numbers are
+    impossible."""
     if len(hundredths) != beams:
         raise UnusableError(f"{beams} beams with {len(hundredths)} bearings")
     if not 0 < resolution_m < math.inf:
@@ -292,10 +290,8 @@ def messages(
     file: FileBytes, framing: Framing, start: int, limit: int
 ) -> Iterator[tuple[int, int, bool]]:
     """Yield (place, length in bytes, whether it is whole) of each message from `start` to `limit`.
-
     Bytes that belong to no message are yielded too; there `Framing.length_at` is None. If a message
-    is not followed by another, or by the end, and another begins inside it, it has lost bytes.
-    """
+    is not followed by another, or by the end, and another begins inside it, it has lost bytes."""
     at = start
     while at < limit:
         length = framing.length_at(file, at)
@@ -362,10 +358,8 @@ class OculusPings(RawLog):
         self, diagnostics: Diagnostics, limit: int
     ) -> Iterator[tuple[int, int | None, bytes | None, str]]:
         """Yield (place, time in ns, message, problem) of every ping; no message if it is damaged.
-
         limit: where in the file to stop. diagnostics: after all is read, it is told of bytes that
-        belong to no message, and of pings in a format that is not read.
-        """
+        belong to no message, and of pings in a format that is not read."""
         stray_bytes = stray_places = full = 0
         for at, length, whole in messages(self._file, self._framing, self._start, limit):
             if self._framing.length_at(self._file, at) is None:

@@ -76,11 +76,9 @@ class Recording(ABC):
         self.diagnostics.fault(text, self.path.name)
 
     def note_set_back(self, spans: Iterable[tuple[int, int]], within_ns: int = 0) -> None:
-        """Tell if the clock was clearly set back during the recording.
-
-        spans: first and last log time, ns, of its parts, in the order of recording. within_ns: by
-        how much times go back within a part.
-        """
+        """Tell if the clock was clearly set back during the recording. spans: first and last log
+        time, ns, of its parts, in the order of recording. within_ns: by how much times go back
+        within a part."""
         latest, back_ns = 0, within_ns
         for first, last in spans:
             back_ns = max(back_ns, latest - first)

@@ -79,10 +79,8 @@ def _colours(name: str) -> FloatArray:
 
 def _squared(table: FloatArray, colours: np.ndarray) -> np.ndarray:
     """(n, 256) float32: squared distances of (n, 3) colours from the (256, 3) colours of a map.
-
     Colours are multiples of a half, so these are multiples of a quarter, below 2**18: float32 holds
-    them exactly, and is twice as fast.
-    """
+    them exactly, and is twice as fast."""
     colours, table = colours.astype(np.float32), table.astype(np.float32)
     squared = colours @ (-2 * table.T)
     for rows, shape in ((table, (1, -1)), (colours, (-1, 1))):

@@ -54,11 +54,9 @@ class FrameMaker:
     def __init__(
         self, stated: Sonar, where: str, diagnostics: Diagnostics, origin: str = "messages"
     ) -> None:
-        """stated: the geometry that the user states; complete if frames do not state theirs.
-
-        where: its name in messages. diagnostics: is told what contradicts the pings or was found
-        out. origin: what states the rest, "messages" or "headers".
-        """
+        """stated: the geometry that the user states; complete if frames do not state theirs. where:
+        its name in messages. diagnostics: is told what contradicts the pings or was found out.
+        origin: what states the rest, "messages" or "headers"."""
         self.sonar = stated
         self._stated = stated
         self.fan: Fan | None = None
@@ -103,8 +101,15 @@ class FrameMaker:
         first: the log's first frames. Raises SonarrecError if the geometry does not fit the log.
         """
         first = showing(first)
-        if self._stated.colour_map is None:
-            self._find_colours(first)
+        in_colour = [
+            raw.pixels for raw in first if raw.pixels is not None and _in_colour(raw.pixels)
+        ]
+        if self._stated.colour_map is None and in_colour:
+            self.colour_map = find_map(in_colour) or LUMINANCE
+            known = self.colour_map != LUMINANCE
+            how = f"read as levels of the colour map {self.colour_map}"
+            how = how if known else "of no known colour map, and read by their luminance"
+            self._note(f"colours {how}; --colour-map states another")
         if self._stated.pixel_scale is None:
             self._find_amplitudes(first)
         pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]
@@ -112,11 +117,8 @@ class FrameMaker:
         if agreeing:
             with contextlib.suppress(UnusableError):
                 self(pings[int(np.argmax(agreeing))][0])
-        if self._stated.height_m is None:
-            self._find_height(first)
-
-    def _find_height(self, first: Sequence[RawFrame]) -> None:
-        """Put the height into the fan as the first frames show it."""
+        if self._stated.height_m is not None:
+            return
         images = []
         for raw in first:
             with contextlib.suppress(UnusableError):
@@ -127,19 +129,6 @@ class FrameMaker:
             self.fan = replace(self.fan, height_m=height_from_images(images, self.fan))
         if self._to_fan is not None:
             self._to_fan.forget()  # a run makes no more fan images
-
-    def _find_colours(self, first: Sequence[RawFrame]) -> None:
-        """Find the colour map of images in false colour, and add a note."""
-        images = [raw.pixels for raw in first if raw.pixels is not None and _in_colour(raw.pixels)]
-        if not images:
-            return
-        colour_map = find_map(images)
-        if colour_map is not None:
-            self.colour_map = colour_map
-            how = f"read as levels of the colour map {colour_map}"
-        else:
-            how = "of no known colour map, and read by their luminance"
-        self._note(f"colours {how}; --colour-map states another")
 
     def _find_amplitudes(self, first: Sequence[RawFrame]) -> None:
         """Find the integer types that hold amplitudes; notes name them, and images that are dim."""
@@ -181,7 +170,14 @@ class FrameMaker:
             image = np.ascontiguousarray(image.T)
         if self._shape is None:
             geometry = self.sonar.complete(self._where)
-            self._note_other_view(geometry)
+            view, bearings = self.sonar.field_of_view_deg, geometry.bearings_deg
+            theirs = geometry.bearing_max_deg - geometry.bearing_min_deg
+            # Some count from the middle of the first beam to that of the last, a beam less.
+            if view and bearings and abs(view - theirs) > 1.01 * theirs / len(bearings):
+                self._note(
+                    f"field_of_view_deg = {view:g} is not used: bearings_deg go before "
+                    f"it, and cover {theirs:.4g} deg"
+                )
             if polar:
                 self._to_fan = self._resampler(geometry, image.shape)
                 self.fan = self._to_fan.fan
@@ -196,19 +192,6 @@ class FrameMaker:
         if self._to_fan is not None or not self.sonar.flip:
             return image
         return np.ascontiguousarray(image[:, ::-1])
-
-    def _note_other_view(self, geometry: Geometry) -> None:
-        """Add a note if the stated field of view is not that of the bearings stated with it."""
-        view, bearings = self.sonar.field_of_view_deg, geometry.bearings_deg
-        if view is None or bearings is None:
-            return
-        theirs = geometry.bearing_max_deg - geometry.bearing_min_deg
-        # Some count from the middle of the first beam to that of the last, which is a beam less.
-        if abs(view - theirs) > 1.01 * theirs / len(bearings):
-            self._note(
-                f"field_of_view_deg = {view:g} is not used: bearings_deg go before "
-                f"it, and cover {theirs:.4g} deg"
-            )
 
     def _ping(self, image: ByteImage, ping: PingGeometry) -> ByteImage:
         """The polar image of a frame that states its geometry."""
@@ -229,32 +212,24 @@ class FrameMaker:
         if self._order is None and order is not None:
             self._order = order
             self.sonar = replace(self.sonar, beam_order=order)
-            if not (self._stated.beam_order or ping.beam_order):
-                self._note_order(order, image.shape)
+            if self._stated.beam_order or ping.beam_order:
+                return image
+            self.order_from = "assumed" if image.shape[0] == image.shape[1] else "found"
+            if self.order_from == "assumed":
+                self._note(
+                    f"assumed to be {order}, which cannot be found of as many range "
+                    f"bins as beams ({len(image)}); --beam-order states it"
+                )
+            elif order == "beam-major":
+                self._note("read as beam-major, found from its first ping with echoes")
         return image
-
-    def _note_order(self, order: BeamOrder, shape: tuple[int, int]) -> None:
-        """Add a note on an order that nobody stated, unless it is the usual one. shape: (bins,
-        beams)."""
-        if shape[0] == shape[1]:
-            self.order_from = "assumed"
-            self._note(
-                f"assumed to be {order}, which cannot be found of as many range "
-                f"bins as beams ({shape[0]}); --beam-order states it"
-            )
-            return
-        self.order_from = "found"
-        if order == "beam-major":
-            self._note("read as beam-major, found from its first ping with echoes")
 
     def _ping_resampler(
         self, ping: PingGeometry, shape: tuple[int, int]
     ) -> tuple[Sonar, PolarToFan]:
-        """(the geometry of a ping as far as the user does not state another, its resampler).
-
-        shape: (bins, beams). Raises UnusableError if the ping cannot be shown in the log's fan,
-        SonarrecError if what is stated does not fit the log.
-        """
+        """(the geometry of a ping as far as the user does not state another, its resampler). shape:
+        (bins, beams). Raises UnusableError if the ping cannot be shown in the log's fan,
+        SonarrecError if what is stated does not fit the log."""
         sonar, against = as_stated(ping, self._stated, bins=shape[0])
         try:
             geometry = sonar.complete(self._where)
@@ -273,7 +248,15 @@ class FrameMaker:
         if not shows(window, fan):
             self._skipped += 1
             if self._skipped == MANY_SKIPPED:
-                self._note_skipped(window)
+                flags = f"--range-min-m {window.range_min_m:.5g}"
+                flags += f" --range-max-m {window.range_max_m:.5g}"
+                if self._stated.height_m is None:  # else that of the first pings would be estimated
+                    flags += " --height-m H"
+                self._note(
+                    f"the sonar's range was changed, and pings that show too little of that "
+                    f"of the first ones are skipped; to read those, run them by themselves, with "
+                    f"--frames A:B {flags} and an --out of their own"
+                )
             raise UnusableError(
                 f"its window, {window.range_min_m:.3g} to {window.range_max_m:.3g} m, shows less "
                 f"than half of the log's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
@@ -288,17 +271,6 @@ class FrameMaker:
             self._noted_against = True
             self._note(f"stated against the {self._origin}: {', '.join(against)}")
         return sonar, to_fan
-
-    def _note_skipped(self, window: Fan) -> None:
-        """Add a note on how to read pings of a window that shows too little of the fan."""
-        flags = f"--range-min-m {window.range_min_m:.5g} --range-max-m {window.range_max_m:.5g}"
-        if self._stated.height_m is None:  # else that of the first pings would be estimated
-            flags += " --height-m H"
-        self._note(
-            f"the sonar's range was changed, and pings that show too little of that "
-            f"of the first ones are skipped; to read those, run them by themselves, with --frames "
-            f"A:B {flags} and an --out of their own"
-        )
 
     def _resampler(
         self, geometry: Geometry, shape: tuple[int, ...], fan: Fan | None = None

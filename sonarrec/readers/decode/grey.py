@@ -118,9 +118,14 @@ def grey_scale(
     largest = 1.0 if unit else None
     if not floating and pixels.itemsize <= 2:
         largest = float(white or np.iinfo(pixels.dtype).max)
-    scale = sonar.pixel_scale or _usual_scale(values, largest)
-    if sonar.pixel_scale is None and amplitudes and not floating:
-        scale = "log"
+    scale: Scale = sonar.pixel_scale or "linear"
+    if sonar.pixel_scale is None:
+        if largest is None:
+            scale = "db" if floating and values.min() < 0 else "log"
+        elif (amplitudes and not floating) or (
+            values.itemsize == 2 and next_to_black(values, largest)
+        ):
+            scale = "log"
     span = sonar.dynamic_range_db or DYNAMIC_RANGE_DB
     if sonar.full_scale is not None:
         if sonar.full_scale <= 0 and scale != "db":
@@ -138,13 +143,6 @@ def grey_scale(
     if not echoes.size:
         return None
     return GreyScale(scale, float(np.median(echoes) * 10 ** (above / 20)), span)
-
-
-def _usual_scale(values: np.ndarray, largest: float | None) -> Scale:
-    """The default scale. values: finite. largest: full scale of their type; None if unknown."""
-    if largest is None:
-        return "db" if values.dtype.kind == "f" and values.min() < 0 else "log"
-    return "log" if values.itemsize == 2 and next_to_black(values, largest) else "linear"
 
 
 def _middle(values: np.ndarray) -> float:

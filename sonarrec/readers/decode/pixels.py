@@ -106,10 +106,8 @@ _SHORT = 3  # type of a field
 
 
 def _tiff_images(data: memoryview) -> Iterator[dict[int, int]]:
-    """The first value of each field of each image of a TIFF, by its tag; none for other files.
-
-    It ends where the file does, or where it leads back.
-    """
+    """The first value of each field of each image of a TIFF, by its tag; none for other files. It
+    ends where the file does, or where it leads back."""
     if (kind := data[:4].tobytes()) not in _TIFFS:
         return
     order, first_at, offset, length, entry_bytes = _TIFFS[kind]
@@ -141,10 +139,8 @@ _AS_SHOWN = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as viewers show it.
-
     Raises UnusableError if OpenCV cannot read it whole, if its header states too many pixels, or if
-    it is a TIFF of several images.
-    """
+    it is a TIFF of several images."""
     buffer = np.frombuffer(data, np.uint8)
     if not buffer.size:
         raise UnusableError("empty image")

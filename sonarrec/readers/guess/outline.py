@@ -78,10 +78,8 @@ class FanOutline:
 
 def find_outline(picture: FloatArray) -> FanOutline | None:
     """The outline of the fan; None if the picture does not show two straight edges, and an arc
-    about the point where they meet.
-
-    picture: (rows, columns) grey levels, best the mean of some frames; far range on top.
-    """
+    about the point where they meet. picture: (rows, columns) grey levels, best the mean of some
+    frames; far range on top."""
     step = math.ceil(max(picture.shape) / MOST_SIDE)
     level, pieces = _pieces(picture[::step, ::step])
     if not pieces:
@@ -121,11 +119,9 @@ def _outline(level: FloatArray, lit: BoolArray, step: int) -> FanOutline | None:
 def _end(
     level: FloatArray, lit: BoolArray, edges: tuple[Line, Line], apex: Point, outward: int
 ) -> tuple[float | None, bool]:
-    """(distance of an end of the fan from the apex, px, whether it is an arc about it).
-
-    The distance is None if something cuts the fan there, or if it fades. level, lit: as `_pieces`
-    gives them. outward: 1 for the far end, -1 for the near one.
-    """
+    """(distance of an end of the fan from the apex, px, whether it is an arc about it). The
+    distance is None if something cuts the fan there, or if it fades. level, lit: as `_pieces` gives
+    them. outward: 1 for the far end, -1 for the near one."""
     column = np.flatnonzero(lit.any(axis=0))
     row = (lit if outward > 0 else lit[::-1]).argmax(axis=0)[column]
     if outward < 0:
@@ -237,10 +233,8 @@ def _edges(level: FloatArray, lit: BoolArray) -> tuple[Line, Line] | None:
 
 def _sides(hull: np.ndarray, columns: int, outward: int) -> list[tuple[Point, Point]]:
     """(lower, upper end) of the hull's sides that may be the left (-1) or the right (1) edge, the
-    longest first.
-
-    They go outward as they go up, and do not run along the border of the picture, or of a panel.
-    """
+    longest first. They go outward as they go up, and do not run along the border of the picture, or
+    of a panel."""
     border = CLOSED / 2
     middle = hull[:, 0].mean()
     sides = []

@@ -72,9 +72,8 @@ class Plausibility:
 
     def contradictions(self, *, height_stated: bool = True) -> list[str]:
         """A line for each contradiction of the stated geometry, with the keys to look at.
-
-        height_stated: whether the fan's height is stated, or was estimated from these very images.
-        """
+        height_stated: whether the fan's height is stated, or was estimated from these very
+        images."""
         if self._sum is None or self._fan is None:
             return []
         picture = self._picture()
@@ -167,11 +166,9 @@ def _far_px(found: FanOutline, fan: Fan) -> float:
 
 
 def _other_outline(found: FanOutline, fan: Fan, beyond: bool) -> list[str]:
-    """A line if the outline that was found is not the stated fan's, with the flags that state it.
-
-    A dark edge or far end makes it narrower or shorter. beyond: whether there are echoes outside of
-    the stated fan; else lines drawn into the picture may make it wider.
-    """
+    """A line if the outline that was found is not the stated fan's, with the flags that state it. A
+    dark edge or far end makes it narrower or shorter. beyond: whether there are echoes outside of
+    the stated fan; else lines drawn into the picture may make it wider."""
     apart_px = math.hypot(found.apex_column - fan.apex_column, found.apex_row - fan.apex_row)
     near_px, far_px = (at / fan.metres_per_pixel for at in (fan.range_min_m, fan.range_max_m))
     view_deg = fan.bearing_max_deg - fan.bearing_min_deg
@@ -197,11 +194,9 @@ def _other_outline(found: FanOutline, fan: Fan, beyond: bool) -> list[str]:
 
 
 def _polar_outline(picture: FloatArray) -> list[str]:
-    """A line if a picture read as polar has two straight edges that narrow to one end: a fan.
-
-    Only 40 % of the rows at either end are used, because farther off the arc of a wide fan cuts its
-    edges.
-    """
+    """A line if a picture read as polar has two straight edges that narrow to one end: a fan. Only
+    40 % of the rows at either end are used, because farther off the arc of a wide fan cuts its
+    edges."""
     echoes = picture > BACKGROUND
     count = round(0.4 * _RINGS)
     for rows in (echoes[-count:], echoes[:count][::-1]):  # narrow end last

@@ -99,10 +99,8 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
 
 def _fraction_counts(seconds: IntArray, fractions: IntArray, sign: str, digits: int) -> bool:
     """Whether what stands behind the seconds and a sign is a counter, or the size of the image.
-
     digits: how many it has in every name. Three digits that are all that differs, and by little,
-    may be every tenth frame.
-    """
+    may be every tenth frame."""
     if not sign or len(seconds) < 2:
         return False
     by_one = np.diff(fractions) == 10 ** (9 - digits)

@@ -36,10 +36,8 @@ class ChannelImages(RawLog):
 
     def __init__(self, log: Recording, topic: str | None = None) -> None:
         """topic: the image topic; None: the only one. Closing this also closes the recording.
-
         Raises SonarrecError if there is no image channel, UsageError if there are several image
-        topics and none is chosen, or if `topic` is none of them.
-        """
+        topics and none is chosen, or if `topic` is none of them."""
         super().__init__(log.diagnostics)
         self._log = log
         try:

@@ -14,9 +14,9 @@ from sonarrec.errors import (
     UsageError,
     number_of,
 )
-from sonarrec.nouns import Clock
+from sonarrec.nouns import Clock, Stamps
 from sonarrec.poses import PoseTable, pose_table
-from sonarrec.readers.containers.recording import Message, Recording
+from sonarrec.readers.containers.recording import Recording
 from sonarrec.readers.messages.fields import DefinitionError, Fields
 from sonarrec.readers.messages.types import Decode, fields_decoder, message_type
 from sonarrec.readers.open import find_log
@@ -46,12 +46,12 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
         )
     log = source.recording()
     try:
-        at, rows, problems = _read_poses(log, topic, time)
+        times, rows, problems = _read_poses(log, topic, time)
     finally:
         log.close()
-    if len(set(at)) < 2:
-        if len(at) > 1:
-            problems = [f"all have the {time} time {at[0]} ns"]
+    if len(set(times)) < 2:
+        if len(times) > 1:
+            problems = [f"all have the {time} time {times[0]} ns"]
         raise SonarrecError(
             f"{path}: {topic} has fewer than two poses that can be read"
             + (f" ({problems[0]})" if problems else "")
@@ -61,7 +61,7 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
         problems[MAX_PROBLEM_LINES:] = [f"{number_of(more, 'more pose')} of {topic} skipped"]
     ahead, left, x, y, z, w = np.array(rows).T
     yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2)))
-    table = pose_table(topic, {"topic": topic}, np.array(at, np.int64), -yaw, -left, ahead)
+    table = pose_table(topic, {"topic": topic}, np.array(times, np.int64), -yaw, -left, ahead)
     return replace(table, problems=tuple(problems), axes="ahead, left")
 
 
@@ -69,7 +69,7 @@ def _read_poses(
     log: Recording, topic: str, time: Clock
 ) -> tuple[list[int], list[list[float]], list[str]]:
     """(times in ns, poses from `_pose`, a line for each message that cannot be used)."""
-    at, rows, problems = [], [], []
+    times, rows, problems = list[int](), list[list[float]](), list[str]()
     channels = _channels(log, topic)
     for number, message in enumerate(log.messages(channels)):
         if message.data is None and message.problem is None:
@@ -77,14 +77,19 @@ def _read_poses(
         try:
             if message.data is None:
                 raise UnusableError(str(message.problem))
-            decode, places = channels[message.channel]
+            decode, path_to_pose = channels[message.channel]
             fields = Fields(decode(message.data))
-            row = _pose(fields, places)
-            at.append(_stamp(message, fields, time))
+            row = _pose(fields, path_to_pose)
+            stamps = Stamps(message.log_time, message.publish_time, fields.stamp_ns())
+            if (stamp := getattr(stamps, time)) is None:
+                raise UnusableError(f"without a {time} time")
+            if stamp >= 2**63:
+                raise UnusableError(f"its {time} time of {stamp} ns is beyond every clock")
+            times.append(stamp)
             rows.append(row)
         except UnusableError as error:
             problems.append(f"message {number} of {topic}: {error}, skipped")
-    return at, rows, problems
+    return times, rows, problems
 
 
 def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
@@ -112,23 +117,13 @@ def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, 
     return decoders
 
 
-def _pose(fields: Fields, places: tuple[str, ...]) -> list[float]:
+def _pose(fields: Fields, path_to_pose: tuple[str, ...]) -> list[float]:
     """[x, y, qx, qy, qz, qw]: position in m, and orientation as a unit quaternion."""
-    for name in places:
+    for name in path_to_pose:
         fields = fields.inner(name)
-    place, turn = fields.inner("position"), fields.inner("orientation")
-    orientation = [turn.number(k) for k in "xyzw"]
+    position = fields.inner("position")
+    orientation = [fields.inner("orientation").number(k) for k in "xyzw"]
     length = math.hypot(*orientation)
     if not length:
         raise UnusableError("its orientation is all zeros")
-    return [*(place.number(k) for k in "xy"), *(v / length for v in orientation)]
-
-
-def _stamp(message: Message, fields: Fields, time: Clock) -> int:
-    stamps = {"log": message.log_time, "publish": message.publish_time, "header": fields.stamp_ns()}
-    stamp = stamps[time]
-    if stamp is None:
-        raise UnusableError(f"without a {time} time")
-    if stamp >= 2**63:
-        raise UnusableError(f"its {time} time of {stamp} ns is beyond every clock")
-    return stamp
+    return [*(position.number(k) for k in "xy"), *(v / length for v in orientation)]

@@ -56,11 +56,9 @@ _CDR_KINDS = {0: ("be", False), 1: ("le", False), 6: ("be", True), 7: ("le", Tru
 
 @lru_cache(maxsize=16)  # logs share a few definitions, and generating their code is slow
 def ros_decoder(name: str, definition: bytes, ros1: bool) -> RosDecoder | None:
-    """The decoder of a message type (package/Name).
-
-    It uses the definition in the file, or else our own; None if there is neither. Raises
-    DefinitionError if the file's cannot be used and there is none of our own.
-    """
+    """The decoder of a message type (package/Name). It uses the definition in the file, or else our
+    own; None if there is neither. Raises DefinitionError if the file's cannot be used and there is
+    none of our own."""
     try:
         if definition.strip():
             types = parse_definition(definition.decode(errors="replace"), name)
@@ -87,10 +85,8 @@ def known_messages(ros1: bool) -> Typestore:
 
 def parse_definition(text: str, name: str) -> Types:
     """The definitions in a text: of message `name` (package/Name) and of those listed below it.
-
     Comments, constants and default values are dropped; nothing in the text is evaluated. Raises
-    DefinitionError if the text cannot be parsed or is too long.
-    """
+    DefinitionError if the text cannot be parsed or is too long."""
     if len(text) > _MAX_DEFINITION_BYTES:
         raise DefinitionError(f"{len(text)} bytes are more than is read")
     defined = set(_TITLE.findall(text.replace("/msg/", "/")))
@@ -156,11 +152,9 @@ class _Layout:
     """
 
     def __init__(self, types: Types, name: str, ros1: bool, narrow: str = "") -> None:
-        """narrow: the byte order ("le" or "be") of XCDR2; empty for other encodings.
-
-        XCDR2 aligns numbers of 8 bytes to 4, which rosbags cannot read. So each of them is
-        declared as two numbers of 4 bytes.
-        """
+        """narrow: the byte order ("le" or "be") of XCDR2; empty for other encodings. XCDR2 aligns
+        numbers of 8 bytes to 4, which rosbags cannot read. So each of them is declared as two
+        numbers of 4 bytes."""
         self._types, self._ros1, self._narrow = types, ros1, narrow
         self._store: Any = Typestore()
         # By name of a message: (kind in the store, nesting depth).
@@ -237,11 +231,9 @@ class _Layout:
             raise DefinitionError(f"more than {_MAX_FIELDS} fields")
 
     def _table(self, number: Any, names: list[str]) -> Any:
-        """Register a sequence of vectors, to be read into one array per component.
-
-        rosbags reads vectors one by one: the beam directions of a ping would take six times as long
-        as all the rest.
-        """
+        """Register a sequence of vectors, to be read into one array per component. rosbags reads
+        vectors one by one: the beam directions of a ping would take six times as long as all the
+        rest."""
         code = np.dtype(_NUMPY.get(number[1][0], number[1][0])).str[1:]
 
         def read(order: str, aligned: bool, body: memoryview, at: int, *_: Any) -> tuple[Any, int]:

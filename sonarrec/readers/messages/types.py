@@ -40,11 +40,9 @@ def read_image(message: Fields) -> Ping:
 
 
 def read_compressed_image(message: Fields) -> Ping:
-    """sensor_msgs/CompressedImage, foxglove.CompressedImage: an image file.
-
-    The field `format` ("png", "mono8; png compressed mono8", ...) is ignored, because the data
-    begin with the file's own mark.
-    """
+    """sensor_msgs/CompressedImage, foxglove.CompressedImage: an image file. The field `format`
+    ("png", "mono8; png compressed mono8", ...) is ignored, because the data begin with the file's
+    own mark."""
     return Ping(decode_image(message.octets("data")), message.stamp_ns())
 
 
@@ -85,11 +83,9 @@ def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
 
 
 def _fan_bearings(directions: FloatArray) -> FloatArray:
-    """(beams,) bearings, deg, from left to right. directions: (beams, 3) unit vectors.
-
-    The forward axis is the one along which their mean is largest (z in the definition, x in some
-    drivers). The axis across is the one along which they differ most.
-    """
+    """(beams,) bearings, deg, from left to right. directions: (beams, 3) unit vectors. The forward
+    axis is the one along which their mean is largest (z in the definition, x in some drivers). The
+    axis across is the one along which they differ most."""
     if len(directions) < 2:
         raise UnusableError("fewer than two beams")
     middle = directions.mean(axis=0)
@@ -112,11 +108,9 @@ def read_projected_sonar_image(message: Fields) -> Ping:
 
 
 def _beam_width(message: Fields) -> float | None:
-    """Median width of the receiving beams at -3 dB, deg; None if it is not reported.
-
-    The message states radians (PingInfo of marine_acoustic_msgs at docs.ros.org). Impossible widths
-    are ignored, because some drivers fill in degrees or zeros.
-    """
+    """Median width of the receiving beams at -3 dB, deg; None if it is not reported. The message
+    states radians (PingInfo of marine_acoustic_msgs at docs.ros.org). Impossible widths are
+    ignored, because some drivers fill in degrees or zeros."""
     try:
         degrees = np.degrees(message.inner("ping_info").numbers("rx_beamwidths"))
     except UnusableError:  # the image can be used without it
@@ -218,10 +212,8 @@ def decoder_for(
     schema_name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
 ) -> Decoder | None:
     """The decoder of a channel's messages; None if they are not sonar images or cannot be decoded.
-
     schema_encoding, schema_data: the message definition in the file ("ros2msg", ...). Raises
-    DefinitionError if it cannot be used and we have none of our own.
-    """
+    DefinitionError if it cannot be used and we have none of our own."""
     name = message_type(schema_name)
     kind = MESSAGES.get(name)
     if kind is None:

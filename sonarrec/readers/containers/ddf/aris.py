@@ -6,10 +6,12 @@ samples and the sound speed, because the window in metres of the description ass
 
 from __future__ import annotations
 
+import csv
+from importlib import resources
+
 import numpy as np
 
 from sonarrec.errors import Diagnostics
-from sonarrec.readers.containers.ddf.aris_beams import BEARINGS_DEG
 from sonarrec.readers.containers.ddf.headers import (
     COMPASS,
     attitude_of,
@@ -69,6 +71,19 @@ CHANNELS = (10, 2, 14, 6, 8, 0, 12, 4, 11, 3, 15, 7, 9, 1, 13, 5)
 """The place of each channel among the 16 beams of its ping."""
 
 
+def _beam_tables() -> dict[tuple[int, bool], tuple[float, ...]]:
+    text = resources.files(__package__).joinpath("aris_beams.csv").read_text(encoding="utf-8")
+    rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
+    return {
+        (int(beams), lens == "telephoto"): tuple(-float(bearing) for bearing in bearings)
+        for beams, lens, *bearings in rows
+    }
+
+
+BEARINGS_DEG = _beam_tables()
+"""Of the beams, positive to the right, by their number and whether the telephoto lens is on."""
+
+
 class Aris:
     """DDF_05.
 
@@ -115,7 +130,11 @@ class Aris:
             raise UnusableError(
                 f"its beams are not in order, and the order of ping mode {mode} is not public"
             )
-        return in_beam_order(samples, pings)
+        # Stored ping after ping, with 16 channels each.
+        stored = samples.reshape(pings, len(samples), len(CHANNELS))
+        ordered = np.empty((len(samples), len(CHANNELS), pings), samples.dtype)
+        ordered[:, list(CHANNELS)] = stored.transpose(1, 2, 0)
+        return ordered.reshape(len(samples), -1)
 
     def times(self, frame: np.void) -> tuple[int | None, int | None]:
         """(the computer's time, the sonar's time), ns since 1970; None if unknown."""
@@ -158,15 +177,6 @@ class Aris:
         rate = rate if rate is not None and 0 < rate < 1000 else None
         sonar = Sonar(tilt_deg=tilt, frame_rate_hz=rate)
         return HeaderInfo(sonar, values, sample_db=FULL_SCALE_DB / 255)
-
-
-def in_beam_order(samples: np.ndarray, pings: int) -> np.ndarray:
-    """(samples, beams) in beam order. samples: stored ping after ping, with 16 channels each."""
-    rows = len(samples)
-    stored = samples.reshape(pings, rows, len(CHANNELS))
-    ordered = np.empty((rows, len(CHANNELS), pings), samples.dtype)
-    ordered[:, list(CHANNELS)] = stored.transpose(1, 2, 0)
-    return ordered.reshape(rows, -1)
 
 
 def _nanoseconds(microseconds: int) -> int | None:

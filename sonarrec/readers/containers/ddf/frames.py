@@ -65,7 +65,9 @@ class DdfFrames(RawLog):
                 "follow the header of the file"
             )
         self.frame_count = room // self._length
-        headers = self._headers_all_over()
+        step = math.ceil(self.frame_count / _HEADERS_LOOKED_AT)
+        starts = (self._start + k * self._length for k in range(0, self.frame_count, step))
+        headers = [header for at in starts if (header := self._frame_header(at)) is not None]
         if headers:
             self.header_info = layout.header_info(self._header, headers, self.diagnostics)
         count = int(self._header["FrameCount"])
@@ -75,12 +77,9 @@ class DdfFrames(RawLog):
             )
 
     def _frame_shape(self) -> tuple[tuple[int, int], int]:
-        """(samples, beams) of every frame, and its length in bytes.
-
-        The first frame's header states it, and so does the file's. The first of the two counts
-        after which another frame, or the end of the file, follows; else the first frame's, if it
-        has a header.
-        """
+        """(samples, beams) of every frame, and its length in bytes. The first frame's header states
+        it, and so does the file's. The first of the two counts after which another frame, or the
+        end of the file, follows; else the first frame's, if it has a header."""
         first = self._frame_header(self._start)
         shapes = [self._layout.shape(self._header, frame) for frame in (first, None)]
         sized = [(one, self._layout.frame_header.itemsize + math.prod(one)) for one in shapes]
@@ -99,13 +98,6 @@ class DdfFrames(RawLog):
             return None
         header: np.void = np.frombuffer(contents, self._layout.frame_header)[0]
         return header
-
-    def _headers_all_over(self) -> list[np.void]:
-        """At most _HEADERS_LOOKED_AT headers of frames, evenly spread from the first frame on."""
-        assert self.frame_count is not None
-        step = math.ceil(self.frame_count / _HEADERS_LOOKED_AT)
-        places = (self._start + k * self._length for k in range(0, self.frame_count, step))
-        return [header for at in places if (header := self._frame_header(at)) is not None]
 
     def close(self) -> None:
         """Close the file."""

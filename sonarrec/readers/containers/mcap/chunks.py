@@ -116,10 +116,8 @@ class ChunkStore:
 
     def open(self, chunk: ChunkHead) -> Contents:
         """Inflate and check a chunk. If the file is cut inside it, return the part that is there.
-
         Raises DamagedError if the chunk cannot be used, SonarrecError if the disk has no room for
-        the temporary file.
-        """
+        the temporary file."""
         if chunk.compression == "":
             if chunk.size != chunk.stored:
                 raise DamagedError(f"does not hold the {chunk.size} bytes it declares")
@@ -184,10 +182,8 @@ def pieces_of(file: BinaryIO, start: int, end: int, size: int = _PIECE) -> Itera
 
 def _check(chunk: ChunkHead, pieces: Iterable[bytes], out: BinaryIO | None = None) -> int:
     """Check the inflated pieces of a chunk, write them to `out` if given, and return their length.
-
     Raises DamagedError if the length is not the declared one, or if the checksum is wrong. A cut
-    chunk may be shorter, and its checksum is not compared.
-    """
+    chunk may be shorter, and its checksum is not compared."""
     written = crc = 0
     for piece in pieces:
         written += len(piece)
@@ -230,9 +226,8 @@ class _Source:
 
 
 def inflated_zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
-    """Inflate zstd frames, a MiB at a time. Of a cut frame only whole blocks are inflated. Raises
-    zstandard.ZstdError if they cannot be inflated."""
-    # Nothing can be read of a cut block, because its sequences are coded backwards from its end.
+    """Inflate zstd frames, a MiB at a time; of a cut frame only whole blocks, whose sequences are
+    coded backwards from their ends. Raises zstandard.ZstdError if they cannot be inflated."""
     decoder = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
     with decoder.stream_reader(_Source(stored), read_across_frames=True) as reader:  # type: ignore[arg-type]
         while piece := reader.read(_PIECE):
@@ -249,10 +244,8 @@ _LZ4_BLOCK_BYTES = {4: 2**16, 5: 2**18, 6: 2**20, 7: 2**22}
 
 def inflated_lz4(file: BinaryIO, start: int, end: int, cut: bool) -> Iterator[bytes]:
     """Inflate the LZ4 frames between two positions of a file, in pieces of at most about 16 MB.
-
     cut: whether the last frame may be cut; then its incomplete block is decoded as far as it goes.
-    Raises RuntimeError or DamagedError if they cannot be inflated.
-    """
+    Raises RuntimeError or DamagedError if they cannot be inflated."""
     decoder = lz4.frame.LZ4FrameDecompressor()
     history, at = b"", start
     for piece in pieces_of(file, start, end, _LZ4_PIECE):
@@ -271,11 +264,9 @@ def inflated_lz4(file: BinaryIO, start: int, end: int, cut: bool) -> Iterator[by
 
 
 def _lz4_last_block(file: BinaryIO, start: int, end: int) -> tuple[bytes, int]:
-    """Find the incomplete block at the end of a frame that is cut at `end`.
-
-    Returns (the bytes of the block, the most bytes that it can inflate to). No bytes if the cut
-    lies between blocks or in an uncompressed block, which the library returns by itself.
-    """
+    """Find the incomplete block at the end of a frame that is cut at `end`. Returns (the bytes of
+    the block, the most bytes that it can inflate to). No bytes if the cut lies between blocks or in
+    an uncompressed block, which the library returns by itself."""
     file.seek(start)
     head = file.read(6)
     if end - start < 7:
@@ -293,11 +284,9 @@ def _lz4_last_block(file: BinaryIO, start: int, end: int) -> tuple[bytes, int]:
 
 
 def lz4_cut_block(block: bytes, history: bytes, size: int) -> bytes:
-    """Decode the beginning of a compressed LZ4 block, to at most `size` bytes.
-
-    history: the output of the blocks before; matches may refer to it. Raises DamagedError if a
-    match refers to bytes before the beginning of the history.
-    """
+    """Decode the beginning of a compressed LZ4 block, to at most `size` bytes. history: the output
+    of the blocks before; matches may refer to it. Raises DamagedError if a match refers to bytes
+    before the beginning of the history."""
     out, most = bytearray(history), len(history) + size
     at = 0
     try:

@@ -16,7 +16,6 @@ from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -267,13 +266,11 @@ class _Pass:
             times = np.frombuffer(found.times, np.uint64)
             self.spans.append((position, int(times.min()), int(times.max())))
             self.back_ns = max(self.back_ns, int((np.maximum.accumulate(times) - times).max()))
-        self._add_run(self._by_time(contents, position, found), contents)
-
-    def _by_time(self, contents: Contents, chunk: int, found: _Scan) -> Iterator[_Position]:
-        """The messages of a chunk by log time, those of equal time as in the file."""
-        for k in np.argsort(np.frombuffer(found.times, np.uint64), kind="stable"):
-            start = contents.start + found.offsets[k]
-            yield from islice(_positions(contents, start, chunk, self._channels), 1)
+        by_time = (
+            next(_positions(contents, contents.start + found.offsets[k], position, self._channels))
+            for k in np.argsort(np.frombuffer(found.times, np.uint64), kind="stable")
+        )
+        self._add_run(by_time, contents)
 
     def _indexed(self, chunk: ChunkHead) -> list[tuple[int, int, int]]:
         """(offset of the record in the chunk, channel, log time in ns), by rising offset, of the
