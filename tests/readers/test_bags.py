@@ -7,7 +7,6 @@ import csv
 import hashlib
 import json
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -121,16 +120,6 @@ def test_a_missing_part(storage: str, tmp_path: Path) -> None:
         file.unlink(missing_ok=True)
     with pytest.raises(SonarrecError, match="no log and no image in this folder"):
         read(tmp_path / "dive")
-
-
-def test_a_part_that_is_listed_twice_is_read_once(tmp_path: Path) -> None:
-    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES[:4]), [2, 2]))
-    told = tmp_path / "dive" / "metadata.yaml"
-    listed = f"{files[0].name}, {files[1].name}"
-    told.write_text(told.read_text().replace(listed, f"{listed}, {files[1].name}"))
-    found, problems = read(tmp_path / "dive")
-    assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(4)]
-    assert problems == [f"{files[1].name}: metadata.yaml lists it 2 times; it is read once"]
 
 
 def test_losses_that_cannot_be_placed(tmp_path: Path) -> None:
@@ -324,22 +313,6 @@ def test_metadata_that_cannot_be_true(tmp_path: Path) -> None:
     assert any(files[4].name in line and "does not list it" in line for line in problems)
     file.write_text(told.replace("message_count: 10", "message_count: 1000000000000"))
     assert len(read(tmp_path / "dive")[0]) == 10
-
-
-@pytest.mark.parametrize("pack", [zstandard.ZstdCompressor().compress, lz4.frame.compress])
-def test_damaged_packings(pack: Callable[[bytes], bytes], tmp_path: Path) -> None:
-    path = mcap_file(tmp_path / "log.mcap", [("/a", *m) for m in messages(IMAGES)], chunked=False)
-    end = ".lz4" if pack is lz4.frame.compress else ".zst"
-    packed = tmp_path / f"log.mcap{end}"
-    packed.write_bytes(pack(path.read_bytes()))
-    whole = packed.read_bytes()
-    packed.write_bytes(whole[: len(whole) // 2])
-    if end == ".lz4":  # to the last byte; of zstd to the last whole block of 128 kB
-        found, problems = read(packed)
-        assert 2 < len(found) < 10
-        assert "cut short or damaged" in problems[0]
-    packed.write_bytes(pack(path.read_bytes()[:9000]) + pack(path.read_bytes()[9000:]))
-    assert len(read(packed)[0]) == 10, "several frames behind each other are one file"
 
 
 @pytest.mark.parametrize("end", [".zst", ".lz4"])

@@ -6,21 +6,15 @@ import random
 import struct
 from pathlib import Path
 
-import lz4.block
 import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from sonarrec.cli import main
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.mcap import chunks
-from sonarrec.readers.containers.mcap.chunks import DamagedError, lz4_cut_block
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
 from tests.support.slow import but_first
 
@@ -30,69 +24,6 @@ COMPRESSIONS = ("none", "lz4", "zstd")
 def read(path: Path) -> tuple[list[Frame], list[str]]:
     with open_log(path) as log:
         return list(log), log.diagnostics.problems
-
-
-# A block of LZ4 that is cut
-
-
-def lz4_block(sequences: list[tuple[bytes, int, int]]) -> tuple[bytes, bytes, list[int]]:
-    """(block, what it says, how many bytes of that are known after each byte of the block), of
-    sequences of literals, then a match by its distance and length."""
-    block, plain = bytearray(), bytearray()
-    known: list[int] = []
-
-    def put(data: bytes, said: bytes = b"") -> None:
-        for n, byte in enumerate(data):
-            block.append(byte)
-            known.append(len(plain) + min(n + 1, len(said)))
-        plain.extend(said)
-
-    def extended(length: int) -> bytes:
-        return b"" if length < 15 else b"\xff" * ((length - 15) // 255) + bytes(
-            [(length - 15) % 255]
-        )  # fmt: skip
-
-    for literals, distance, length in sequences:
-        put(bytes([min(len(literals), 15) << 4 | min(length - 4, 15)]) + extended(len(literals)))
-        put(literals, literals)
-        match = bytearray()
-        for n in range(length):
-            match.append((plain + match)[len(plain) + n - distance])
-        code = struct.pack("<H", distance) + extended(length - 4)
-        put(code)
-        plain.extend(match)
-        known[-1] = len(plain)
-    put(bytes([0xC0]))
-    put(b"last literal", b"last literal")
-    return bytes(block), bytes(plain), known
-
-
-@pytest.mark.slow
-@settings(max_examples=100)
-@given(data=st.data())
-def test_a_cut_lz4_block_is_decoded_to_its_last_byte(data: st.DataObject) -> None:
-    sequences, length = [], 0
-    for _ in range(data.draw(st.integers(1, 6))):
-        literals = data.draw(st.binary(min_size=1, max_size=40) | st.just(bytes(range(256)) * 3))
-        length += len(literals)
-        distance = data.draw(st.integers(1, length))
-        match = data.draw(st.integers(4, 24) | st.sampled_from([18, 19, 20, 273, 274, 275, 600]))
-        sequences.append((literals, distance, match))
-        length += match
-    block, plain, known = lz4_block(sequences)
-    assert lz4.block.decompress(block, uncompressed_size=len(plain)) == plain  # the block is LZ4
-    for cut in data.draw(st.sets(st.integers(0, len(block)), max_size=40)) | {len(block)}:
-        expected = plain[: known[cut - 1] if cut else 0]
-        assert lz4_cut_block(block[:cut], b"", len(plain)) == expected
-    assert lz4_cut_block(block, b"", 5) == plain[:5]
-
-
-def test_a_cut_lz4_block_reaches_into_the_one_before() -> None:
-    block, plain, _ = lz4_block([(b"x", 1, 4)])
-    block = block[:2] + struct.pack("<H", 4) + block[4:]  # reach three bytes before the block
-    assert lz4_cut_block(block, b"abc", 100) == b"xabcx" + plain[5:]
-    with pytest.raises(DamagedError, match="before the beginning"):
-        lz4_cut_block(block, b"ab", 100)
 
 
 @pytest.mark.parametrize(
@@ -192,21 +123,3 @@ def test_600_frames_cut_at_50_places(compression: str, tmp_path: Path) -> None:
             missing = int(line.split(" held ")[1].split(" more ")[0])
             assert abs(len(found) + missing - in_chunks) <= 3  # by size: chunks hold more records
     assert told > 20 or compression == "zstd"
-
-
-@pytest.mark.parametrize(
-    "compression",
-    but_first(["zstd", "lz4", "none"]),
-)
-def test_a_cut_log_is_run_and_the_exit_code_says_so(compression: str, tmp_path: Path) -> None:
-    images = frames(60, 100, 80)
-    messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]
-    path = mcap_file(tmp_path / "log.mcap", messages, compression=compression, chunk_size=10**6)
-    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
-    expected = len(read(path)[0])
-    assert 0 < expected < 60
-    result = CliRunner().invoke(main, ["run", str(path), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 3, result.output
-    assert "cut short" in result.output
-    rows = (tmp_path / "out" / "log" / "frames.csv").read_text().splitlines()
-    assert len(rows) == 1 + expected

@@ -1,4 +1,4 @@
-"""One corpus of damaged files, cut anywhere and changed anywhere, through `info`."""
+"""One corpus of damaged files, cut anywhere and changed anywhere, through `info` and `run`."""
 
 from __future__ import annotations
 
@@ -10,15 +10,19 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from click.testing import CliRunner
 
+from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
+from sonarrec.nouns import Frame
+from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
-from sonarrec.sonar import Sonar
 from tests.support.bags import bag, messages, ros1_bag
-from tests.support.logs import frames, mcap_file
-from tests.support.sonar_files import aris_file, gemini_log, gemini_record, oculus_ping
+from tests.support.logs import SONAR_TOML, frames, mcap_file
+from tests.support.sonar_files import aris_file, didson_file, gemini_log, gemini_record, oculus_ping
 
 IMAGES = frames(10, 64, 48)
+IMAGES_OF_96 = frames(10, 64, 96)
 Make = Callable[[Path], Path]
 
 
@@ -48,13 +52,16 @@ def oculus(path: Path) -> Path:
     return file
 
 
-def video(path: Path) -> Path:
-    file = path / "log.avi"
-    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), 10, (48, 64))
-    for image in IMAGES:
-        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return file
+def video(suffix: str, codec: str) -> Make:
+    def make(path: Path) -> Path:
+        file = path / f"log{suffix}"
+        writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), 4, (48, 64))
+        for image in IMAGES:
+            writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+        writer.release()
+        return file
+
+    return make
 
 
 CORPUS: dict[str, Make] = {
@@ -71,32 +78,86 @@ CORPUS: dict[str, Make] = {
     "gemini": lambda path: gemini_log(
         path / "log.glf", [gemini_record(k, image) for k, image in enumerate(IMAGES)]
     ),
-    "avi": video,
+    "didson": lambda path: didson_file(path / "log.ddf", IMAGES_OF_96, 4),
+    "avi": video(".avi", "MJPG"),
+    "mkv": video(".mkv", "FFV1"),
+    "mp4": video(".mp4", "mp4v"),
 }
+POLAR = (".aris", ".ddf", ".glf", ".raw")
+
+
+def made(make: Make, folder: Path) -> tuple[Path, list[Frame]]:
+    """A whole log, with the geometry that it does not state, and its frames."""
+    path = make(folder)
+    text = "[sonar]\ntilt_deg = 20.0\n" if path.suffix in POLAR else SONAR_TOML
+    (path.parent / "sonar.toml").write_text(text)
+    with open_log(path) as log:
+        whole = list(log)
+    assert len(whole) == len(IMAGES)
+    assert not log.diagnostics.problems
+    return path, whole
+
+
+def read(path: Path) -> tuple[list[Frame], list[str]]:
+    """The frames, and what is told of the others; of a Matroska, which counts none, in a note."""
+    try:
+        with open_log(path) as log:
+            found, told = list(log), log.diagnostics
+    except SonarrecError as error:
+        return [], [error.line]
+    return found, [*told.problems, *(note for note in told.notes if " read: " in note)]
 
 
 @pytest.mark.parametrize("make", CORPUS.values(), ids=CORPUS)
-def test_a_damaged_file_is_read_as_far_as_it_goes_and_told(make: Make, tmp_path: Path) -> None:
+def test_a_cut_file_is_read_up_to_the_cut_and_told(make: Make, tmp_path: Path) -> None:
+    """The frames are the first of the whole log, as many as lie in the file where that shows; and
+    `run` does what reading does, with exit code 3."""
+    path, whole = made(make, tmp_path)
+    data, counts = path.read_bytes(), []
+    # Where each image lies in the file as it is, something may follow its pixels.
+    ends = [data.find(image.tobytes()) + image.size for image in IMAGES]
+    for k in range(1, 25):
+        path.write_bytes(data[: (size := len(data) * k // 25)])
+        found, lines = read(path)
+        counts.append(len(found))
+        assert [frame.index for frame in found] == list(range(len(found)))
+        # SQLite and the decoders of videos fill up the frame that is cut.
+        sure = found[:-1] if path.suffix in (".db3", ".avi") else found
+        for frame, before in zip(sure, whole, strict=False):
+            np.testing.assert_array_equal(frame.image, before.image)
+        assert lines or len(found) == len(whole) or path.suffix == ".raw"  # cut between pings
+        assert not [line for line in lines if "\n" in line or len(line) > 1000]
+        if min(ends) >= IMAGES[0].size and path.suffix not in (".zst", ".lz4", ".db3"):
+            assert len(found) <= sum(end <= size for end in ends) <= len(found) + 1, size
+    assert counts == sorted(counts)
+    path.write_bytes(data[: len(data) * 4 // 5 - 3])
+    found, lines = read(path)
+    done = CliRunner().invoke(main, ["run", str(path), "-o", str(tmp_path / "out")])
+    assert done.exit_code == (3 if found else 1), done.output
+    if found:
+        rows = (tmp_path / "out" / "log" / "frames.csv").read_text().splitlines()
+        assert len(rows) == 1 + len(found)
+
+
+@pytest.mark.parametrize("make", CORPUS.values(), ids=CORPUS)
+def test_a_changed_file_is_told_or_reads_as_before(make: Make, tmp_path: Path) -> None:
     """Never more frames than there were; lost ones are told, in lines; no traceback."""
-    path = make(tmp_path)
-    data, rng, read = path.read_bytes(), np.random.default_rng(0), set[int]()
-    for k in range(30):
+    path, _ = made(make, tmp_path)
+    data, rng, most = path.read_bytes(), np.random.default_rng(0), 0
+    for k in range(15):
         changed = bytearray(data)
-        if k % 2:
-            del changed[int(len(data) * (k + 1) / 31) :]
-        else:
-            for at in rng.integers(0, len(data), 1 + 2 * k):
-                changed[at] = rng.integers(0, 256)
+        for at in rng.integers(0, len(data), 1 + 4 * k):
+            changed[at] = rng.integers(0, 256)
         path.write_bytes(changed)
         try:
-            found = describe(path, sonar=Sonar(tilt_deg=20.0))
+            found = describe(path)
         except SonarrecError as error:
             lines = [str(error)]
         else:
-            lines = [*found.faults, *(p for images in found.images for p in images.problems)]
+            lines = [*found.faults, *(p for i in found.images for p in (*i.problems, *i.notes))]
             usable = sum(images.usable or 0 for images in found.images)
-            read.add(usable)
+            most = max(most, usable)
             assert usable <= len(IMAGES)
             assert lines or usable == len(IMAGES) or not found.images
         assert not [line for line in lines if "\n" in line or len(line) > 1000]
-    assert max(read) > len(IMAGES) // 2 or path.suffix == ".bag"  # whose one chunk holds all
+    assert most > len(IMAGES) // 2 or path.suffix == ".bag"  # whose one chunk holds all

@@ -256,44 +256,6 @@ for _ in range(2):
     assert told.stdout.decode().splitlines() == ["a JPEG that is damaged inside"] * 2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".mkv", ".mp4"])
-def test_frames_that_a_video_loses_are_told(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"log{suffix}"
-    codec = cv2.VideoWriter.fourcc(*("FFV1" if suffix == ".mkv" else "mp4v"))
-    video = cv2.VideoWriter(str(path), codec, 4.0, (64, 48))
-    rng = np.random.default_rng(2)
-    for _ in range(12):
-        video.write(rng.integers(0, 256, (48, 64, 3), dtype=np.uint8))
-    video.release()
-    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
-    with open_log(path) as opened:
-        assert len(list(opened)) == 12
-    assert not opened.diagnostics.problems
-    whole = path.read_bytes()
-    lost = 0
-    for start in range(len(whole) // 20, len(whole), len(whole) // 20):
-        path.write_bytes(whole[:start] + bytes(60) + whole[start + 60 :])
-        try:
-            with open_log(path) as opened:
-                count = len(list(opened))
-        except SonarrecError:
-            continue
-        lost += count < 12
-        told = opened.diagnostics
-        assert count == 12 or told.problems or told.notes, start
-    for cut in range(1, 2000, 100):
-        path.write_bytes(whole[:-cut])
-        try:
-            with open_log(path) as opened:
-                count = len(list(opened))
-        except SonarrecError:
-            continue
-        lost += count < 12
-        assert count == 12 or opened.diagnostics.problems, cut
-    assert lost or suffix == ".mp4"
-
-
 def tiff(images: list[np.ndarray], kinds: list[int], order: str, big: bool) -> bytes:
     """Grey images of 8 bit, one directory each. kinds: their NewSubfileType."""
     offset = "Q" if big else "I"

@@ -245,18 +245,6 @@ def test_exit_codes_of_several_logs(tmp_path: Path) -> None:
     assert info(good, "--nonsense").exit_code == 2
 
 
-def test_a_cut_video(tmp_path: Path) -> None:
-    video = tmp_path / "log.avi"
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10, (24, 30))
-    for image in IMAGES:
-        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
-    found = table(video, code=3)
-    assert 0 < found["images"][0]["usable"] < 20
-    assert "frames could be read; cut short" in found["faults"][0]
-
-
 def test_for_programs(tmp_path: Path) -> None:
     seen: list[int | None] = []
     found = describe(mcap_file(tmp_path / "log.mcap", MESSAGES), observe=seen.append)

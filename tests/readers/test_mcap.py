@@ -14,9 +14,8 @@ import cv2
 import jsonschema
 import numpy as np
 import pytest
-from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
-from mcap.records import Channel, Header, Schema
+from mcap.records import Channel, Schema
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
@@ -25,7 +24,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.mcap.salvage import MAGIC
 from sonarrec.readers.messages.types import decoder_for, message_type
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
@@ -248,69 +246,6 @@ def test_log_time_order(options: dict[str, bool], tmp_path: Path) -> None:
 
 
 # Cut and damaged files
-
-
-@pytest.mark.parametrize(
-    ("compression", "chunked"),
-    [("none", True), ("lz4", True), ("zstd", True), ("none", False)],
-)
-def test_cut_anywhere(compression: str, chunked: bool, tmp_path: Path) -> None:
-    """What is whole before the cut is read, whatever the place; it is never more than there is."""
-    images = frames(12, 20, 20)
-    messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]
-    path = mcap_file(
-        tmp_path / "log.mcap",
-        messages,
-        compression=compression,
-        chunked=chunked,
-        chunk_size=1500,
-    )
-    whole = path.read_bytes()
-    ends = []  # of each message's bytes, where they lie open in the file
-    if compression == "none" or not chunked:
-        ends = [whole.index(m) + len(m) for _, _, m in messages]
-    cut = tmp_path / "cut.mcap"
-    places = sorted(random.Random(4).sample(range(len(whole)), 60))
-    last = 0
-    for place in places:
-        cut.write_bytes(whole[:place])
-        try:
-            found, problems = read(cut)
-        except SonarrecError:  # before the first whole frame
-            assert not last
-            assert not any(end <= place for end in ends)
-            continue
-        assert len(found) >= last
-        last = len(found)
-        if ends:
-            assert len(found) == sum(end <= place for end in ends)
-        for frame, image in zip(found, images, strict=False):
-            np.testing.assert_array_equal(frame.image, image)
-        assert "cut short" in problems[0]
-        assert [p for p in problems[1:] if "the chunk that is cut held" not in p] == []
-    assert last == len(images)
-
-
-def test_a_file_that_ends_in_zeros(tmp_path: Path) -> None:
-    """As a crashed recorder leaves it on a disk that was reserved ahead."""
-    path = mcap_file(tmp_path / "log.mcap", [("/a", 0, cdr_image(IMAGE))], chunked=False)
-    data = path.read_bytes()
-    end = data.index(cdr_image(IMAGE)) + len(cdr_image(IMAGE))
-    path.write_bytes(data[:end] + bytes(5000))
-    found, problems = read(path)
-    assert len(found) == 1
-    assert f"at byte {end} " in problems[0]
-
-
-def test_magic_alone(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
-    builder = RecordBuilder()
-    Header("", "").write(builder)
-    for data in (MAGIC, MAGIC + builder.end()):
-        path.write_bytes(data)
-        with pytest.raises(SonarrecError, match="no image channel"):
-            read(path)
 
 
 # The writer
