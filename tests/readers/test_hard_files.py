@@ -395,20 +395,6 @@ def test_images_cut_short(tmp_path: Path) -> None:
     assert len(opened.diagnostics.problems) == len(suffixes)
 
 
-def test_a_fan_too_large_to_make(tmp_path: Path) -> None:
-    """A window of 1 m at 1 km: bins of 1 cm ask for a fan of 100,000 pixels a side."""
-    bearings = tuple(np.linspace(-65, 65, 20).tolist())
-    sonar = Sonar(range_min_m=1000, range_max_m=1001, tilt_deg=20, bearings_deg=bearings)
-    path = tmp_path / "log.mcap"
-    (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
-    with McapImageWriter(
-        path, schema="sonar_oculus/msg/OculusPing", sonar=sonar.complete("test")
-    ) as writer:
-        writer.write(0, np.zeros((100, 20), np.uint8))
-    with pytest.raises(SonarrecError, match="186167 x 100100 pixels"), open_log(path) as opened:
-        list(opened)
-
-
 def test_a_window_too_short_to_be_meant(tmp_path: Path) -> None:
     bearings = tuple(np.linspace(-30, 30, 20).tolist())
     sonar = Sonar(range_min_m=1, range_max_m=2, tilt_deg=20, bearings_deg=bearings).complete("test")

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec import config
 from sonarrec.geometry import bin_ranges
 from sonarrec.readers.messages.fields import Fields
 from sonarrec.readers.messages.types import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError
-from sonarrec.runs.one import run as run_log
-from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar import Sonar
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder, mcap_file
@@ -31,17 +25,14 @@ from tests.support.messages import (
     BEARINGS_DEG,
     BIN_M,
     BINS,
-    FIRST_BIN,
     OCULUS,
     PROJECTED,
     RAW,
     SOUND_SPEED,
     WRITERS,
-    bearings_deg,
     directions,
     ping_of,
     polar_frames,
-    polar_toml,
     read,
     serialised,
     sidecars,
@@ -73,66 +64,6 @@ def test_every_message_gives_the_frames_of_the_folder(i: int, writer: str, tmp_p
         assert frame.stamps.header == stamp_ns(k)
         np.testing.assert_array_equal(frame.image, same.image)
         assert dataclasses.astuple(frame.fan) == pytest.approx(dataclasses.astuple(same.fan))
-
-
-@pytest.fixture(scope="module")
-def recording() -> list[np.ndarray]:
-    """Simulated pings with landmarks, in the messages' window."""
-    scene = load_scene("sample_polar")
-    sonar = replace(
-        scene.sonar,
-        range_min_m=FIRST_BIN * BIN_M,
-        range_max_m=(FIRST_BIN + 128) * BIN_M,
-        range_bins=128,
-        beams=48,
-    )
-    return [frame.image for frame in render(replace(scene, sonar=sonar, frames=4))]
-
-
-Estimates = Callable[[str, list[np.ndarray]], bytes]
-
-
-@pytest.fixture(scope="module")
-def estimates_of_folder(tmp_path_factory: pytest.TempPathFactory) -> Estimates:
-    """estimates.csv of an image folder, worked out once for each sonar.toml."""
-    done: dict[str, bytes] = {}
-
-    def estimates(toml: str, images: list[np.ndarray]) -> bytes:
-        if toml not in done:
-            path = tmp_path_factory.mktemp("folder")
-            folder = image_folder(path / "log", images)
-            (folder / "sonar.toml").write_text(toml)
-            run_log(folder, path / "out", preset=config.preset("default"))
-            done[toml] = (path / "out" / "log" / "estimates.csv").read_bytes()
-        return done[toml]
-
-    return estimates
-
-
-@pytest.mark.parametrize("writer", [w for w in WRITERS if not w.endswith(("JSON", "ROS 1"))])
-def test_every_message_gives_the_estimates_of_the_folder(
-    writer: str,
-    recording: list[np.ndarray],
-    estimates_of_folder: Estimates,
-    tmp_path: Path,
-) -> None:
-    """A log with landmarks through the whole program: the same bytes."""
-    images = recording
-    if "culus" in writer:  # which records from the sonar on
-        images = [np.pad(image, ((FIRST_BIN, 0), (0, 0))) for image in images]
-    log = tmp_path / "log.mcap"
-    WRITERS[writer](log, images, "zstd")
-    bins, beams = images[0].shape
-    mine, theirs = sidecars(writer, bins, beams)
-    if not theirs:
-        mine = theirs = polar_toml(bins, FIRST_BIN, bearings_deg(beams))
-    (tmp_path / "sonar.toml").write_text(mine)
-    summary = run_log(log, tmp_path / "out", preset=config.preset("default"))
-    assert not summary.problems
-    assert not summary.notes
-    found = (tmp_path / "out" / "log" / "estimates.csv").read_bytes()
-    assert found.count(b"\n") > 8
-    assert found == estimates_of_folder(theirs, images)
 
 
 # One message

@@ -25,7 +25,6 @@ from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs.one import process
 from sonarrec.runs.prepare import RunOptions
-from sonarrec.simulation.mcap_writer import SCHEMAS, is_polar
 from sonarrec.sonar import Sonar
 from tests.support import messages
 from tests.support.command import sonarrec
@@ -251,12 +250,6 @@ def test_polar_images_that_cannot_be_drawn_are_named_by_their_log(tmp_path: Path
         pytest.raises(SonarrecError, match=f"^{re.escape(str(folder))}: polar images of 6000 "),
     ):
         next(iter(log))
-    pings = log_of(tmp_path / "log.mcap", [messages.projected_fields(0, polar_frames()[0])])
-    with (
-        open_log(pings, sonar=Sonar(tilt_deg=20.0, bearings_deg=(-1.0, 1.0))) as log,
-        pytest.raises(SonarrecError, match=f"^{re.escape(str(pings))}: bearings_deg has 2 "),
-    ):
-        next(iter(log))
 
 
 def test_a_first_ping_with_a_window_too_far_to_draw(tmp_path: Path) -> None:
@@ -273,7 +266,8 @@ def test_a_first_ping_with_a_window_too_far_to_draw(tmp_path: Path) -> None:
 def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
     pings = [messages.projected_fields(0, polar_frames(1)[0])]
     path = log_of(tmp_path / "log.mcap", pings)
-    with pytest.raises(SonarrecError, match="2 bearings but the images have 24 beams"):
+    says = f"^{re.escape(str(path))}: bearings_deg has 2 bearings but the images have 24 beams"
+    with pytest.raises(SonarrecError, match=says):
         read(path, sonar=TILT.updated(Sonar(bearings_deg=(-1.0, 1.0))))
     with pytest.raises(SonarrecError, match="height_m = 3 must be above 0 and below"):
         read(path, sonar=TILT.updated(Sonar(height_m=3.0)))
@@ -419,16 +413,10 @@ def test_beam_order_of_noise_and_ramps() -> None:
     """Nothing is turned by chance."""
     rng = np.random.default_rng(1)
     for _ in range(200):
-        bins, beams = rng.integers(8, 100, 2)
+        bins, beams = rng.integers(2, 100, 2)
         assert not looks_beam_major(rng.integers(0, 256, (bins, beams), dtype=np.uint8))
         for image in frames(2, bins, beams):
             assert not looks_beam_major(image)
-
-
-def test_beam_order_of_tiny_images() -> None:
-    for bins in range(2, 7):
-        for beams in range(2, 7):
-            assert looks_beam_major(np.full((bins, beams), 7, np.uint8)) is False
 
 
 def test_beam_order_of_images_that_decide_nothing(tmp_path: Path) -> None:
@@ -580,26 +568,6 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
 
 
 # What a user types
-
-
-@pytest.mark.parametrize("schema", [s for s in SCHEMAS if is_polar(s)])
-def test_simulated_pings_are_read_again(schema: str, tmp_path: Path) -> None:
-    """Nothing but tilt and height is written beside them; each window is the scene's to a bin."""
-    log = tmp_path / "pings.mcap"
-    scene = ("--scene", "sample_polar", "--frames", "2", "--format", "mcap")
-    sonarrec("simulate", *scene, "--out", log, "--schema", schema, "--compression", "lz4")
-    stated = tomllib.loads((tmp_path / "pings.sonar.toml").read_text())["sonar"]
-    assert set(stated) == {"tilt_deg", "height_m", "frame_rate_hz"}
-    found, problems, notes = read(log)
-    assert len(found) == 2
-    assert not problems
-    assert not notes
-    fan = found[0].fan
-    bin_m = fan.metres_per_pixel
-    assert fan.range_max_m == pytest.approx(2.65, abs=bin_m)
-    begins = 0.0 if "culus" in schema else 1.4  # an Oculus records from the sonar on
-    assert fan.range_min_m == pytest.approx(begins, abs=bin_m)
-    assert fan.bearing_max_deg == pytest.approx(14.4, abs=0.02)
 
 
 def test_simulate_refuses(tmp_path: Path) -> None:
