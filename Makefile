@@ -3,8 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SAMPLE := sample_data/pan
 
-.PHONY: test test-slow test-all lint demo bench memory fuzz paper paper-worlds paper-choices \
-	paper-report scenes pictures stated returns worlds ablation study speeds maps model \
+.PHONY: test test-slow test-all lint demo bench fuzz paper scenes pictures stated worlds ablation study speeds maps model \
 	regression results kills scale scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -42,9 +41,6 @@ demo: .venv/program  # the sample log, from images to tables
 bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop
 	$(BIN)/python -m tests.studies.bench --record bench
 
-memory: .venv/installed  # peak memory of reading 1 GB logs in the shapes that cost most
-	$(BIN)/python -m tests.studies.memory --record memory
-
 fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarrec run`
 	$(BIN)/python -m tests.studies.fuzz --files 2000
 
@@ -57,15 +53,7 @@ scoring: .venv/installed  # what evaluate costs over up to 1,000 logs of 10,000 
 kills: .venv/installed  # forty runs stopped at random moments by three signals
 	$(BIN)/python -m tests.studies.kills
 
-paper: paper-choices paper-report  # the paper's comparison, in the worlds on record
-
-paper-worlds: .venv/installed  # worlds in which SMI meets Table 4; writes worlds.toml
-	$(BIN)/python -m tests.studies.paper.search
-
-paper-choices: .venv/installed  # what the paper leaves open, chosen in six of them; writes choices.toml
-	$(BIN)/python -m tests.studies.paper.choices --record paper_choices
-
-paper-report: .venv/installed  # Tables 4 and 5 in the others, ours beside the published
+paper: .venv/installed  # Tables 4 and 5 in the worlds on record, ours beside the published
 	$(BIN)/python -m tests.studies.paper.prediction --record paper
 
 scenes: .venv/installed  # every kind of random scene, all methods, beside the goals
@@ -76,9 +64,6 @@ pictures: .venv/installed  # what viewers, codecs and worn sonars do to pictures
 
 stated: .venv/installed  # what it costs to state the geometry or the landmarks' size wrongly
 	$(BIN)/python -m tests.studies.stated --record stated
-
-returns: .venv/installed  # what is claimed of landmarks out of view, and when they come back
-	$(BIN)/python -m tests.studies.returns --record returns
 
 worlds: .venv/installed  # recordings that are not ours, where they are at hand
 	$(BIN)/python -m tests.studies.worlds --record worlds

@@ -288,8 +288,8 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
     "offline": {"features": {"lag_frames": 240}},
     # How the values that are open in the paper were chosen: those of candidates and smi on Table 4
-    # alone (`make paper-worlds`); those of continuity and features in six basins in which this SMI
-    # meets Table 4 (`make paper-choices`). Table 5 has no part in either.
+    # alone; those of continuity and features in six basins in which this SMI meets Table 4. Table 5
+    # has no part in either.
     "paper": {
         "candidates": {
             "plane": "fan",

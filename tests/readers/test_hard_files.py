@@ -27,8 +27,8 @@ from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
-from tests.studies.memory import peak_of_reading
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
+from tests.support.shapes import peak_of_reading
 
 IMAGES = frames(6)
 
@@ -245,7 +245,7 @@ from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
-from tests.studies.memory import peak_of_reading
+from tests.support.shapes import peak_of_reading
 for _ in range(2):
     try:
         decode_image(Path({str(tmp_path / "a.jpg")!r}).read_bytes())

@@ -25,9 +25,9 @@ from sonarrec.readers import open_log
 from sonarrec.readers.containers.mcap import chunks, recording
 from sonarrec.readers.containers.mcap.recording import McapRecording
 from sonarrec.readers.messages.images import ChannelImages
-from tests.studies.memory import peak_of_reading, shapes
 from tests.support.hard_logs import HardLog, built, message, record
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames
+from tests.support.shapes import peak_of_reading, shapes
 from tests.support.slow import but_first
 
 IMAGES = frames(12, 20, 20)
@@ -527,7 +527,7 @@ def least(tmp_path_factory: pytest.TempPathFactory) -> float:
     ),
 )
 def test_memory_does_not_grow_with_the_log(shape: str, least: float, tmp_path: Path) -> None:
-    """The shapes of tests/studies/memory.py, small, with a still smaller bound on held chunks.
+    """The shapes of tests/support/shapes.py, small, with a still smaller bound on held chunks.
 
     Without a bound 48 MB come on top of what the program itself takes.
     """

@@ -23,14 +23,11 @@ from sonarrec.simulation.render import render
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from tests.studies.measured import errors
-from tests.studies.results.record import add_record_option, save, show
-from tests.studies.scenes import FRAMES, REPORTED, seeds, told
+from tests.studies.results.record import options, save, show
+from tests.studies.scenes import FRAMES, REPORTED, told
 from tests.support.simulated import Job, in_processes, recognise, score
 
-WORLDS = {
-    "The pool": (KINDS_OF_SCENE, REPORTED[:4]),
-    "Other worlds": (OTHER_WORLDS, REPORTED[:2]),
-}
+WORLDS = {"The pool": (KINDS_OF_SCENE, REPORTED[:4]), "Other worlds": (OTHER_WORLDS, REPORTED[:2])}
 """Kinds of scene and seeds of each table."""
 EQUAL_FPR = (0.002, 0.01)
 """Where TPRs are read off the curves, for another measurement may want another threshold."""
@@ -177,20 +174,11 @@ def _figures(found: Counts, folders: Sequence[Path]) -> dict[str, str]:
     )
 
 
-def parser(module: str, about: str | None) -> argparse.ArgumentParser:
-    """Of what `compare` is asked."""
-    parser = argparse.ArgumentParser(prog=f"python -m tests.studies.{module}", description=about)
-    parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, help="default: WORLDS")
-    parser.add_argument("--seeds", type=seeds, default=REPORTED[:4], help="of these kinds")
-    parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
-    parser.add_argument("--out", type=Path, default=Path("build") / module)
-    add_record_option(parser)
-    return parser
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
-    asked = parser("ablation", __doc__).parse_args(arguments)
+    parser = options("ablation", __doc__, REPORTED[:4], FRAMES)
+    parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, help="default: WORLDS")
+    asked = parser.parse_args(arguments)
     compare(ABLATIONS, asked)
     save(asked.record)
 

@@ -2,26 +2,23 @@
 
 cv2.HoughCircles, the six-line shape matrix on every circle, a nearest-neighbour track with a
 majority vote. Nothing of sonarrec's own recogniser is used.
-
-`python -m tests.studies.baseline` tunes it on simulated scenes of its own (TUNING_SCENES).
 """
 
 from __future__ import annotations
 
 import csv
-import itertools
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
-from sonarrec.geometry import fan_mask, polar_from_pixel
-from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.geometry import fan_for_image, fan_mask, polar_from_pixel
+from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
+from sonarrec.sonar import load_sonar
 
 METHOD = "hough_majority"
 ANGLES = 36
@@ -31,7 +28,7 @@ TUNING_SCENES = ((901, "plain"), (902, "plain"), (903, "near_miss"), (904, "fadi
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """As `python -m tests.studies.baseline` chose them.
+    """Of 512 searched, those with most TPR - 5 FPR over TUNING_SCENES (commit 8d855fe2 has how).
 
     scale: the image is shrunk by this before the search. blur: Gaussian kernel, pixels. edge,
     votes: HoughCircles' param1 and param2. slack: radii searched, as a share of the known one.
@@ -202,81 +199,8 @@ def write_estimates(
     return rows
 
 
-SEARCH: dict[str, tuple[Any, ...]] = {
-    "scale": (0.5, 1.0),
-    "blur": (5, 9, 13, 17),
-    "edge": (40, 80),
-    "votes": (8, 10, 14, 18),
-}
-REST: dict[str, tuple[Any, ...]] = {
-    "similarity": (0.65, 0.7, 0.75, 0.8, 0.85, 0.9),
-    "ring": (0.4, 0.5, 0.6, 0.7, 0.8),
-    "most": (10, 20, 40, 80),
-    "share": (0.2, 0.35, 0.5, 0.7),
-    "least": (2, 4, 7, 12),
-}
-
-
-def tune() -> Settings:
-    """The settings with most TPR - 5 FPR (strict), summed over TUNING_SCENES.
-
-    For every combination of SEARCH a coordinate search over REST, twice through.
-    """
-    import tempfile
-
-    from sonarrec.simulation.simulate import write_recording
-    from tests.studies.learning.random_scenes import random_scene
-    from tests.support.claims import evaluate
-
-    landmarks = load_landmarks("basin")
-    with tempfile.TemporaryDirectory() as name:
-        logs = []
-        for seed, kind in TUNING_SCENES:
-            folder = Path(name) / f"{kind}_{seed}"
-            write_recording(random_scene(seed, kind, frames=124), folder)
-            (folder / "frames.csv").write_text("frame\n" + "\n".join(map(str, range(124))) + "\n")
-            images = [read_grey(p) for p in sorted(folder.glob("*.png"))]
-            logs.append((folder, fan_of(folder, images[0]), images))
-
-        def worth(settings: Settings, sights: list[list[list[Sight]]]) -> float:
-            total = 0.0
-            for (folder, fan, _), seen in zip(logs, sights, strict=True):
-                loop = HoughSmi(fan, landmarks, settings)
-                path = folder / "estimates.csv"
-                if not write_estimates(path, enumerate(seen), loop, fan, landmarks):
-                    continue  # nothing found, nothing claimed: TPR 0, FPR 0
-                found = evaluate(folder, folder / "gt.csv")
-                count = next(s for s in found.scored if s.protocol == "strict").count()
-                total += count.tpr - 5 * count.fpr
-            return total / len(logs)
-
-        best, most = Settings(), -np.inf
-        for values in itertools.product(*SEARCH.values()):
-            tried = replace(Settings(), **dict(zip(SEARCH, values, strict=True)))
-            sights = []
-            for _, fan, images in logs:
-                loop = HoughSmi(fan, landmarks, tried)
-                if np.mean([len(loop(image)) for image in images[::20]]) > 30:
-                    break  # circles everywhere: slow, and no better
-                sights.append([loop(image) for image in images])
-            if len(sights) < len(logs):
-                continue
-            for _ in range(2):
-                for key, choices in REST.items():
-                    tried = max(
-                        (replace(tried, **{key: v}) for v in choices),
-                        key=lambda s: worth(s, sights),
-                    )
-            if worth(tried, sights) > most:
-                best, most = tried, worth(tried, sights)
-                print(f"{most:.4f}  {best}", flush=True)
-        return best
-
-
 def fan_of(folder: Path, image: np.ndarray) -> Fan:
     """The fan of a simulated fan log's images."""
-    from sonarrec.geometry import fan_for_image
-    from sonarrec.sonar import load_sonar
 
     return fan_for_image(load_sonar(folder / "sonar.toml").complete("test"), *image.shape[:2])
 
@@ -287,8 +211,3 @@ def read_grey(path: Path) -> np.ndarray:
     if image is None:
         raise FileNotFoundError(path)
     return image
-
-
-if __name__ == "__main__":
-    cv2.setNumThreads(1)
-    print(tune())

@@ -6,7 +6,6 @@ busy machine too. Nothing is asserted: time is not a test.
 
 from __future__ import annotations
 
-import argparse
 import os
 import statistics
 import subprocess
@@ -14,29 +13,20 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from unittest.mock import patch
 
 import cv2
 import numpy as np
 
 from sonarrec.config import Config, preset
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.motion.odometry import Odometry
-from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.stage1 import CandidateSelector
-from sonarrec.recogniser.stage2 import ContinuityFilter
-from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
-from sonarrec.recogniser.three_stages import ThreeStages
-from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import run as run_log
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.baseline import HoughSmi, fan_of, read_grey
-from tests.studies.results.record import add_record_option, judge, save, show
+from tests.studies.results.record import judge, options, save, show
 
 FRAMES = 144
 REPEATS = 7
@@ -44,17 +34,6 @@ ROUNDS = 6  # of the frames, in a log for one core and for two
 LONG = (500, 5000)
 # Scenes the baseline's accuracy is reported on: not those that baseline.py tunes it on.
 REPORTED = ("basin", (501, "plain"), (502, "near_miss"), (503, "fading"))
-# What a frame goes through, and where.
-PARTS = {
-    "fan to floor": (FloorPlane, "warp"),
-    "stage 1": (CandidateSelector, "__call__"),
-    "pan from the images": (Odometry, "step"),
-    "stage 2": (ContinuityFilter, "step"),
-    "shape matrices": (ShapeSampler, "__call__"),
-    "stage 3 and smi": (ThreeStages, "stage3"),
-    "writing": (ResultsWriter, "write"),
-}
-REST = "decoding, set-up and the rest"
 
 
 def three_in_view() -> Scene:
@@ -175,37 +154,7 @@ def cost(work: Path) -> None:
     judge("offline / default", offline / c, 2.0)
     judge("5 m window / decoding", h / g, 6.0)
     judge("130 deg / decoding", j / i, 10.0)
-    where(ours("fan"))
     memory(work, images)
-
-
-def where(task: Callable[[], object]) -> None:
-    """Print the ms per frame that each of PARTS takes of a task, median of REPEATS."""
-    taken: dict[str, list[float]] = {name: [] for name in (*PARTS, REST)}
-
-    def timed(name: str, work: Callable[..., object]) -> Callable[..., object]:
-        def wrapped(*arguments: object, **named: object) -> object:
-            start = time.perf_counter()
-            try:
-                return work(*arguments, **named)
-            finally:
-                taken[name][-1] += time.perf_counter() - start
-
-        return wrapped
-
-    with ExitStack() as patched:
-        for name, (owner, method) in PARTS.items():
-            patched.enter_context(patch.object(owner, method, timed(name, getattr(owner, method))))
-        for _ in range(REPEATS):
-            for times in taken.values():
-                times.append(0.0)
-            start = time.perf_counter()
-            task()
-            rest = time.perf_counter() - start - sum(times[-1] for times in taken.values())
-            taken[REST][-1] = rest
-    print("\nWhere the time of c goes, ms per frame\n")
-    for name, times in taken.items():
-        print(f"  {name:<32} {statistics.median(times) / FRAMES * 1e3:7.2f}")
 
 
 # On Linux a new process is charged with the peak of the one it was forked from, until it runs
@@ -291,9 +240,8 @@ def on_two_cores(scene: Scene, frames: int, cores: list[int]) -> None:
 
 def main() -> None:
     """All of it on one core; where there are two, then what the second is worth."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.bench", description=__doc__)
+    parser = options("bench", __doc__)
     parser.add_argument("--cores", help="those to use; they are found where this is not given")
-    add_record_option(parser)
     asked = parser.parse_args()
     if asked.cores is None and hasattr(os, "sched_setaffinity"):
         cores = ",".join(map(str, sorted(os.sched_getaffinity(0))[-2:]))

@@ -1,7 +1,5 @@
 """`make fuzz`: damaged logs through `sonarrec info` and `sonarrec run`.
 
-MCAP files, and with `--format` the files of sonars; with `--base FILE` a real one of them.
-
 Whatever the damage, a command ends with one of its exit codes: no traceback, no hang, no memory
 beyond the goal. File n is the same in every run; `--only n --keep DIR` writes it out and runs it.
 """
@@ -18,7 +16,6 @@ import sys
 import tempfile
 import time
 import traceback
-import zipfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,14 +32,6 @@ from sonarrec.sonar import Sonar
 from tests.support.logs import SONAR_TOML
 from tests.support.messages import WRITERS
 from tests.support.one_core import one_core
-from tests.support.sonar_files import (
-    aris_file,
-    didson_file,
-    gemini_log,
-    gemini_record,
-    oculus_log,
-    oculus_ping,
-)
 
 LIMIT_S = 10
 LIMIT_MB = 400
@@ -209,79 +198,6 @@ def write_damaged(kinds: list[Recorded], number: int, path: Path) -> None:
     (path.parent / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n" if own else SONAR_TOML)
 
 
-# The sonars' own files
-
-
-def write_aris(path: Path, images: list[np.ndarray], rng: random.Random) -> None:
-    wide = [np.resize(image, (ROWS, rng.choice((48, 96, 128)))) for image in images]
-    aris_file(path, [np.resize(w, wide[0].shape) for w in wide], ReorderedSamples=rng.randrange(2))
-
-
-def write_didson(path: Path, images: list[np.ndarray], rng: random.Random) -> None:
-    wide = [np.resize(image, (ROWS, 96)) for image in images]
-    didson_file(path, wide, rng.choice((3, 4)), ConfigFlags=rng.randrange(4))
-
-
-def write_oculus(path: Path, images: list[np.ndarray], rng: random.Random) -> None:
-    gains = rng.choice((None, np.arange(1, ROWS + 1)))
-    version, kind = rng.randrange(3), rng.choice(("u1", "<u2"))
-    pings = [
-        oculus_ping(k, image.astype(kind), version=version, gains=gains)
-        for k, image in enumerate(images)
-    ]
-    in_log = path.suffix == ".oculus"
-    path.write_bytes(
-        oculus_log(pings, compressed=rng.random() < 0.3) if in_log else b"".join(pings)
-    )
-
-
-def write_gemini(path: Path, images: list[np.ndarray], rng: random.Random) -> None:
-    version, compression = rng.choice((2, 3)), rng.randrange(2)
-    records = [
-        gemini_record(k, image, version=version, compression=compression)
-        for k, image in enumerate(images)
-    ]
-    gemini_log(path, records, rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)))
-
-
-WriteSonar = Callable[[Path, list[np.ndarray], random.Random], None]
-SONARS: dict[str, tuple[WriteSonar, int]] = {  # and how often a header comes, in bytes
-    "aris": (write_aris, 1024 + 48 * ROWS),
-    "ddf": (write_didson, 256 + 96 * ROWS),
-    "raw": (write_oculus, 202 + 6 + COLUMNS * (ROWS + 2)),
-    "glf": (write_gemini, 93 + COLUMNS * (ROWS + 8)),
-    "oculus": (write_oculus, 40 + 202 + 6 + COLUMNS * (ROWS + 2)),
-}
-
-
-REAL_EVERY = {"aris": 1024 + 48 * 2000, "raw": 182016}  # of the maker's sample, of real pings
-
-
-def write_damaged_sonar(number: int, path: Path, base: Path | None) -> None:
-    """File `number` of the sonar that the path's suffix names: damaged anywhere, or in headers.
-
-    base: a recording to damage in place of one that is written.
-    """
-    rng = random.Random(number)
-    write, every = SONARS[path.suffix[1:]]
-    noise = np.random.default_rng(number).integers(0, 60, (FRAMES, ROWS, COLUMNS))
-    ramp = np.add.outer(np.arange(ROWS), np.arange(COLUMNS))
-    if base is None:
-        write(path, [((ramp + n) % 256).astype(np.uint8) for n in noise], rng)
-        data = bytearray(path.read_bytes())
-    else:
-        data, every = bytearray(base.read_bytes()), REAL_EVERY[path.suffix[1:]]
-    for _ in range(rng.choice((0, 1, 2, 8))):
-        size = rng.choice((1, 2, 4, 8))
-        place = rng.randrange(max(1, len(data) // every)) * every + rng.randrange(2048)
-        value = (rng.choice(EXTREMES) & (256**size - 1)).to_bytes(size, "little")
-        data[place : place + size] = value[: max(0, len(data) - place)]
-    if rng.random() < 0.7:
-        data = bytearray(damaged(bytes(data), rng))
-    path.write_bytes(data)
-    (path.parent / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
-
-
 # Running
 
 
@@ -291,24 +207,18 @@ def peak_mb() -> float:
     return int(re.search(r"VmHWM:\s*(\d+) kB", status)[1]) / 1024
 
 
-def run_batch(
-    numbers: range, keep: Path | None, form: str = "mcap", base: Path | None = None
-) -> None:
+def run_batch(numbers: range, keep: Path | None) -> None:
     """Make and run the files; a line for each: number, exit codes, seconds, peak MB, failure.
 
     On one core, so that a hang and the memory are those of this process, in all stages.
     """
     with one_core(), tempfile.TemporaryDirectory(prefix="sonarrec_fuzz_") as name:
         folder = Path(name)
-        mcap = form == "mcap"
-        kinds = [recorded(kind, folder) for kind in (*SCHEMAS, *FLATBUFFERS)] if mcap else []
-        path = (keep or folder) / f"damaged.{form}"
+        kinds = [recorded(kind, folder) for kind in (*SCHEMAS, *FLATBUFFERS)]
+        path = (keep or folder) / "damaged.mcap"
         for number in numbers:
             print(number, end=" ", flush=True)  # told even where the process dies of this file
-            if mcap:
-                write_damaged(kinds, number, path)
-            else:
-                write_damaged_sonar(number, path, base)
+            write_damaged(kinds, number, path)
             codes, failure = [], ""
             # Of processor time, however busy the machine; unhandled, so that they also end a hang
             # in a library. What waits for nothing takes none: five minutes of the clock.
@@ -327,28 +237,16 @@ def run_batch(
             print(*codes, f"{seconds:.2f} {peak:.0f}", " ".join(failure.split()), flush=True)
 
 
-def run_all(
-    count: int, first: int = 0, form: str = "mcap", base: Path | None = None
-) -> tuple[list[str], str]:
-    """(what failed, a summary) of files `first` to `first + count` of one format."""
+def run_all(count: int, first: int = 0) -> tuple[list[str], str]:
+    """(what failed, a summary) of files `first` to `first + count`."""
     failures: list[str] = []
     codes: Counter[str] = Counter()
     slowest = most = 0.0
     number, end = first, first + count
     while number < end:
         batch = min(BATCH, end - number)
-        command = [
-            sys.executable,
-            "-m",
-            "tests.studies.fuzz",
-            "--first",
-            str(number),
-            "--batch",
-            str(batch),
-            "--format",
-            form,
-            *(() if base is None else ("--base", str(base))),
-        ]
+        command = [sys.executable, "-m", "tests.studies.fuzz"]
+        command += ["--first", str(number), "--batch", str(batch)]
         done = subprocess.run(command, capture_output=True, text=True)
         number += batch
         for line in done.stdout.splitlines():
@@ -377,16 +275,13 @@ def main() -> None:
     parser.add_argument("--batch", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--only", type=int, help="make and run one file in this process")
     parser.add_argument("--keep", type=Path, help="with --only: the folder to leave it in")
-    parser.add_argument("--format", choices=("mcap", *SONARS), default="mcap")
-    parser.add_argument("--base", type=Path, help="a recording of --format to damage")
     options = parser.parse_args()
-    what = options.format, options.base
     if options.only is not None:
-        run_batch(range(options.only, options.only + 1), options.keep, *what)
+        run_batch(range(options.only, options.only + 1), options.keep)
     elif options.batch is not None:
-        run_batch(range(options.first, options.first + options.batch), None, *what)
+        run_batch(range(options.first, options.first + options.batch), None)
     else:
-        failures, summary = run_all(options.files, options.first, *what)
+        failures, summary = run_all(options.files, options.first)
         print("\n".join([*failures, f"{options.files} files, {len(failures)} failures: {summary}"]))
         sys.exit(bool(failures))
 

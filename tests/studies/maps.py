@@ -11,7 +11,6 @@ path is held against dead reckoning alone.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import time
 from collections.abc import Sequence
@@ -28,11 +27,10 @@ from tqdm import tqdm
 from sonarrec.arrays import FloatArray
 from sonarrec.mapping.axes import CHI2_95
 from sonarrec.mapping.build import MapOptions, SiteMap, make_map
-from sonarrec.mapping.factors import Graph, factors, graph_of
+from sonarrec.mapping.factors import factors, pose_vertices
 from sonarrec.mapping.path import Drift
 from sonarrec.mapping.write import write_all
-from tests.studies.results.record import add_record_option, judge, save, show
-from tests.studies.scenes import seeds
+from tests.studies.results.record import judge, options, save, show
 from tests.support.vehicle import (
     VehicleRun,
     drifting,
@@ -156,14 +154,14 @@ def pooled(parts: Sequence[Placed]) -> Placed:
 def path_error(run: VehicleRun, site: SiteMap, folder: Path) -> PathError:
     """What a pose graph of the map's factors makes of the path."""
     write_all(folder, site)
-    graph = graph_of(site, factors(site))
-    told, found = optimised(folder / "graph.g2o", graph)
-    true = np.column_stack([run.path[:, 2], -run.path[:, 1]])[graph.rows[0]]
+    vertices = pose_vertices(site, factors(site))
+    told, found = optimised(folder / "graph.g2o", len(vertices))
+    true = np.column_stack([run.path[:, 2], -run.path[:, 1]])[[row for _, row in vertices]]
     aligned = tuple(_apart(_laid_on(path, true), true) for path in (told, found))
     return PathError(_apart(told, true), _apart(found, true), (aligned[0], aligned[1]))
 
 
-def optimised(path: Path, graph: Graph) -> tuple[FloatArray, FloatArray]:
+def optimised(path: Path, poses_in_all: int) -> tuple[FloatArray, FloatArray]:
     """(n, 2) the poses of a g2o file as they are in it, and as GTSAM makes them.
 
     Measurements of landmarks weigh less the worse they fit (Cauchy), as wrong ones do occur.
@@ -173,14 +171,14 @@ def optimised(path: Path, graph: Graph) -> tuple[FloatArray, FloatArray]:
     for n in range(read.size()):
         edge = read.at(n)
         noise = edge.noiseModel()
-        if max(edge.keys()) >= graph.first_landmark:
+        if max(edge.keys()) >= poses_in_all:
             cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY)
             noise = gtsam.noiseModel.Robust.Create(cauchy, noise)
         factor_graph.add(gtsam.BetweenFactorPose2(*edge.keys(), edge.measured(), noise))
     fixed = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, 1e-4))
     factor_graph.add(gtsam.PriorFactorPose2(0, first.atPose2(0), fixed))
     found = gtsam.LevenbergMarquardtOptimizer(factor_graph, first).optimize()
-    poses = range(graph.first_landmark)
+    poses = range(poses_in_all)
     return tuple(  # type: ignore[return-value]
         np.array([values.atPose2(k).translation() for k in poses]) for values in (first, found)
     )
@@ -264,10 +262,7 @@ def _factor(told: FloatArray, found: FloatArray) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, map, optimise and tell."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.maps", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
-    parser.add_argument("--out", type=Path, default=Path("build") / "maps")
-    add_record_option(parser)
+    parser = options("maps", __doc__, REPORTED)
     parser.add_argument("--again", action="store_true", help="map results that are there already")
     asked = parser.parse_args(arguments)
     begun = time.monotonic()

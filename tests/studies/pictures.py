@@ -1,16 +1,10 @@
 """`make pictures`: recognition in pictures as viewers, codecs and worn sonars leave them.
 
 Every recording is rendered once, and recognised as it is and after each change to its pictures.
-`python -m tests.studies.pictures --as-they-are --seeds 2730:2738` tells instead in how many
-recordings of every kind, none of their pictures changed, a pixel is taken for drawn or dead, or a
-picture for saturated or equalised. `--outlines --seeds 7100:7102` tells how well the outline of the
-fan is found in pictures of every kind after each change.
 """
 
 from __future__ import annotations
 
-import argparse
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -22,22 +16,18 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage
 from sonarrec.config import preset
-from sonarrec.evaluation.curves import Count
 from sonarrec.geometry import fan_mask
-from sonarrec.nouns import Fan, Frame
+from sonarrec.nouns import Fan
 from sonarrec.readers.decode.colour import LUMINANCE, find_map
 from sonarrec.readers.decode.grey import single_channel
-from sonarrec.readers.guess.outline import find_outline
-from sonarrec.readers.guess.plausible import FRAMES as LOOKED_AT
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
-from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
-from tests.studies.learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
-from tests.studies.results.record import add_record_option, save, show
-from tests.studies.scenes import seeds, told
-from tests.support.simulated import Job, in_processes, recognise, score
+from tests.studies.learning.random_scenes import KINDS_OF_SCENE, random_scene
+from tests.studies.results.record import options, save, show
+from tests.studies.scenes import strict_count, told
+from tests.support.simulated import Job, in_processes, recognise
 
 REPORTED = range(3001, 3004)  # 3000 was looked at while the rules were made
 KINDS = (*KINDS_OF_SCENE, "vehicle", "any_floor")
@@ -220,85 +210,15 @@ def recognise_all(recording: Recording) -> None:
             recognise_changed(name, CHANGES[name], "without")
 
 
-def restored(recording: Recording) -> tuple[float, int]:
-    """Of pictures as they are: the largest share of the fan that is filled at any time, and how
-    many of them are taken for saturated or equalised."""
-    scene = random_scene(recording.seed, recording.kind, frames=FRAMES)
-    fan, unchanging, levels = scene_fan(scene), Unchanging(), Levels(scene.landmark_set.radius_m)
-    frames = (Frame(f.index, f.timestamp_ns, f.image, fan) for f in render(scene))
-    most = max(unchanging.share for _ in levels.restored(unchanging.filled(frames)))
-    return most, levels.saturated + levels.equalised
-
-
-def outlines(recording: Recording) -> dict[str, tuple[float, float] | None]:
-    """By change, of the fan's outline in the mean of the first frames: how far its apex and its far
-    end are from where they are, in lengths of the fan, NaN for a far end that does not show; None
-    if none is found."""
-    scene = random_scene(recording.seed, recording.kind, frames=LOOKED_AT)
-    fan, pictures = scene_fan(scene), [f.image for f in render(scene)]
-    far_px = fan.range_max_m / fan.metres_per_pixel
-    off: dict[str, tuple[float, float] | None] = {}
-    for name, change in CHANGES.items():
-        found = find_outline(np.mean(change(pictures, fan), axis=0))
-        off[name] = None
-        if found is not None:
-            across, along = found.apex_column - fan.apex_column, found.apex_row - fan.apex_row
-            far = math.nan if found.far_px is None else found.far_px / far_px - 1
-            off[name] = math.hypot(across, along) / far_px, far
-    return off
-
-
-def show_outlines(found: Sequence[dict[str, tuple[float, float] | None]]) -> None:
-    """A row for each change: how many outlines were found, and how far off they are at most."""
-    lines: list[dict[str, str]] = []
-    for name in CHANGES:
-        off = np.array([one[name] for one in found if one[name] is not None]).reshape(-1, 2)
-        with_end = np.count_nonzero(~np.isnan(off[:, 1]))
-        most = np.nanmax(off, axis=0) if with_end else (math.nan, math.nan)
-        lines.append(
-            {
-                "pictures": name,
-                "outline found": f"{len(off)} of {len(found)}",
-                "with its far end": str(with_end),
-                "apex off by at most": told(most[0], ".3f"),
-                "far end too far by at most": told(most[1], ".3f"),
-            }
-        )
-    show("The fan's outline, lengths in those of the fan", lines)
-
-
 def rates(recordings: Sequence[Recording], change: str, part: str) -> str:
     """TPR / FPR, strict, and how many false claims."""
-    found = score([r.place(change, part) for r in recordings])
-    count: Count = next(
-        s.count() for s in found.scored if s.protocol == "strict" and s.method == FRAMEWORK
-    )
+    count = strict_count([r.place(change, part) for r in recordings])
     return f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}, {count.fp:g}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, change, recognise, score and tell."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.pictures", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
-    parser.add_argument("--out", type=Path, default=Path("build/pictures"))
-    add_record_option(parser)
-    parser.add_argument("--as-they-are", action="store_true", help="what is filled of these")
-    parser.add_argument("--outlines", action="store_true", help="how well the fan is found")
-    given = parser.parse_args(arguments)
-    recordings = [Recording(k, s, given.out) for k, s in product(ALL_KINDS, given.seeds)]
-    if given.outlines:
-        show_outlines(in_processes(outlines, recordings))
-        return
-    if given.as_they_are:
-        found = in_processes(restored, recordings)
-        for recording, (share, pictures) in zip(recordings, found, strict=True):
-            if share or pictures:
-                print(
-                    f"{recording.kind}, seed {recording.seed}: {share:.2%} of the fan filled, "
-                    f"{pictures} of {FRAMES} pictures given other levels"
-                )
-        print(f"{sum(f != (0, 0) for f in found)} of {len(recordings)} recordings")
-        return
+    given = options("pictures", __doc__, REPORTED).parse_args(arguments)
     recordings = [Recording(k, s, given.out) for k, s in product(KINDS, given.seeds)]
     in_processes(recognise_all, recordings)
     bare = {*NOT_RESTORED, *BY_LUMINANCE}

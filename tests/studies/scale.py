@@ -1,4 +1,4 @@
-"""`make scale`: a thousand logs in one call, stopped, killed, over a cluster; long logs; cost.
+"""`make scale`: a thousand logs in one call, stopped, killed, over a cluster; long logs.
 
 Logs are hard links to a few simulated recordings of 60 frames. Of a thousand, five are broken each
 in another way, one hangs and one kills its process (`tests/support/batch.py`). Prints what
@@ -7,7 +7,6 @@ tests/studies/RESULTS.md has, and fails where something was lost.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import signal
@@ -20,7 +19,7 @@ from pathlib import Path
 
 from sonarrec.simulation.scene import load_scene
 from sonarrec.simulation.simulate import write_recording
-from tests.studies.results.record import add_record_option, save, show
+from tests.studies.results.record import options, save, show
 from tests.studies.scoring import peak_of, timed
 from tests.support.batch import SAMPLE, command, environment, rows, tables
 
@@ -162,7 +161,7 @@ def cluster(home: Path, source: list[Path], count: int) -> None:
     asked = subprocess.Popen(
         command(
             "run", f"{folder}/*.mcap", "--scheduler", f"tcp://127.0.0.1:{port}", "-o", there, "-q"
-        ),
+        )
     )
     while len(list(there.glob("*/run.toml"))) < count // 3 and asked.poll() is None:
         time.sleep(0.1)
@@ -174,16 +173,6 @@ def cluster(home: Path, source: list[Path], count: int) -> None:
         f"{count} logs over a Dask cluster, one of two workers killed: {counts(there)}; "
         f"{same(here, there)} of the same bytes"
     )
-
-
-def growth(home: Path, source: list[Path], largest: int) -> None:
-    count = 10
-    while count <= largest:
-        folder = home / f"logs{count}"
-        logs(folder, source, count)
-        took = call(home / "grown", folder, "-j", 2, "--overwrite")
-        print(f"{count} logs: {took:.1f} s, {1000 * took / count:.0f} ms each", flush=True)
-        count *= 10
 
 
 def long(home: Path, largest: int) -> None:
@@ -224,11 +213,10 @@ def long(home: Path, largest: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options("scale", __doc__)
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--part", choices=["thousand", "throughput", "cluster", "growth", "long"])
-    add_record_option(parser)
+    parser.add_argument("--part", choices=["thousand", "throughput", "cluster", "long"])
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
@@ -240,8 +228,6 @@ def main() -> None:
             thousand(home, source, asked.logs)
         if asked.part in (None, "cluster"):
             cluster(home, source, asked.logs // 5)
-        if asked.part in (None, "growth"):
-            growth(home, source, asked.logs)
         if asked.part in (None, "long"):
             long(home, asked.frames)
     save(asked.record)

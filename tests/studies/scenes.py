@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count, ratio
 from sonarrec.evaluation.intervals import bootstrap_weights, interval
 from sonarrec.evaluation.summary import Summary, summarise
+from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import (
     ALL_KINDS,
@@ -27,7 +27,7 @@ from tests.studies.learning.random_scenes import (
     random_scene,
 )
 from tests.studies.measured import Reliability, errors, honesty, reliability, stated
-from tests.studies.results.record import add_record_option, judge, save, show
+from tests.studies.results.record import judge, options, save, show
 from tests.support.simulated import (
     METHODS,
     PRESETS,
@@ -163,6 +163,12 @@ def beyond(summary: Summary, name: str, folders: Sequence[Path]) -> Beyond:
     )
 
 
+def strict_count(folders: Sequence[Path]) -> Count:
+    """Of the framework over what was recognised there."""
+    found = score(folders).scored
+    return next(s.count() for s in found if (s.protocol, s.method) == ("strict", FRAMEWORK))
+
+
 def told(value: float, form: str) -> str:
     """A number; a dash where there is none, "never" where it is infinite."""
     if math.isinf(value):
@@ -296,22 +302,12 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
     pd.DataFrame(lines).to_csv(path, index=False, float_format="%.5f", lineterminator="\n")
 
 
-def seeds(text: str) -> range:
-    """`3000:3004` as the range of 3000 to 3003; `3000` as that one seed."""
-    first, _, end = text.partition(":")
-    return range(int(first), int(end) if end else int(first) + 1)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.scenes", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
+    parser = options("scenes", __doc__, REPORTED, FRAMES)
     parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, default=ALL_KINDS)
-    parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
     parser.add_argument("--ours", action="store_true", help="without `paper` and `hough`")
     parser.add_argument("--again", action="store_true", help="score results that are there already")
-    parser.add_argument("--out", type=Path, default=Path("build") / "scenes")
-    add_record_option(parser)
     asked = parser.parse_args(arguments)
     begun = time.monotonic()
     recordings = [

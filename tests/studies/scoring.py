@@ -1,13 +1,12 @@
 """`make scoring`: what `sonarrec evaluate` costs over many made-up logs, memory above all.
 
-A line per number of logs and of frames each, of scoring them and of comparing two results of them;
-then how much sooner two processes are done than one. The logs are links to a few different ones.
+A line per number of logs and of frames each, of scoring them and of comparing two results of them.
+The logs are links to a few different ones.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import subprocess
 import sys
@@ -20,8 +19,6 @@ from pathlib import Path
 from tests.support.made_up import make_logs, make_sides
 
 GOAL_MB = 300
-TRIES = 5
-"""Of each number of processes, one after the other: the machine may be busy with other things."""
 
 # Runs a command and prints its own peak in KiB (bytes on macOS).
 _RUN = """
@@ -69,30 +66,12 @@ def timed(measure: Callable[[], float]) -> tuple[float, float]:
     return measure(), time.monotonic() - begun
 
 
-def speed_up(logs: int, frames: int, tries: int) -> None:
-    """Print the best time of one process and of two, of so many tries each, in turns."""
-    best = {1: float("inf"), 2: float("inf")}
-    with _place() as place:
-        pairs = make_logs(place, logs, frames)
-        for _ in range(tries):
-            for jobs in best:
-                took = timed(lambda jobs=jobs: peak_of_scoring(pairs, jobs))[1]  # type: ignore[misc]
-                best[jobs] = min(best[jobs], took)
-    told = ", ".join(f"-j {jobs} {took:.1f} s" for jobs, took in best.items())
-    load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
-    print(
-        f"\n{logs} logs of {frames} frames, the best of {tries}: {told}, "
-        f"{best[1] / best[2]:.2f} times as fast ({load})"
-    )
-
-
 def main() -> int:
     """Measure; the exit code is 1 where a case takes more than GOAL_MB."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, nargs="*", default=[10, 100, 1000])
     parser.add_argument("--frames", type=int, nargs="+", default=[1000, 10_000])
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--tries", type=int, default=TRIES, help="of the speed-up; 0: not measured")
     asked = parser.parse_args()
     columns = "| what | logs | frames each | jobs | peak MB | s | s per log |"
     print(f"{columns}\n|---|---|---|---|---|---|---|")
@@ -110,8 +89,6 @@ def main() -> int:
                 worst = max(worst, peak)
                 row = what, logs, frames, asked.jobs, f"{peak:.0f}", f"{took:.1f}"
                 print(f"| {' | '.join(map(str, row))} | {took / logs:.3f} |", flush=True)
-    if asked.tries:
-        speed_up(100, asked.frames[-1], asked.tries)
     return int(worst > GOAL_MB)
 
 

@@ -6,7 +6,6 @@ frame and added up over the run, and the IDs against the truth.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,8 +18,8 @@ from sonarrec.config import preset
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import Scene
 from tests.studies.learning.random_scenes import random_scene
-from tests.studies.results.record import add_record_option, save, show
-from tests.studies.scenes import seeds, told
+from tests.studies.results.record import options, save, show
+from tests.studies.scenes import told
 from tests.support.simulated import METHODS, Job, in_processes, recognise, score
 
 REPORTED = range(3000, 3004)
@@ -131,12 +130,7 @@ def row(run: tuple[float, float, float], scenes: Sequence[Scene], out: Path) -> 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, measure and tell."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.speeds", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
-    parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
-    parser.add_argument("--out", type=Path, default=Path("build") / "speeds")
-    add_record_option(parser)
-    asked = parser.parse_args(arguments)
+    asked = options("speeds", __doc__, REPORTED, FRAMES).parse_args(arguments)
     drawn = {run: [steady(seed, *run, asked.frames) for seed in asked.seeds] for run in RUNS}
     configs = [preset(name) for name in NAMES]
     in_processes(

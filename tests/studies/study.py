@@ -7,12 +7,10 @@ are bootstrapped over sequences, and the tests swap two methods in whole sequenc
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -26,8 +24,8 @@ from sonarrec.evaluation.tables import Evaluation
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
-from tests.studies.results.record import add_record_option, save, show
-from tests.studies.scenes import seeds, told
+from tests.studies.results.record import options, save, show
+from tests.studies.scenes import told
 from tests.support.simulated import (
     METHODS,
     PRESETS,
@@ -148,12 +146,7 @@ def show_tests(summary: Summary, protocol: str) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
     scene = load_scene("paper")
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.study", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=STUDIED, help="first:end, end left out")
-    parser.add_argument("--frames", type=int, default=scene.frames, help="of each sequence")
-    parser.add_argument("--out", type=Path, default=Path("build") / "study")
-    add_record_option(parser)
-    asked = parser.parse_args(arguments)
+    asked = options("study", __doc__, STUDIED, scene.frames).parse_args(arguments)
     begun = time.monotonic()
     configs = [preset(name) for name in PRESETS]
     scene = replace(scene, frames=asked.frames)

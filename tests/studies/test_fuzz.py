@@ -1,20 +1,11 @@
-"""A few of the damaged files of `make fuzz`."""
-
-from __future__ import annotations
+"""A few of the damaged files of `make fuzz`; tests/readers/test_damaged.py has those of sonars."""
 
 import pytest
 
-from tests.studies.fuzz import SONARS, run_all
-
-pytestmark = pytest.mark.slow
+from tests.studies.fuzz import run_all
 
 
+@pytest.mark.slow
 def test_damaged_files_end_with_an_exit_code() -> None:
     failures, summary = run_all(100)
-    assert not failures, summary
-
-
-@pytest.mark.parametrize("form", SONARS)
-def test_damaged_files_of_sonars_end_with_an_exit_code(form: str) -> None:
-    failures, summary = run_all(20, form=form)
     assert not failures, summary

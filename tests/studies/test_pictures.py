@@ -12,8 +12,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pictures, "FRAMES", 2)
-    for kinds in ("KINDS", "ALL_KINDS"):
-        monkeypatch.setattr(pictures, kinds, ("plain",))
+    monkeypatch.setattr(pictures, "KINDS", ("plain",))
     monkeypatch.setattr(
         pictures, "in_processes", lambda work, recordings: [work(r) for r in recordings]
     )
@@ -28,17 +27,3 @@ def test_each_change_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         assert row.lstrip().startswith(name)
         twice = name in pictures.NOT_RESTORED or name in pictures.BY_LUMINANCE
         assert row.count(" / ") == (2 if twice else 1)
-
-
-def test_what_is_restored_of_unchanged_pictures_is_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pictures.main(["--as-they-are", "--seeds", "2500"])
-    assert capsys.readouterr().out == "0 of 1 recordings\n"
-    monkeypatch.setattr(pictures, "restored", lambda _: (0.0125, 1))
-    pictures.main(["--as-they-are", "--seeds", "2500"])
-    lines = capsys.readouterr().out.splitlines()
-    assert lines == [
-        "plain, seed 2500: 1.25% of the fan filled, 1 of 2 pictures given other levels",
-        "1 of 1 recordings",
-    ]

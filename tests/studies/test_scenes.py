@@ -20,13 +20,7 @@ from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.judge import judge
 from sonarrec.landmarks import load_landmarks
-from sonarrec.simulation.scene import (
-    MotionSection,
-    PlacedLandmark,
-    PlacedObject,
-    Scene,
-    load_scene,
-)
+from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene, load_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies import ablation, baseline, scenes, study
 from tests.studies.measured import BINS, errors, honesty, reliability, stated

@@ -6,7 +6,6 @@ learned from them and nothing chosen on them. What is missing is told and left o
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ import pandas as pd
 
 from sonarrec.evaluation.curves import Count
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from tests.studies.results.record import add_record_option, save, show
+from tests.studies.results.record import options, save, show
 from tests.studies.scenes import told
 from tests.support.claims import evaluate
 
@@ -29,14 +28,8 @@ WORLDS = {
     "stonefish, bright, 16 bit": ("stonefish/bright_16bit",),
     "stonefish, base, 8 bit": ("stonefish/base_8bit",),
     "stonefish, base, 16 bit": ("stonefish/base_16bit",),
-    "river composites, ring +10 dB": (
-        "river_composites/b10_g-6_s4",
-        "river_composites/b10_g0_s3",
-    ),
-    "river composites, ring +6 dB": (
-        "river_composites/b6_g-6_s1",
-        "river_composites/b6_g-6_s2",
-    ),
+    "river composites, ring +10 dB": ("river_composites/b10_g-6_s4", "river_composites/b10_g0_s3"),
+    "river composites, ring +6 dB": ("river_composites/b6_g-6_s1", "river_composites/b6_g-6_s2"),
     "basin_a": ("basin_a",),
     "basin_b": ("basin_b",),
     "basin_c": ("basin_c",),
@@ -100,10 +93,8 @@ def river(log: Path, radius_m: float, out: Path) -> dict[str, str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Recognise, score and tell."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.worlds", description=__doc__)
+    parser = options("worlds", __doc__)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "worlds")
-    add_record_option(parser)
     asked = parser.parse_args(arguments)
     lines, missing = [], []
     for name, parts in WORLDS.items():

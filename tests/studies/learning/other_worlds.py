@@ -111,8 +111,7 @@ def _ripples(scene: Scene, rng: np.random.Generator) -> Scene:
 
 def _leaning(scene: Scene, rng: np.random.Generator) -> Scene:
     return _each_disc(
-        scene,
-        lambda: {"lean_deg": round(rng.uniform(2, 15), 2), "lean_towards_deg": _way(rng)},
+        scene, lambda: {"lean_deg": round(rng.uniform(2, 15), 2), "lean_towards_deg": _way(rng)}
     )
 
 
@@ -216,11 +215,7 @@ def _lit(scene: Scene, light_db: float, rng: np.random.Generator) -> Scene:
 
 
 def _with_levels(
-    scene: Scene,
-    plate_db: float,
-    bright_db: float,
-    rng: np.random.Generator,
-    relief_m: float = 0.0,
+    scene: Scene, plate_db: float, bright_db: float, rng: np.random.Generator, relief_m: float = 0.0
 ) -> Scene:
     """Give landmarks and their fakes other levels, as if they were of other materials.
 

@@ -1,4 +1,4 @@
-"""`make paper-report`: Tables 4 and 5, ours beside the published, in worlds used for nothing else.
+"""`make paper`: Tables 4 and 5, ours beside the published, in worlds used for nothing else.
 
 The preset's SMI was chosen, and the worlds were built, on Table 4 alone; the framework's open
 choices were made in other worlds. What is told here is what follows. A world is one case: rates are
@@ -8,12 +8,9 @@ two methods in whole worlds.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 import shutil
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -38,10 +35,9 @@ from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_in_view, truth_rows
 from sonarrec.truth.table import write_truth
 from tests.studies.paper.parts import BAYES, CONTINUITY, Parts
-from tests.studies.paper.published import CLEAR, FRAMES, IDS, IN_VIEW, TABLE_4, TABLE_5
-from tests.studies.paper.single import HALF, WHOLE
+from tests.studies.paper.published import CLEAR, HALF, IDS, IN_VIEW, TABLE_4, TABLE_5, WHOLE
 from tests.studies.paper.world import FAKES, kept_worlds
-from tests.studies.results.record import add_record_option, save, show
+from tests.studies.results.record import options, save, show
 from tests.support.simulated import in_processes, score
 
 SEEDS = range(7100, 7400)
@@ -58,8 +54,6 @@ MOST = 3
 """Recordings of a world."""
 PUBLISHED_GAIN = "framework less SMI, published", "TPR +0.0422, FPR -0.0105", "", ""
 COUNTINGS = ("paper", "paper, once", "strict")
-SHOWN = (20, 50, 80, 110, 140)
-"""Frames of the first rotation, as the paper's Figure 13 shows some."""
 NEAR_PX, DISC_PX = 15.0, 30.0
 """How near to a landmark the object on it lies; the radius of a disc."""
 LEAD = 1.5
@@ -288,52 +282,11 @@ def frames_until_clear(results: Path, method: str, landmark: int) -> list[int]:
     return waits
 
 
-def draw_figure_14(path: Path, results: Path) -> None:
-    """The probabilities of ID.1's disc over time, by SMI and by the framework."""
-    figure = Figure(figsize=(11, 6), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(2, 1, sharex=True)
-    for axes, name in zip(panels, ("SMI", "framework"), strict=True):
-        found = beliefs(results, METHODS[name], 1)
-        frames = np.arange(FRAMES)
-        rows = np.array([found.get(f, np.full(len(IDS), np.nan)) for f in frames.tolist()])
-        for k, landmark in enumerate(IDS):
-            axes.plot(frames, rows[:, k], label=f"ID.{landmark}", lw=1.8 if landmark == 1 else 1)
-        axes.set(title=f"{name}: the object on ID.1", ylabel="probability", ylim=(0, 1))
-        axes.grid(color="0.9")
-    panels[0].legend(loc="upper right", ncols=len(IDS), frameon=False)
-    panels[1].set_xlabel("frame")
-    figure.savefig(path)
-
-
-def draw_figure_13(out: Path) -> None:
-    """The frames of the scene's first pass with what the framework says of them, by our commands.
-
-    The log is that of `sonarrec simulate --scene paper`.
-    """
-    log = out / "log"
-    shutil.rmtree(log, ignore_errors=True)
-    commands: list[tuple[object, ...]] = [
-        ("simulate", "-q", "--scene", "paper", "--frames", SHOWN[-1] + 1, "--out", log),
-        ("run", "-q", log, "--preset", "paper", "--overwrite", "--out", out / "results"),
-    ]
-    for frame in SHOWN:
-        only = ("--frames", f"{frame}:{frame + 1}", "--images", out / "figure_13")
-        commands.append(("overlay", "-q", log, out / "results" / "log", *only))
-    for words in commands:
-        print("$ sonarrec " + " ".join(map(str, words)), flush=True)
-        subprocess.run([sys.executable, "-m", "sonarrec", *map(str, words)], check=True)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.studies.paper.prediction", description=__doc__
-    )
+    parser = options("paper.prediction", __doc__)
     parser.add_argument("--recordings", type=int, default=MOST, help="of each world")
-    parser.add_argument("--out", type=Path, default=Path("build") / "paper")
     parser.add_argument("--made", action="store_true", help="the recordings are in --out already")
-    add_record_option(parser)
     asked = parser.parse_args(arguments)
     worlds, each = kept_worlds("report"), asked.recordings
     jobs = [
@@ -409,8 +362,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     show("The framework less SMI if its threshold were another", at_other_thresholds(scored))
     show("Beside", [{"figure": k, "value": v} for k, v in beside.items()])
     draw_roc(PICTURE, pooled, scored)
-    draw_figure_14(asked.out / "figure_14.png", jobs[0].folder)
-    draw_figure_13(asked.out)
     save(asked.record)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
+from sonarrec.evaluation.match import PAPER_MIN_VISIBLE
 
 FRAMES = 992
 IDS = (1, 2, 3, 4)
@@ -22,5 +22,5 @@ TABLE_5 = {
 CLEAR = 16
 """Frames, about, after which ID.1 stood clear of the others (Figure 14)."""
 
-SMI_NUMBERS = np.array([TABLE_4["tpr"][i - 1] for i in PRESENT] + list(TABLE_4["fpr"][:4]))
-"""(7,) Table 4: the TPR of the IDs in the basin, the FPR of all four."""
+HALF, WHOLE = PAPER_MIN_VISIBLE, 0.9
+"""Shares of a disc inside the fan: from HALF on it is in view."""

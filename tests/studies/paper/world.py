@@ -1,31 +1,19 @@
-"""Worlds: answers to all that the paper leaves open of its basin, each within a range.
+"""The worlds on record: answers to all that the paper leaves open of its basin, within ranges.
 
-What the paper leaves open is a list of unknowns, each with a range argued from its text.
+They were drawn, measured against Tables 3 and 4 and kept by tests/studies/paper/search.py of commit
+8d855fe2; choices.py beside it chose what `--preset paper` says where the paper is open.
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from sonarrec.arrays import FloatArray
-from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
-from sonarrec.simulation.world import object_radius
-from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, PRESENT
-from tests.studies.study import gaps
+from tests.studies.paper.published import FRAMES, PRESENT
 
-STABLE_FRAMES = 160
-"""One sweep."""
 KEPT = Path(__file__).with_name("worlds.toml")
-APART_M = 0.05
-"""Least floor between two things."""
-IN_VIEW_TOLERANCE = 10
-"""Frames: how near the in-view counts come to the paper's."""
 FAKES = ("blank", "half_ring", "spokes", "filled")
 """What a circular fake landmark may be."""
 
@@ -71,27 +59,13 @@ UNKNOWNS = (
     Unknown("beam_ground_m", 1.7, 2.5, "by the landmarks or behind them"),
 )
 NAMES = tuple(u.name for u in UNKNOWNS)
-LOW = np.array([u.low for u in UNKNOWNS])
-HIGH = np.array([u.high for u in UNKNOWNS])
-PLACES = np.array([any(w in n for w in ("ground", "azimuth", "pan_start")) for n in NAMES])
-FAKE, STRAY = len(IDS), -1
-"""Numbers of parts, beside the indices of the landmarks into IDS."""
-PARTS = {
-    **{
-        IDS.index(i): [n for n in NAMES if n.endswith(f"_{i}") and "fake" not in n] for i in PRESENT
-    },
-    FAKE: [n for n in NAMES if n.startswith("fake")],
-    STRAY: [n for n in NAMES if n.startswith(("mesh", "beam"))],
-}
-"""Part: the unknowns that are its own. SMI says of each the same whatever the others are."""
-SHARED = np.array([not any(n in names for names in PARTS.values()) for n in NAMES])
 
 
 @dataclass(frozen=True, slots=True)
 class World:
     """One answer to all that is unknown. fakes: kinds of the circular fakes, one or two.
 
-    number: of those that the search built.
+    number: of those that were built.
     """
 
     values: dict[str, float]
@@ -158,92 +132,6 @@ class World:
             landmarks=landmarks,
             objects=(*fakes, *strays),
         )
-
-    def vector(self) -> FloatArray:
-        """(n,) the unknowns, in the order of UNKNOWNS."""
-        return np.array([self.values[n] for n in NAMES])
-
-
-def in_view(azimuth_deg: FloatArray, pan_start_deg: FloatArray) -> FloatArray:
-    """(n, 3) of how many frames places (n, 3) are within the fan's bearings; starts: (n,).
-
-    A landmark is in view from about half a disc on: the paper's counts come to that.
-    """
-    scene = load_scene("paper")
-    motion = scene.motion
-    travelled = motion.pan_deg_s * np.arange(FRAMES) / scene.rate_hz
-    pan = sweep_deg(motion.pan_min_deg, motion.pan_max_deg, pan_start_deg[:, None], travelled)
-    half = scene.sonar.field_of_view_deg / 2
-    return (np.abs(pan[:, None] - azimuth_deg[..., None]) <= half).sum(axis=2)
-
-
-def apart(world: World) -> bool:
-    """Whether nothing lies on another thing."""
-    scene = world.scene(0)
-    objects = [o for o in scene.objects if o.kind != "wall"]
-    things: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *objects]
-    radius = [scene.landmark_set.radius_m] * len(scene.landmarks)
-    radius += [object_radius(scene, o) for o in objects]
-    between = gaps(
-        np.array([t.ground_m for t in things]),
-        np.array([t.azimuth_deg for t in things]),
-        np.array(radius),
-    )
-    return bool((between > APART_M).all())
-
-
-def first_possible(values: FloatArray, fakes: tuple[str, ...]) -> World | None:
-    """Of (n, unknowns) the first whose places agree with the paper's counts and each other."""
-    azimuth = values[:, [NAMES.index(f"azimuth_deg_{i}") for i in PRESENT]]
-    counts = in_view(azimuth, values[:, NAMES.index("pan_start_deg")])
-    off = np.abs(counts - [IN_VIEW[i] for i in PRESENT]).max(axis=1)
-    for row in np.flatnonzero(off <= IN_VIEW_TOLERANCE):
-        world = _world(values[row], fakes)
-        if apart(world):
-            return world
-    return None
-
-
-TRIES = 1024
-
-
-def drawn(rng: np.random.Generator, like: World | None = None) -> World:
-    """A world from the ranges; its places are drawn until they are possible.
-
-    like: a world whose SHARED unknowns are to be the same.
-    """
-    start = rng.uniform(LOW, HIGH) if like is None else like.vector()
-    again = PLACES if like is None else ~SHARED
-    fakes = tuple(rng.choice(FAKES, 1 + int(rng.random() < 1 / 3)).tolist())
-    world = None
-    while world is None:
-        values = rng.uniform(LOW, HIGH, (TRIES, len(NAMES)))
-        world = first_possible(np.where(again, values, start), fakes)
-    return world
-
-
-def _world(values: FloatArray, fakes: Iterable[str]) -> World:
-    digits = [3 if u.high - u.low < 1 else 2 for u in UNKNOWNS]
-    rounded = [round(float(v), d) for v, d in zip(values, digits, strict=True)]
-    return World(dict(zip(NAMES, rounded, strict=True)), tuple(fakes))
-
-
-def put_together(parts: Sequence[World]) -> World:
-    """A world of the parts of several that share what is SHARED, in the order of PARTS."""
-    values = dict(parts[0].values)
-    for names, world in zip(PARTS.values(), parts, strict=True):
-        values |= {n: world.values[n] for n in names}
-    return World(values, parts[list(PARTS).index(FAKE)].fakes)
-
-
-def stable(world: World, seed: int) -> Scene:
-    """One sweep of the world while its reflections are steady."""
-    scene = world.scene(seed, STABLE_FRAMES)
-    steady = replace(
-        scene.fading, object_db=0.0, patch_db=0.0, frame_probability=0.0, burst_probability=0.0
-    )
-    start = replace(scene.motion, pan_start_deg=scene.motion.pan_min_deg)
-    return replace(scene, fading=steady, motion=start)
 
 
 def kept_worlds(use: str) -> list[World]:

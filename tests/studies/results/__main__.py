@@ -16,8 +16,8 @@ FOLDER = Path(__file__).parent
 NOW = FOLDER / "now.toml"
 PAGE = FOLDER.parent / "RESULTS.md"
 ORDER = (
-    *("paper", "paper_choices", "study", "scenes", "scenes_fresh", "ablation", "worlds"),
-    *("pictures", "stated", "returns", "speeds", "maps", "scale", "bench", "memory"),
+    *("paper", "study", "scenes", "scenes_fresh", "ablation", "worlds"),
+    *("pictures", "stated", "speeds", "maps", "scale", "bench"),
 )
 """Files of this folder, as they follow each other on the page."""
 HEAD = """# Measured results

@@ -46,9 +46,24 @@ def judge(
     goals.append(row)
 
 
-def add_record_option(parser: argparse.ArgumentParser) -> None:
-    """`--record NAME`, for `save`."""
+def seeds(text: str) -> range:
+    """`3000:3004` as the range of 3000 to 3003; `3000` as that one seed."""
+    first, _, end = text.partition(":")
+    return range(int(first), int(end) if end else int(first) + 1)
+
+
+def options(
+    name: str, about: str | None, of_seeds: range | None = None, frames: int | None = None
+) -> argparse.ArgumentParser:
+    """What studies are asked: `--out`, `--record` for `save`, and seeds and frames, by default."""
+    parser = argparse.ArgumentParser(prog=f"python -m tests.studies.{name}", description=about)
+    if of_seeds is not None:
+        parser.add_argument("--seeds", type=seeds, default=of_seeds, help="first:end, end left out")
+    if frames is not None:
+        parser.add_argument("--frames", type=int, default=frames, help="of each recording")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / name.partition(".")[0])
     parser.add_argument("--record", metavar="NAME", help="file in tests/studies/results to write")
+    return parser
 
 
 def save(name: str | None) -> None:
@@ -65,10 +80,7 @@ def save(name: str | None) -> None:
     study["commit"] = subprocess.check_output(ask, cwd=ROOT, text=True).strip()
     study["digest"] = {of: now[of] for of in study["digest"]}
     study["table"] = [
-        {
-            "caption": caption,
-            "csv": pd.DataFrame(lines).to_csv(index=False, lineterminator="\n"),
-        }
+        {"caption": caption, "csv": pd.DataFrame(lines).to_csv(index=False, lineterminator="\n")}
         for caption, lines in _shown
     ]
     path.write_text(tomli_w.dumps(study, multiline_strings=True), encoding="utf-8")

@@ -1,25 +1,14 @@
-"""`make memory`: the peak memory of reading 1 GB logs in the shapes that cost readers most.
-
-Each shape is written to a temporary folder, read once by a process of its own as `sonarrec run`
-reads it, and removed. Nothing is asserted here; tests/readers/test_hard_mcap.py
-does that for small ones.
-"""
+"""MCAP logs in the shapes that cost readers most memory, and the peak memory of reading one."""
 
 from __future__ import annotations
 
-import argparse
-import shutil
 import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.studies.results.record import add_record_option, judge, save, show
 from tests.support.hard_logs import HardLog, noise_images
 
-GOAL_MB = 400
 CHUNK_MESSAGES = 7  # about 1 MB, what recorders make
 
 # Reads every frame; prints how many, and its own peak in KiB (bytes on macOS).
@@ -129,33 +118,3 @@ def shapes(path: Path, size: int) -> dict[str, Callable[[], None]]:
 def _message_of(path: Path, size: int) -> None:
     with HardLog(path) as log:
         log.loose([(0, noise_images(count=1)[0]), (1, bytes(size))])
-
-
-def main() -> None:
-    """A row for every shape."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--mb", type=int, default=1000, help="size of each log (default 1000)")
-    add_record_option(parser)
-    asked = parser.parse_args()
-    size = asked.mb * 10**6
-    with tempfile.TemporaryDirectory(prefix="sonarrec_memory_") as name:
-        if shutil.disk_usage(name).free < 4 * size:
-            sys.exit(f"{name}: too little room, {4 * size / 1e9:.0f} GB are needed")
-        path = Path(name) / "log.mcap"
-        lines = []
-        for shape, write in shapes(path, size).items():
-            write()
-            start = time.perf_counter()
-            frames, peak = peak_of_reading(path)
-            taken = time.perf_counter() - start
-            lines.append(
-                {"shape": shape, "frames": frames, "MB": f"{peak:.0f}", "s": f"{taken:.1f}"}
-            )
-            path.unlink()
-        show(f"Logs of {size / 1e6:.0f} MB", lines)
-        judge("peak memory, MB", max(float(line["MB"]) for line in lines), GOAL_MB)
-    save(asked.record)
-
-
-if __name__ == "__main__":
-    main()
