@@ -58,7 +58,7 @@ MAY_IMPORT = {
     "fsspec": ("remote.store",),
     "aiohttp": ("remote.store",),
     "sshfs": ("remote.store",),
-    "jinja2": ("report.templates",),
+    "jinja2": ("report.page",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
         "geometry",

@@ -25,13 +25,8 @@ Colour = tuple[int, int, int]
 
 # Okabe and Ito's colours, distinct with any colour vision; first those that stand out on black.
 OKABE_ITO: tuple[Colour, ...] = (
-    (86, 180, 233),
-    (204, 121, 167),
-    (230, 159, 0),
-    (0, 158, 115),
-    (240, 228, 66),
-    (213, 94, 0),
-    (0, 114, 178),
+    *((86, 180, 233), (204, 121, 167), (230, 159, 0), (0, 158, 115)),
+    *((240, 228, 66), (213, 94, 0), (0, 114, 178)),
 )
 UNNAMED: Colour = (200, 200, 200)
 TRUTH: Colour = (255, 255, 255)

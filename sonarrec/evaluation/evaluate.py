@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.errors import SonarrecError, number_of, printable
+from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
 from sonarrec.evaluation.count import Adder, Counts
 from sonarrec.evaluation.logs import (
     LogScore,
@@ -105,7 +105,8 @@ def evaluate_logs(
     adder = Adder()
     read: list[LogScore] = []
     unread: list[UnreadableLog] = []
-    once = CountedOnce(lambda i: np.asarray(read_frames(read[i].folder)["frame"]), "scored")
+    told = Diagnostics()
+    once = CountedOnce(lambda i: np.asarray(read_frames(read[i].folder)["frame"]), "scored", told)
     kept: list[LogScore] = []
     for log in map_logs(score_log, readings, folders, jobs):
         if isinstance(log, UnreadableLog):
@@ -137,13 +138,13 @@ def evaluate_logs(
     pooled = adder.counts(distinct_names([(log.name, log.folder) for log in scored]))
     if not pooled.methods:
         raise SonarrecError(f"{', '.join(pooled.logs)}: estimates.csv names no method to score")
-    notes = [*inputs.notes, *once.notes, *fit_notes, *_notes(scored, pooled)]
+    notes = [*inputs.notes, *told.notes, *fit_notes, *_notes(scored, pooled)]
     unused = [
         *inputs.unused,
         *(log.message() for log in [*unread, *faults]),
         *misfits,
         *_left_out(inputs, read, [log.name for log in unread], scored),
-        *once.unused,
+        *told.problems,
     ]
     summary = summarise(pooled, unit)
     return Evaluation(

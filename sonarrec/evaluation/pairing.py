@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import IntArray
-from sonarrec.errors import SonarrecError, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.evaluation.log_pair import LogPair
 from sonarrec.evaluation.logs import first_ids
 from sonarrec.evaluation.match import ScoringOptions
@@ -76,8 +76,9 @@ def pair_logs(
         except SonarrecError:  # reported when the log is counted
             return np.empty(0, dtype=np.int64)
 
-    once = counted_once([after for _, after in pairs], recordings, frames, "compared")
-    counted = [pairs[i] for i in once.kept]
+    told = Diagnostics()
+    kept = counted_once([after for _, after in pairs], recordings, frames, "compared", told)
+    counted = [pairs[i] for i in kept]
     truths, truth_notes, without = _truths(counted, len(faults), ground_truth, find_beside)
     ids = first_ids((after for _, after in counted), options.landmarks)
     logs = [
@@ -85,7 +86,7 @@ def pair_logs(
         for folders, truth in zip(counted, truths, strict=True)
         if truth is not None
     ]
-    return Pairing(logs, [*notes, *once.notes, *truth_notes], [*unused, *once.unused, *without])
+    return Pairing(logs, [*notes, *told.notes, *truth_notes], [*unused, *told.problems, *without])
 
 
 def _run(folder: Path) -> RunFile:

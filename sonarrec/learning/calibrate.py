@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -12,8 +12,7 @@ import numpy as np
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.learning.fit import fit
-from sonarrec.learning.left_out import FOLDS, gain_on_the_rest, part_of
+from sonarrec.learning.fit import FOLDS, fit, gain_on_the_rest, part_of
 from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
@@ -24,13 +23,7 @@ from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
 from sonarrec.tables.outputs import MODEL_MARK
-from sonarrec.truth.fits import (
-    misfit,
-    notes_on_fit,
-    of_other_logs,
-    rows_on_frames,
-    without_rows,
-)
+from sonarrec.truth.fits import misfit, notes_on_fit, of_other_logs, rows_on_frames, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -159,16 +152,8 @@ def learn(
     gain = gain_on_the_rest(parts, prior)
     told.note(*_not_taught(landmarks, seen, gain))
     labelled = np.sum([lesson.labelled for lesson in used], axis=0).tolist()
-    return LearningReport(
-        model=model,
-        landmarks=landmarks,
-        logs=tuple(lesson.log for lesson in used),
-        frames=sum(lesson.frames for lesson in used),
-        seen=tuple(seen),
-        gain=gain,
-        labelled=labelled,
-        diagnostics=told,
-    )
+    logs, frames = tuple(lesson.log for lesson in used), sum(lesson.frames for lesson in used)
+    return LearningReport(model, landmarks, logs, frames, tuple(seen), gain, labelled, told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +188,14 @@ def _lesson(
     rest = iter(log)
     begin = [*islice(rest, FRAMES_FOR_BEAMS)]
     (own,), beams = with_beams([config], log.beam_width_deg, begin)
-    tracks = describe(_observed(chain(begin, rest), observe), own, landmarks, name=name)
+
+    def observed() -> Iterator[Frame]:
+        for frame in chain(begin, rest):
+            if observe is not None:
+                observe()
+            yield frame
+
+    tracks = describe(observed(), own, landmarks, name=name)
     truth = match_truth(table, tracks)
     samples = _labelled(tracks, truth)
     unlike = misfit(table, tracks, truth) or _no_track_on_a_row(table, tracks, truth, samples)
@@ -212,16 +204,9 @@ def _lesson(
     if unlike is not None:
         told.problem(f"{unlike}; nothing is learned from {name}")
     else:
-        told.note(
-            *notes_on_fit(
-                table,
-                tracks,
-                truth,
-                "teach",
-                "they teach what the program takes for true already",
-            ),
-            *rows_on_frames(name, truth.rows, truth.between),
-        )
+        proposals = "they teach what the program takes for true already"
+        told.note(*notes_on_fit(table, tracks, truth, "teach", proposals))
+        told.note(*rows_on_frames(name, truth.rows, truth.between))
         if truth.unprocessed:
             told.problem(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
@@ -259,14 +244,6 @@ def _not_taught(
             "the built-in model judges the tracks left out better than what is learned without "
             "them; label more passes, or keep to the built-in model"
         )
-
-
-def _observed(frames: Iterable[Frame], observe: Callable[[], object] | None) -> Iterator[Frame]:
-    """The frames; `observe` is called before each."""
-    for frame in frames:
-        if observe is not None:
-            observe()
-        yield frame
 
 
 def _labelled(tracks: Tracks, truth: Truth) -> Samples:

@@ -72,11 +72,7 @@ class _Recorder:
 
 
 def describe(
-    frames: Iterable[Frame],
-    config: Config,
-    landmarks: LandmarkSet,
-    *,
-    name: str = "",
+    frames: Iterable[Frame], config: Config, landmarks: LandmarkSet, *, name: str = ""
 ) -> Tracks:
     """Run stages 1 and 2 over a recording and describe every track in every frame."""
     recorder = _Recorder()
@@ -97,18 +93,12 @@ def describe(
         polar += [(e.range_m, e.bearing_deg) for e in tracks]
         features.append(recorder.features[: len(tracks)].astype(np.float32))  # half the memory
         smear.append(recorder.smear[: len(tracks)])
-    return Tracks(
-        name,
-        landmarks,
-        fan,
-        np.array(index, np.int64),
-        np.array(stamp, np.int64),
-        np.array(rows, np.int64),
-        np.array(number, np.int64),
-        plane_from_polar(*np.array(polar).reshape(-1, 2).T),
-        np.concatenate(features),
-        np.concatenate(smear),
-    )
+    frame_row, track = (np.array(column, np.int64) for column in (rows, number))
+    numbers, stamps = (np.array(column, np.int64) for column in (index, stamp))
+    position = plane_from_polar(*np.array(polar).reshape(-1, 2).T)
+    described = np.concatenate(features), np.concatenate(smear)
+    where = numbers, stamps, frame_row, track, position
+    return Tracks(name, landmarks, fan, *where, *described)
 
 
 def _distances(

@@ -12,14 +12,8 @@ import numpy as np
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.join import Landmark, MappedLog, frames_of, join
-from sonarrec.mapping.passes import DeclaredEstimates, find_passes, read_declared
-from sonarrec.mapping.path import (
-    Drift,
-    SonarPath,
-    measured_motion_path,
-    path_from_poses,
-    read_frames,
-)
+from sonarrec.mapping.passes import find_passes, read_declared
+from sonarrec.mapping.path import Drift, measured_motion_path, path_from_poses, read_frames
 from sonarrec.poses import PoseTable
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.results.folders import estimates_of
@@ -102,19 +96,18 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
         logs.append(log)
     if landmark_set is None or not logs:
         raise SonarrecError("\n".join(["no log can be mapped", *diagnostics.problems]))
-    once = counted_once(folders, recordings, lambda i: logs[i].path.frame, "used")
-    logs = [logs[i] for i in once.kept]
+    copies = Diagnostics()
+    kept = counted_once(folders, recordings, lambda i: logs[i].path.frame, "used", copies)
+    logs = [logs[i] for i in kept]
     alone = [log.name for log in logs if not log.path.from_poses]
     if alone and len(logs) > 1:
         raise UsageError(
             f"without poses each log has a coordinate frame of its own ({', '.join(alone)}): give "
             "poses with --odometry, or map the logs one by one"
         )
-    for log in logs:
-        diagnostics.note(*log.diagnostics.notes)
-        diagnostics.problem(*log.diagnostics.problems)
-    diagnostics.note(*once.notes)
-    diagnostics.problem(*once.unused)
+    for told in (*(log.diagnostics for log in logs), copies):
+        diagnostics.note(*told.notes)
+        diagnostics.problem(*told.problems)
     for table in options.odometry:
         if _digest(table) not in tables_used:
             diagnostics.note(
@@ -123,29 +116,29 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
             )
     landmarks = join(logs, landmark_set)
     seen_enough = [one for one in landmarks if frames_of(one.members) >= options.least_frames]
-    return SiteMap(
-        landmark_set=landmark_set,
-        landmarks=seen_enough,
-        left_out=len(landmarks) - len(seen_enough),
-        logs=logs,
-        diagnostics=diagnostics,
-        ros_axes=all(log.ros_axes for log in logs),
-    )
+    left_out, ros_axes = len(landmarks) - len(seen_enough), all(log.ros_axes for log in logs)
+    return SiteMap(landmark_set, seen_enough, left_out, logs, diagnostics, ros_axes)
 
 
 def _read_log(
-    folder: Path,
-    run: RunFile,
-    landmarks: LandmarkSet,
-    poses: PoseTable | None,
-    options: MapOptions,
+    folder: Path, run: RunFile, landmarks: LandmarkSet, poses: PoseTable | None, options: MapOptions
 ) -> tuple[MappedLog, int]:
     """(one log: its path and its passes, number of its declared estimates).
 
     Raises SonarrecError if it cannot be mapped.
     """
     diagnostics = Diagnostics()
-    path = _path(folder, poses, options.drift, diagnostics)
+    frames = read_frames(folder)
+    if poses is None:
+        if options.drift != Drift():
+            raise UsageError("--drift applies to given poses, and there are none; give --odometry")
+        path = measured_motion_path(folder, frames, diagnostics)
+    elif "timestamp_ns" not in frames:
+        raise SonarrecError(
+            f"{folder}: frames.csv has no timestamp_ns, which is needed to find poses"
+        )
+    else:
+        path = path_from_poses(frames["frame"], frames["timestamp_ns"], poses, options.drift)
     fan = run.fan(options.sonar)
     if fan is None:
         raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
@@ -153,24 +146,14 @@ def _read_log(
     method = choose_method(table, options.method)
     check_follows(method)
     declared = read_declared(table, method, landmarks, fan, path.frame)
-    log = MappedLog(
-        name=folder.resolve().name,
-        path=path,
-        passes=find_passes(declared, path, landmarks, fan),
-        fan=fan,
-        ros_axes=poses is not None and "topic" in poses.source,
-        diagnostics=diagnostics,
-    )
+    passes = find_passes(declared, path, landmarks, fan)
+    ros_axes = poses is not None and "topic" in poses.source
+    log = MappedLog(folder.resolve().name, path, passes, fan, ros_axes, diagnostics)
     if not run.finished:
         diagnostics.problem(cut_short(str(folder), len(path.frame), "used"))
     elif lost := rows_lost(folder, run.table.get("input", {})):
         diagnostics.problem(*(f"{folder}: {line}" for line in lost))
-    _tell_left_out(folder, log, declared)
-    return log, len(declared.row)
-
-
-def _tell_left_out(folder: Path, log: MappedLog, declared: DeclaredEstimates) -> None:
-    """Tell for which reasons declared estimates of a log are in no pass."""
+    # For which reasons declared estimates are in no pass.
     without = int((~np.isfinite(log.path.pose[declared.row]).all(axis=1)).sum())
     near = len(declared.row) - without - sum(len(one.row) for one in log.passes)
     for count, why in (
@@ -180,25 +163,8 @@ def _tell_left_out(folder: Path, log: MappedLog, declared: DeclaredEstimates) ->
     ):
         if count:
             whole = len(declared.row) + declared.strays
-            log.diagnostics.problem(
-                f"{folder}: {count} of {whole} declared estimates left out: {why}"
-            )
-
-
-def _path(
-    folder: Path, poses: PoseTable | None, drift: Drift, diagnostics: Diagnostics
-) -> SonarPath:
-    """The sonar's path in one log."""
-    table = read_frames(folder)
-    if poses is not None:
-        if "timestamp_ns" not in table:
-            raise SonarrecError(
-                f"{folder}: frames.csv has no timestamp_ns, which is needed to find poses"
-            )
-        return path_from_poses(table["frame"], table["timestamp_ns"], poses, drift)
-    if drift != Drift():
-        raise UsageError("--drift applies to given poses, and there are none; give --odometry")
-    return measured_motion_path(folder, table, diagnostics)
+            diagnostics.problem(f"{folder}: {count} of {whole} declared estimates left out: {why}")
+    return log, len(declared.row)
 
 
 def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTable | None:
@@ -215,9 +181,7 @@ def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTab
     if len(tables) == 1 and (not recorded or "topic" in recorded):
         return read_poses(tables[0])
     if "topic" in recorded:
-        from sonarrec.readers.messages.poses import (
-            read_topic,  # with its decompressors, where needed
-        )
+        from sonarrec.readers.messages.poses import read_topic  # brings decompressors
 
         if not log.exists():
             raise SonarrecError(

@@ -77,7 +77,7 @@ def _of_pass(site: SiteMap, number: int, log: int, one: Pass, share: float) -> l
     chosen = np.unique(np.linspace(0, length - 1, min(length, PER_PASS)).round().astype(int))
     row, (slant, bearing, orientation) = one.row[chosen], one.polar[chosen].T
     ground = ground_range(fan, slant)
-    period = _period_deg(site, landmark.id)
+    period = float(site.landmark_set.periods_deg()[site.landmark_set.ids.index(landmark.id)])
     if math.isnan(period):
         orientation = np.full(len(row), np.nan)
     elif not math.isnan(landmark.orientation_deg):
@@ -99,11 +99,6 @@ def _of_pass(site: SiteMap, number: int, log: int, one: Pass, share: float) -> l
         Factor(log, at, number, slant_m, tuple(values), tuple(errors))
         for at, slant_m, values, errors in zip(*columns, strict=True)
     ]
-
-
-def _period_deg(site: SiteMap, landmark: int) -> float:
-    index = site.landmark_set.ids.index(landmark)
-    return float(site.landmark_set.periods_deg()[index])
 
 
 def pose_vertices(site: SiteMap, measurements: list[Factor]) -> Vertices:

@@ -208,11 +208,8 @@ def _fused(
     """
     weight = np.linalg.inv(covariance)
     fused = np.linalg.inv(weight.sum(axis=0))
-    return (
-        fused @ np.einsum("nij,nj->i", weight, position),
-        fused,
-        fused @ np.einsum("nij,nj->i", weight, lean),
-    )
+    where, leaning = (fused @ np.einsum("nij,nj->i", weight, v) for v in (position, lean))
+    return where, fused, leaning
 
 
 def _fused_orientation(
@@ -228,10 +225,7 @@ def _fused_orientation(
 
 
 def _one_per_position(landmarks: list[Landmark], disc_m: float) -> list[Landmark]:
-    """Keep one landmark where several overlap: the one claimed most. The rest are its `others`.
-
-    disc_m: distance below which landmarks overlap.
-    """
+    """Keep the landmark claimed most of those nearer than disc_m; the rest are its `others`."""
     weight = [sum(len(p.row) * p.score for _, p in one.members) for one in landmarks]
     others: dict[int, list[Member]] = {}
     for n in sorted(range(len(landmarks)), key=lambda n: -weight[n]):

@@ -129,15 +129,8 @@ def read_declared(
         parts.append(rows)
     rows = np.concatenate(parts)
     number, landmark, track = rows[:, :3].astype(np.int64).T
-    return DeclaredEstimates(
-        row=np.searchsorted(frame, number),
-        landmark=landmark,
-        track=track,
-        score=rows[:, 3],
-        polar=rows[:, 4:7],
-        sigma=np.where(rows[:, 7:] > 0, rows[:, 7:], UNSTATED),
-        strays=strays,
-    )
+    sigma, row = np.where(rows[:, 7:] > 0, rows[:, 7:], UNSTATED), np.searchsorted(frame, number)
+    return DeclaredEstimates(row, landmark, track, rows[:, 3], rows[:, 4:7], sigma, strays)
 
 
 def find_passes(

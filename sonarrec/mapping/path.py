@@ -166,25 +166,14 @@ def measured_path(
     y = np.cumsum(moved[:, 2] * cos - moved[:, 1] * sin)
     pose = np.column_stack([yaw, x, y])
     right, ahead = sigma[:, 1] ** 2, sigma[:, 2] ** 2
-    shift = np.column_stack(
-        [
-            right * cos**2 + ahead * sin**2,
-            (ahead - right) * sin * cos,
-            right * sin**2 + ahead * cos**2,
-        ]
-    )
+    xx, yy = right * cos**2 + ahead * sin**2, right * sin**2 + ahead * cos**2
+    shift = np.column_stack([xx, (ahead - right) * sin * cos, yy])
     stood = (moved[:, 1:] == 0).all(axis=1)
     rotation = np.where(stood, np.radians(moved[:, 0]), 0.0)
     moments = np.column_stack([np.ones(len(x)), x, y])
-    return SonarPath(
-        frame,
-        timestamp_ns,
-        pose,
-        False,
-        _sums(pose[:, 1:], shift, np.radians(sigma[:, 0]) ** 2),
-        np.cumsum(rotation[:, None] * moments, axis=0),
-        np.zeros(2),
-    )
+    sums = _sums(pose[:, 1:], shift, np.radians(sigma[:, 0]) ** 2)
+    common = np.cumsum(rotation[:, None] * moments, axis=0)
+    return SonarPath(frame, timestamp_ns, pose, False, sums, common, np.zeros(2))
 
 
 def _sums(position: FloatArray, shift: FloatArray, rotation: FloatArray) -> FloatArray:

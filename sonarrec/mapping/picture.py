@@ -46,7 +46,8 @@ def draw_map(path: Path, site: SiteMap) -> None:
         axes.plot(*start.T, "o", color="#666666", markersize=5, zorder=1, label=label)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    widths = [_width(landmark.covariance) for landmark in site.landmarks]
+    around = (ellipse(np.zeros(2), landmark.covariance) for landmark in site.landmarks)
+    widths = [float(np.ptp(line, axis=0).max()) for line in around]
     span = abs(np.subtract(*axes.get_xlim()))
     larger = ENLARGED if widths and np.median(widths) < LEAST_SEEN * span else 1
     for number, landmark in enumerate(site.landmarks, 1):
@@ -57,7 +58,9 @@ def draw_map(path: Path, site: SiteMap) -> None:
     axes.plot([], [], color=LINES, linewidth=2, label="where the first sector begins")
     axes.set_xlabel("x, m: ahead at yaw 0" if site.ros_axes else "x, m: to the right at yaw 0")
     axes.set_ylabel("y, m: to the left at yaw 0" if site.ros_axes else "y, m: ahead at yaw 0")
-    axes.set_title(plain(_title(site)), fontsize=10)
+    count = number_of(len(site.landmarks), "landmark")
+    logs = ", ".join(log.name for log in site.logs[:3]) + (" ..." if len(site.logs) > 3 else "")
+    axes.set_title(plain(f"{count} of {site.landmark_set.name}: {logs}"), fontsize=10)
     axes.grid(color="white", linewidth=0.8, zorder=0)
     axes.set_facecolor("#f8f8f8")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
@@ -90,17 +93,6 @@ def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int, la
         color="black",
         zorder=4,
     )
-
-
-def _title(site: SiteMap) -> str:
-    count = number_of(len(site.landmarks), "landmark")
-    logs = ", ".join(log.name for log in site.logs[:3]) + (" ..." if len(site.logs) > 3 else "")
-    return f"{count} of {site.landmark_set.name}: {logs}"
-
-
-def _width(covariance: FloatArray) -> float:
-    """The largest extent of the 95 % ellipse along an axis, m."""
-    return float(np.ptp(ellipse(np.zeros(2), covariance), axis=0).max())
 
 
 def _floor_seen(log: MappedLog) -> FloatArray:

@@ -152,7 +152,12 @@ def _write_geojson(path: Path, site: SiteMap, origin: GeographicOrigin) -> None:
     for number, landmark in enumerate(site.landmarks, 1):
         name: dict[str, object] = {"number": number, "landmark": landmark.id}
         point = _rounded(origin.on_earth(landmark.position[None]))
-        facts = _point_facts(landmark, origin)
+        # Where the first sector begins, as a compass shows it.
+        compass = (90 + origin.heading_deg - landmark.orientation_deg) % 360
+        facts: dict[str, object] = {} if math.isnan(compass) else {"heading_deg": round(compass, 2)}
+        sigma_m = math.sqrt(float(np.linalg.eigvalsh(landmark.covariance)[-1]))
+        seen = {"passes": len(landmark.members), "frames": frames_of(landmark.members)}
+        facts |= {"sigma_m": round(sigma_m, 4), **seen}
         features.append(_feature("Point", point, {"name": f"ID.{landmark.id}", **name, **facts}))
         rings = rings_at_180(origin.on_earth(ellipse(landmark.position, landmark.covariance)))
         if rings:
@@ -167,19 +172,6 @@ def _write_geojson(path: Path, site: SiteMap, origin: GeographicOrigin) -> None:
             features.append(_feature("LineString", parts, {"log": log.name}))
     document = {"type": "FeatureCollection", "program": "sonarrec", "features": features}
     write_text(path, json.dumps(document, allow_nan=False) + "\n")
-
-
-def _point_facts(landmark: Landmark, origin: GeographicOrigin) -> dict[str, object]:
-    """The properties of a landmark's point, apart from its names."""
-    # Where the first sector begins, as a compass shows it.
-    compass = (90 + origin.heading_deg - landmark.orientation_deg) % 360
-    heading = {} if math.isnan(compass) else {"heading_deg": round(compass, 2)}
-    return {
-        **heading,
-        "sigma_m": round(float(np.sqrt(np.linalg.eigvalsh(landmark.covariance)[-1])), 4),
-        "passes": len(landmark.members),
-        "frames": frames_of(landmark.members),
-    }
 
 
 def _feature(

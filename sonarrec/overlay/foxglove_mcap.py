@@ -1,5 +1,5 @@
 """Writes an MCAP file with annotations that Foxglove shows on top of the recording, and with the
-declared estimates as detections for ROS 2."""
+declared estimates as detections for ROS 2; and a layout of Foxglove that shows both."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
 from sonarrec.overlay import detections
 from sonarrec.readers.messages.foxglove import json_schema
-from sonarrec.tables.outputs import OVERLAY_LIBRARY, writing
+from sonarrec.tables.outputs import OVERLAY_LIBRARY, write_text, writing
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
@@ -186,13 +186,8 @@ class _Annotations:
 
     def message(self) -> dict[str, Any]:
         """The message, to be encoded as JSON."""
-        return {
-            "timestamp": self._time,
-            "circles": [],
-            "points": self._lines,
-            "texts": self._texts,
-            "metadata": [],
-        }
+        rest: dict[str, Any] = {"texts": self._texts, "metadata": []}
+        return {"timestamp": self._time, "circles": [], "points": self._lines, **rest}
 
 
 def _json(message: Mapping[str, Any]) -> bytes:
@@ -211,3 +206,38 @@ def _point(x: float, y: float) -> dict[str, float]:
 
 def _colour(colour: Colour, alpha: float = 1) -> dict[str, float]:
     return dict(zip("rgba", (*(round(c / 255, 3) for c in colour), alpha), strict=True))
+
+
+_IMAGE = "Image!sonarrec"
+LAYOUT_BEGIN = f'{{\n  "configById": {{\n    "{_IMAGE}": '
+"""How a layout written by this program begins."""
+
+
+def write_layout(path: Path, image_topic: str) -> None:
+    """Write the layout as JSON. image_topic: of the recording, or of the fan in the overlay.
+
+    Raises SonarrecError where the file cannot be written.
+    """
+    table, plot = "Table!sonarrec", "Plot!sonarrec"
+    declared = f"{DETECTIONS_TOPIC}.detections[:].results[:].hypothesis"
+    dots = {"enabled": True, "timestampMethod": "receiveTime", "showLine": False}
+    axes = {"minYValue": 0, "maxYValue": 1, "xAxisVal": "timestamp", "showLegend": False}
+    shown = {"imageTopic": image_topic, "annotations": {ANNOTATIONS_TOPIC: {"visible": True}}}
+    beside = {"direction": "column", "first": table, "second": plot}
+    layout = {
+        "configById": {
+            _IMAGE: {"imageMode": {**shown, "synchronize": True}},
+            table: {"topicPath": declared},
+            plot: {
+                "title": "score of what is declared",
+                "paths": [{"value": f"{declared}.score", **dots}],
+                **axes,
+            },
+        },
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {"direction": "row", "first": _IMAGE, "second": beside, "splitPercentage": 65},
+    }
+    with writing(path):
+        write_text(path, json.dumps(layout, indent=2) + "\n")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
@@ -17,8 +17,7 @@ from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, dra
 from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
-from sonarrec.overlay.foxglove_layout import LAYOUT_BEGIN, write_layout
-from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
+from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, LAYOUT_BEGIN, FoxgloveFile, write_layout
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
@@ -55,7 +54,6 @@ class OverlayReport:
     diagnostics: Diagnostics
 
 
-# Long by its parameters and what is said of them.
 def write_overlay(
     path: str | Path,
     targets: Targets,
@@ -110,7 +108,13 @@ def write_overlay(
         outputs: _Outputs | None = None
         written = 0
         with ExitStack() as stack:
-            for frame, estimates in _with_estimates(chain([first], frames), rows, span[1]):
+            index, of_index = -1, tuple[Estimate, ...]()
+            for frame in chain([first], frames):
+                if span[1] is not None and frame.index >= span[1]:
+                    break
+                while index < frame.index:  # both come in rising order
+                    index, of_index = next(rows, (sys.maxsize, ()))
+                estimates = of_index if index == frame.index else ()
                 # Frames before the span only show in the first strips.
                 history.append(Moment(frame.index, frame.timestamp_ns, estimates))
                 if observe:
@@ -174,9 +178,8 @@ class _Outputs:
         picture = draw_frame(
             frame.image, frame.fan, self.landmarks, estimates, paths=paths, truth=marks, grid=grid
         )
-        picture = draw_picture(
-            picture, draw_strip(history, self.landmarks, max(picture.shape[1], 512))
-        )
+        strip = draw_strip(history, self.landmarks, max(picture.shape[1], 512))
+        picture = draw_picture(picture, strip)
         for target in self.pictures:
             target.write(frame.index, picture)
 
@@ -231,19 +234,6 @@ def _results_folder(path: Path, source: Source, results: Path) -> Path:
         f"{results}: no results of {path} here (no frames.csv, nor {source.name}/frames.csv); "
         f"`sonarrec run {path}` writes them"
     )
-
-
-def _with_estimates(
-    frames: Iterable[Frame], rows: Iterator[tuple[int, tuple[Estimate, ...]]], end: int | None
-) -> Iterator[tuple[Frame, tuple[Estimate, ...]]]:
-    """Every frame before `end` with its estimates; both come in rising order."""
-    index, estimates = -1, tuple[Estimate, ...]()
-    for frame in frames:
-        if end is not None and frame.index >= end:
-            break
-        while index < frame.index:
-            index, estimates = next(rows, (sys.maxsize, ()))
-        yield frame, estimates if index == frame.index else ()
 
 
 def _truth_marks(

@@ -89,18 +89,9 @@ def write_report(
     pictures, shown, missing = _draw_all(logs, matched, mistakes, recordings, sonar, topic)
     incomplete = (line for log in logs for line in not_whole(log.results, "shown"))
     unused = (*(incomplete if evaluation is None else evaluation.unused), *unread, *missing)
-    page = render(
-        logs,
-        evaluation,
-        mistakes,
-        pairs or ground_truth,
-        pictures,
-        shown,
-        unused,
-        len(chosen.folders) if evaluation is None else len(evaluation.folders),
-        chosen.outliers,
-    )
-    write_page(path, page)
+    in_all = len(chosen.folders if evaluation is None else evaluation.folders)
+    truth, rest = pairs or ground_truth, (in_all, chosen.outliers)
+    write_page(path, render(logs, evaluation, mistakes, truth, pictures, shown, unused, *rest))
     return Report(path, len(pictures), sum(len(s.frames) for s in shown), unused)
 
 
@@ -236,10 +227,7 @@ def _sighting_requests(
         return -round(log.results.score[s.surest], 2), s.is_false, -s.sighting.frames_declared
 
     best = {
-        k: min(
-            (pair for pair in passes if pair[1].sighting.landmark == k),
-            key=sure,
-        )
+        k: min((pair for pair in passes if pair[1].sighting.landmark == k), key=sure)
         for k in sorted({s.sighting.landmark for _, s in passes})
     }
     others = [pair for pair in passes if not any(pair is b for b in best.values())]
@@ -248,10 +236,7 @@ def _sighting_requests(
         *(_sighting_request(log, s, "surest", "") for log, s in best.values()),
         *(
             _sighting_request(
-                log,
-                s,
-                "rarest",
-                f", declared in {number_of(s.sighting.frames_declared, 'frame')}",
+                log, s, "rarest", f", declared in {number_of(s.sighting.frames_declared, 'frame')}"
             )
             for log, s in rare[: max(0, MOST_SEEN - len(best))]
         ),

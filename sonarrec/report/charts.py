@@ -55,6 +55,7 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
     """
     results = log.results
     order = sorted(results.methods, key=lambda m: (m != log.tracker, results.methods.index(m)))
+    axis, period = time_axis(log)
     rows = []
     for k in range(len(results.landmarks.ids)):
         declared = [
@@ -63,19 +64,15 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
         ]
         in_view = None if log.in_view is None else log.in_view[:, k]
         if (in_view is not None and in_view.any()) or any(map(np.any, declared)):
-            lanes = [] if in_view is None else [_truth_lane(log, k, in_view)]
+            lanes = []
+            if in_view is not None:
+                frames = f"{int(in_view.sum())} of {number_of(len(in_view), 'frame')}"
+                bar = Shape(bars(axis, log.time, period, in_view.astype(float)), None, "bar")
+                text = f"ID.{log.ids[k]} is in view in {frames}"
+                lanes.append(Lane("truth", Chart(text, [bar]), True))
             lanes += [_method_lane(log, k, *pair) for pair in zip(order, declared, strict=True)]
             rows.append((k, lanes))
     return rows
-
-
-def _truth_lane(log: ReportedLog, k: int, in_view: BoolArray) -> Lane:
-    """The row of truth of the k-th ID. in_view: (F,)."""
-    frames = f"{int(in_view.sum())} of {number_of(len(in_view), 'frame')}"
-    axis, period = time_axis(log)
-    path = bars(axis, log.time, period, in_view.astype(float))
-    chart = Chart(f"ID.{log.ids[k]} is in view in {frames}", [Shape(path, None, "bar")])
-    return Lane("truth", chart, True)
 
 
 def _method_lane(log: ReportedLog, k: int, method: str, declared: BoolArray) -> Lane:
@@ -110,10 +107,9 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
         followed = np.full(len(track.estimates), FOLLOWED)
         start = log.time[track.frame_index]
         shapes = [Shape(bars(axis, start, period, followed, SILENT_POINTS), None, "bar")]
-        for k in np.unique(results.landmark_index[track.estimates]).tolist():
-            height = np.where(
-                results.landmark_index[track.estimates] == k, results.score[track.estimates], 0.0
-            )
+        named = results.landmark_index[track.estimates]
+        for k in np.unique(named).tolist():
+            height = np.where(named == k, results.score[track.estimates], 0.0)
             path = bars(axis, start, period, height, SILENT_POINTS)
             shapes.append(Shape(path, k, "bar", f"ID.{results.landmarks.ids[k]}"))
         truth = true_landmark(log, track)
@@ -168,15 +164,9 @@ def reliability(curve: Reliability, method: int) -> Chart:
         Shape(polyline(ends, ends), None, "line thin"),
         Shape(believed, method, label=curve.method),
     ]
-    return Chart(
-        f"{curve.method}: {'; '.join(dot.label for dot in dots)}",
-        shapes,
-        UNIT.ticks(5),
-        UNIT.ticks(5),
-        dots,
-        "probability stated",
-        "share that is right",
-    )
+    text = f"{curve.method}: {'; '.join(dot.label for dot in dots)}"
+    ticks, labels = UNIT.ticks(5), ("probability stated", "share that is right")
+    return Chart(text, shapes, ticks, ticks, dots, *labels)
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,21 +210,15 @@ def _panel(log: ReportedLog, track: Track, method: str, estimates: IntArray) -> 
     declared = []
     for k in range(len(log.ids)):
         claims = np.zeros(len(rows))
-        mine = seen.copy()
-        mine[seen] = results.declared[estimates[seen]] & (
-            results.landmark_index[estimates[seen]] == k
-        )
+        mine = seen & results.declared[estimates] & (results.landmark_index[estimates] == k)
         claims[track.frame_index[mine] - rows[0]] = 1
         if mine.any():
             path = bars(axis, log.time[rows] - period / 2, period, claims)
             declared.append(Shape(path, k, "bar"))
     frames = number_of(int(seen.sum()), "frame")
     text = f"{method}, mean probability over {frames}: {text}"
-    return TrackPanel(
-        method=method,
-        chart=Chart(text, shapes, y_ticks=UNIT.ticks(2)),
-        declared=Chart(f"frames in which {method} declares an ID", declared),
-    )
+    claims_chart = Chart(f"frames in which {method} declares an ID", declared)
+    return TrackPanel(method, Chart(text, shapes, y_ticks=UNIT.ticks(2)), claims_chart)
 
 
 def _probabilities(log: ReportedLog, x: FloatArray, belief: FloatArray) -> tuple[list[Shape], str]:
@@ -262,12 +246,9 @@ def truth_strip(log: ReportedLog, track: Track) -> Chart | None:
     axis = track_axis(log, track)
     _, period = time_axis(log)
     beneath = log.truth_near[track.estimates]
+    start = log.time[track.frame_index] - period / 2
     shapes = [
-        Shape(
-            bars(axis, log.time[track.frame_index] - period / 2, period, (beneath == k) * 1.0),
-            k,
-            "bar",
-        )
+        Shape(bars(axis, start, period, (beneath == k) * 1.0), k, "bar")
         for k in np.unique(beneath[beneath >= 0]).tolist()
     ]
     return Chart("the landmark that truly lies here", shapes)

@@ -15,7 +15,7 @@ from sonarrec.evaluation.compare import Comparison, PassChange
 from sonarrec.evaluation.compare_screen import outcome, settings_lines
 from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.report.templates import filled
+from sonarrec.report.page import filled
 from sonarrec.tables.outputs import write_page
 
 MOST = 10
@@ -28,15 +28,14 @@ View = dict[str, Any]
 
 def write_comparison_page(path: Path, comparison: Comparison) -> None:
     """Write the page. Raises SonarrecError where it cannot be written."""
-    write_page(path, render(comparison))
-
-
-def render(comparison: Comparison) -> str:
-    """The whole page as HTML."""
     # Changes are counted by the stricter protocol, as in the report.
     strict = any(r.protocol == "strict" for r in comparison.rates)
     protocol = "strict" if strict else "paper"
-    return filled(
+    in_total: dict[tuple[str, str], list[View]] = {}
+    for d in comparison.differences:
+        if d.landmark_text == "total":
+            in_total.setdefault((d.b, d.protocol), []).append(_row(d, BY_NAME[d.name].label))
+    page = filled(
         "compare.html",
         version=__version__,
         old=name_as_text(comparison.old),
@@ -46,21 +45,13 @@ def render(comparison: Comparison) -> str:
         least=MIN_UNITS,
         significant=SIGNIFICANT,
         protocol=protocol,
-        rates=_in_total(comparison),
+        rates=[{"method": m, "protocol": p, "rows": r} for (m, p), r in in_total.items()],
         per_id=_per_id(comparison, protocol),
         same_settings=not comparison.settings and any(settings_lines(comparison)),
         outcome=outcome,
         ranked=[_ranked(comparison, protocol, verdict) for verdict in ("worse", "better")],
     )
-
-
-def _in_total(comparison: Comparison) -> list[View]:
-    """Per method and protocol, every figure over all IDs."""
-    groups: dict[tuple[str, str], list[View]] = {}
-    for d in comparison.differences:
-        if d.landmark_text == "total":
-            groups.setdefault((d.b, d.protocol), []).append(_row(d, BY_NAME[d.name].label))
-    return [{"method": m, "protocol": p, "rows": rows} for (m, p), rows in groups.items()]
+    write_page(path, page)
 
 
 def _per_id(comparison: Comparison, protocol: str) -> list[View]:

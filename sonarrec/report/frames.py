@@ -14,7 +14,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import disc_outline
 from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.errors import SonarrecError
-from sonarrec.nouns import Estimate, Fan, Frame
+from sonarrec.nouns import Estimate, Frame
 from sonarrec.readers.log import Log
 from sonarrec.report.logs import ReportedLog
 from sonarrec.report.pictures import Picture, PictureRequest, as_webp, draw, ellipse, shrunk
@@ -109,23 +109,27 @@ def take(
     check_same_log(log, reported.folder, reported.run)
     pictures: dict[PictureRequest, Picture] = {}
     methods = list(reported.results.methods)
-    shown_log = ShownLog(
-        reported.results.name,
-        "s" if reported.clock == "s" else "",
-        methods,
-        len(reported.results.frame),
-    )
-    hold = set(frames_held)
+    unit, in_all = "s" if reported.clock == "s" else "", len(reported.results.frame)
+    shown_log = ShownLog(reported.results.name, unit, methods, in_all)
+    truth, landmarks = reported.truth, reported.results.landmarks
+    numbers_of, hold = reported.results.frame, set(frames_held)
     numbers = {w.frame for w in requests} | hold
     of_method: dict[str, dict[int, tuple[Estimate, ...]]] = {}
     for frame in log:
         if not of_method:  # the fan of the first frame gives the positions of the estimates
-            asked_methods = dict.fromkeys([*methods, *(w.method for w in requests)])
-            of_method = {m: _estimates(reported, m, numbers, frame.fan) for m in asked_methods}
+            table = estimates_of(reported.folder)
+            for m in dict.fromkeys([*methods, *(w.method for w in requests)]):
+                every = read_estimates(table, m, landmarks, frame.fan)
+                of_method[m] = {n: estimates for n, estimates in every if n in numbers}
         if frame.index in numbers:
             numbers.remove(frame.index)
             estimates = {m: by_frame.get(frame.index, ()) for m, by_frame in of_method.items()}
-            marks = _marks(reported, frame)
+            marks: list[Mark] = []  # landmarks at least partly in view, if truth has positions
+            positions = None if truth is None else truth.pixels(frame.fan)
+            if truth is not None and positions is not None:
+                here = np.flatnonzero(numbers_of[truth.frame_index] == frame.index)
+                ids = [landmarks.ids[truth.landmark_index[n]] for n in here]
+                marks = [Mark(i, *positions[n].tolist()) for i, n in zip(ids, here, strict=True)]
             requests_here = [w for w in requests if w.frame == frame.index]
             pictures |= draw(frame, reported, requests_here, estimates, marks)
             if frame.index in hold:
@@ -138,26 +142,6 @@ def take(
             "give the log that they came from"
         )
     return pictures, shown_log
-
-
-def _estimates(
-    reported: ReportedLog, method: str, numbers: set[int], fan: Fan
-) -> dict[int, tuple[Estimate, ...]]:
-    path = estimates_of(reported.folder)
-    of_method = read_estimates(path, method, reported.results.landmarks, fan)
-    return {number: estimates for number, estimates in of_method if number in numbers}
-
-
-def _marks(reported: ReportedLog, frame: Frame) -> list[Mark]:
-    """The landmarks that are at least partly in view in the frame, if truth has positions."""
-    truth, results = reported.truth, reported.results
-    positions = None if truth is None else truth.pixels(frame.fan)
-    if truth is None or positions is None:
-        return []
-    here = np.flatnonzero(results.frame[truth.frame_index] == frame.index)
-    return [
-        Mark(results.landmarks.ids[truth.landmark_index[n]], *positions[n].tolist()) for n in here
-    ]
 
 
 def _shown_frame(

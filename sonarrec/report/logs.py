@@ -165,18 +165,10 @@ def _reported_log(
         in_view = np.zeros((len(log.frame), len(log.landmarks.ids)), dtype=bool)
         whole = truth.visible >= min_visible
         in_view[truth.frame_index[whole], truth.landmark_index[whole]] = True
+    run = read_run(folder / "run.toml")
+    ordered = sorted(passes, key=lambda s: (s.first_frame, s.last_frame))
     return ReportedLog(
-        folder=folder,
-        results=log,
-        tracker=tracker,
-        truth=truth,
-        matched=matched,
-        run=read_run(folder / "run.toml"),
-        time=time,
-        clock=clock,
-        truth_near=near,
-        in_view=in_view,
-        sightings=sorted(passes, key=lambda s: (s.first_frame, s.last_frame)),
+        folder, log, tracker, truth, matched, run, time, clock, near, in_view, sightings=ordered
     )
 
 
@@ -213,25 +205,15 @@ def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
             of_landmark &= results.object[rows] == s.track
         if of_landmark.any():
             rows = rows[of_landmark]
-            judged.append(_judged(log, s, rows, None if false is None else false[rows]))
+            frames, position = results.frame_index[rows], results.position
+            offset = frames - (frames[0] + frames[-1]) / 2
+            if position is not None:
+                offset = np.arctan2(*position[rows].T)
+            wrong = np.zeros(len(rows), dtype=bool) if false is None else false[rows]
+            best = np.lexsort((np.abs(offset), wrong, -results.score[rows].round(2)))[0]
+            right = None if false is None else int((~wrong).sum())
+            judged.append(JudgedSighting(s, rows, int(rows[best]), right, bool(wrong[best])))
     return judged
-
-
-def _judged(
-    log: ReportedLog, sighting: Sighting, estimates: IntArray, wrong: BoolArray | None
-) -> JudgedSighting:
-    """A sighting with its surest declaration and how many are true.
-
-    estimates: (n,) its declarations. wrong: (n,) which are false claims, None if not known.
-    """
-    frames, position = log.results.frame_index[estimates], log.results.position
-    offset = frames - (frames[0] + frames[-1]) / 2
-    if position is not None:
-        offset = np.arctan2(*position[estimates].T)
-    true_last = np.zeros(len(estimates), dtype=bool) if wrong is None else wrong
-    best = np.lexsort((np.abs(offset), true_last, -log.results.score[estimates].round(2)))[0]
-    right = None if wrong is None else int((~wrong).sum())
-    return JudgedSighting(sighting, estimates, int(estimates[best]), right, bool(true_last[best]))
 
 
 def _false(log: ReportedLog) -> BoolArray | None:

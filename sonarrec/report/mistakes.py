@@ -81,15 +81,9 @@ def episodes(logs: Mapping[str, Matched], method: str, protocol: str) -> list[Ep
 def _false_claims(scored: Judged) -> pd.DataFrame:
     """A row per false claim; `which` is the claim, `at` its frame (indices into Matched)."""
     false = scored.declared_claim[scored.declared_effect[:, 2] > 0]
-    return pd.DataFrame(
-        {
-            "kind": "claim",
-            "at": scored.frame_index[false],
-            "landmark": scored.landmark_index[false],
-            "wrongness": scored.score[false],
-            "which": scored.claim[false],
-        }
-    )
+    rows = {"kind": "claim", "at": scored.frame_index[false], "which": scored.claim[false]}
+    seen = {"landmark": scored.landmark_index[false], "wrongness": scored.score[false]}
+    return pd.DataFrame(rows | seen)
 
 
 def _misses(log: Matched, scored: Judged, method: str) -> pd.DataFrame:
@@ -101,15 +95,8 @@ def _misses(log: Matched, scored: Judged, method: str) -> pd.DataFrame:
     cell = log.claim_frame_index[of_method] * ids + log.claim_landmark_index[of_method]
     np.maximum.at(best, cell, log.score[of_method])
     at, landmark = log.truth_frame_index[missed], log.truth_landmark_index[missed]
-    return pd.DataFrame(
-        {
-            "kind": "miss",
-            "at": at,
-            "landmark": landmark,
-            "wrongness": 1 - best[at * ids + landmark],
-            "which": missed,
-        }
-    )
+    rows = {"kind": "miss", "at": at, "which": missed}
+    return pd.DataFrame(rows | {"landmark": landmark, "wrongness": 1 - best[at * ids + landmark]})
 
 
 def in_words(episode: Episode, log: Matched) -> str:

@@ -54,13 +54,23 @@ def outliers(
         folder_of = dict(zip(evaluation.counts.logs, evaluation.folders, strict=True))
         remarks = [*_unfinished(folder_of, folder), *_most_mistaken(evaluation.counts, method)]
     else:
-        sightings, unread = _sightings(folder_of, options)
+        sightings: dict[str, Counter[str]] = {}
+        remarks = []
+        for name, place in folder_of.items():
+            try:
+                found = read_sightings(place, options.landmarks, options.sonar)
+                sightings[name] = Counter(s.method for s in found)
+            except SonarrecError as error:
+                remarks.append((name, f"cannot be read: {error}"))
         folders_read = {name: folder_of[name] for name in sightings}
-        remarks = [
-            *unread,
-            *_unfinished(folders_read, folder),
-            *_unusual(sightings, method),
-        ]
+        remarks += _unfinished(folders_read, folder)
+        # Without truth an unusual number of sightings tells which logs differ.
+        method = method or follows_by_default(sorted(set().union(*sightings.values())))
+        count = [of_log[method] for of_log in sightings.values()]
+        usual = float(np.median(count)) if count else 0.0
+        for i in _most([abs(n - usual) for n in count]):
+            told = f"sightings of {method}: {count[i]}, where {usual:g} are usual"
+            remarks.append(([*sightings][i], told))
     for name, reason in remarks:
         reasons.setdefault(name, []).append(reason)
     return [Outlier(name, folder_of.get(name), tuple(why)) for name, why in reasons.items()]
@@ -124,31 +134,6 @@ def _most_mistaken(counts: Counts, method: str | None) -> Iterator[tuple[str, st
         yield counts.logs[i], f"most mistakes of {method}: {missed}, {false_claims}"
     for i in _most([n if n > 1 else 0 for n in false]):  # a single one means little
         yield counts.logs[i], f"most false claims of {method}: {false[i]}"
-
-
-def _sightings(
-    folder_of: dict[str, Path], options: ScoringOptions
-) -> tuple[dict[str, Counter[str]], list[tuple[str, str]]]:
-    """How many sightings of each method each log has; (log, reason) of logs that cannot be read."""
-    counts: dict[str, Counter[str]] = {}
-    unread = []
-    for name, folder in folder_of.items():
-        try:
-            sightings = read_sightings(folder, options.landmarks, options.sonar)
-            counts[name] = Counter(s.method for s in sightings)
-        except SonarrecError as error:
-            unread.append((name, f"cannot be read: {error}"))
-    return counts, unread
-
-
-def _unusual(counts: dict[str, Counter[str]], method: str | None) -> Iterator[tuple[str, str]]:
-    """(log, reason) of logs whose number of sightings is unusual; for results without truth."""
-    method = method or follows_by_default(sorted(set().union(*counts.values())))
-    count = [of_log[method] for of_log in counts.values()]
-    usual = float(np.median(count)) if count else 0.0
-    names = list(counts)
-    for i in _most([abs(n - usual) for n in count]):
-        yield names[i], f"sightings of {method}: {count[i]}, where {usual:g} are usual"
 
 
 def _most(values: Sequence[float]) -> list[int]:

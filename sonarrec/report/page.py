@@ -1,4 +1,4 @@
-"""Collects the content of each section of the page and fills the template."""
+"""Collects the content of each section of the page and fills the template; values are escaped."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from heapq import nlargest
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from sonarrec import __version__
 from sonarrec.drawing.pen import landmark_colours
@@ -21,22 +25,13 @@ from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import FEW, over_units, units_text
 from sonarrec.evaluation.tables import Evaluation
-from sonarrec.landmarks import LandmarkSet
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
-from sonarrec.report.logs import (
-    ReportedLog,
-    Track,
-    judged_sightings,
-    tracks,
-    true_landmark,
-)
+from sonarrec.report.logs import ReportedLog, Track, judged_sightings, tracks, true_landmark
 from sonarrec.report.mistakes import Episode, in_words
 from sonarrec.report.outliers import Outlier
 from sonarrec.report.pictures import Picture
-from sonarrec.report.settings import settings_tables
 from sonarrec.report.svg import STYLES, Chart, darkened, frames_a_bar, glyph
-from sonarrec.report.templates import filled
 from sonarrec.results.sightings import PASS_GAP, Sighting
 from sonarrec.times import date_text, is_date, time_text
 
@@ -76,13 +71,21 @@ def render(
     scores = None
     if evaluation is not None:
         scores = _scores(logs, evaluation, wrong)
-    map_picture = _map_picture(logs)
+    # That of `sonarrec map` lies in the folder of one log's results, or in that of all.
+    homes = {log.run.path.parents[len(logs) > 1] for log in logs}
+    drawn, map_picture = min(homes) / "map" / "map.png", None
+    if len(homes) == 1 and drawn.is_file():
+        map_picture = "data:image/png;base64," + base64.b64encode(drawn.read_bytes()).decode()
+    colours = landmark_colours(landmarks.ids).values()
+    names = ", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else "")
+    frames = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
+    script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
     return filled(
         "report.html",
         number=lambda value, digits: f"{value:,.{digits}f}",
         time_of_day=time_text,
         version=__version__,
-        title=_title(logs, logs_in_all),
+        title=f"{logs_in_all} logs" if logs_in_all > len(logs) else names,
         contents=_contents(
             scores is not None,
             bool(scores and scores["others"]),
@@ -95,7 +98,11 @@ def render(
         landmarks=landmarks,
         methods=methods,
         measured=_measured,
-        **_styles(landmarks, methods),
+        light_colours=[darkened(colour) for colour in colours],
+        dark_colours=["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
+        glyphs=[glyph(landmarks, k) for k in range(len(landmarks.ids))],
+        method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
+        line_styles=STYLES,
         logs=[_log_view(log, most_tracks) for log in logs],
         tracker=logs[0].tracker,
         truth=None if truth is None else truth.name,
@@ -106,58 +113,16 @@ def render(
         outliers=outliers,
         most_outliers=MOST_RATES,
         counts=evaluation and evaluation.counts,
-        **{
-            name: [p for p in pictures if p.request.group == group]
-            for name, group in (
-                *(("surest", "surest"), ("rarest", "rarest")),
-                ("mistake_pictures", "mistake"),
-            )
-        },
+        surest=[p for p in pictures if p.request.group == "surest"],
+        rarest=[p for p in pictures if p.request.group == "rarest"],
+        mistake_pictures=[p for p in pictures if p.request.group == "mistake"],
         held={log.name: n for n, log in enumerate(shown)},
         shown=shown,
-        shown_json=_json(shown),
-        **_script(),
+        shown_json=frames.replace("<", "\\u003c"),  # safe inside a script element
+        script=script,  # the page allows it by its hash
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         map_picture=map_picture,
     )
-
-
-def _styles(landmarks: LandmarkSet, methods: Sequence[str]) -> dict[str, Any]:
-    """Variables of the template: how landmarks and methods are drawn."""
-    colours = list(landmark_colours(landmarks.ids).values())
-    return {
-        "light_colours": [darkened(colour) for colour in colours],
-        "dark_colours": ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
-        "glyphs": [glyph(landmarks, k) for k in range(len(landmarks.ids))],
-        "method_colours": [COLOURS[n % len(COLOURS)] for n in range(len(methods))],
-        "line_styles": STYLES,
-    }
-
-
-def _script() -> dict[str, str]:
-    """Variables of the template: the page's script, and the hash by which the page allows it."""
-    script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
-    digest = hashlib.sha256(script.encode()).digest()
-    return {"script": script, "script_hash": base64.b64encode(digest).decode()}
-
-
-def _title(logs: Sequence[ReportedLog], logs_in_all: int) -> str:
-    if logs_in_all > len(logs):
-        return f"{logs_in_all} logs"
-    return ", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else "")
-
-
-def _map_picture(logs: Sequence[ReportedLog]) -> str | None:
-    """The picture from `sonarrec map` as a data URI; None if there is none.
-
-    It lies in the results folder of one log, or in the folder that holds several.
-    """
-    folders = {
-        log.run.path.parent if len(logs) == 1 else log.run.path.parent.parent for log in logs
-    }
-    picture = folders.pop() / "map" / "map.png"
-    if folders or not picture.is_file():
-        return None
-    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode()
 
 
 def _contents(
@@ -186,12 +151,6 @@ def _first(lines: Sequence[str]) -> list[str]:
     return [*lines[:MOST_LINES], *more]
 
 
-def _json(shown: Sequence[ShownLog]) -> str:
-    """The frames as JSON that is safe inside a script element."""
-    text = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c")
-
-
 def _scores(
     logs: Sequence[ReportedLog], evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]
 ) -> View:
@@ -205,7 +164,8 @@ def _scores(
     methods, protocols = counts.methods, cells.protocols(counts)
     per_log = cells.rates_per_log(counts)
     if len(per_log) > MOST_RATES:
-        per_log = sorted(per_log, key=_mistakes_of)[:MOST_RATES]
+        most_mistakes = sorted(per_log, key=lambda row: -sum(r.missed + r.false for r in row[1]))
+        per_log = most_mistakes[:MOST_RATES]
     tables = [cells.paper_table(s, thousands=",") for s in counts.scored]
     return {
         "protocols": protocols,
@@ -227,11 +187,6 @@ def _scores(
         ],
         "mistakes": _mistakes(logs, counts, wrong),
     }
-
-
-def _mistakes_of(row: tuple[str, list[cells.OperatingPoint]]) -> int:
-    """Sort key: the log with the most mistakes first."""
-    return -sum(rates.missed + rates.false for rates in row[1])
 
 
 def _log_view(log: ReportedLog, most_tracks: int) -> View:
@@ -311,15 +266,10 @@ def _track_view(log: ReportedLog, track: Track) -> View:
     """One track: its facts, the strip of truth and a panel per method."""
     results = log.results
     ids = results.landmarks.ids
-    claims = []
-    for k in range(len(ids)):
-        count = int(
-            (
-                results.declared[track.estimates] & (results.landmark_index[track.estimates] == k)
-            ).sum()
-        )
-        if count:
-            claims.append(f"ID.{ids[k]} in {count} of {number_of(len(track.estimates), 'frame')}")
+    declared = results.landmark_index[track.estimates[results.declared[track.estimates]]]
+    frames = number_of(len(track.estimates), "frame")
+    counts = np.bincount(declared, minlength=len(ids)).tolist()
+    claims = [f"ID.{i} in {n} of {frames}" for i, n in zip(ids, counts, strict=True) if n]
     first, last = int(track.frame_index[0]), int(track.frame_index[-1])
     return {
         "track": track,
@@ -333,9 +283,7 @@ def _track_view(log: ReportedLog, track: Track) -> View:
     }
 
 
-def _curves(
-    counts: Counts,
-) -> list[tuple[str, Chart, list[tuple[int, Chart]]]]:
+def _curves(counts: Counts) -> list[tuple[str, Chart, list[tuple[int, Chart]]]]:
     """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
     curves = []
     for protocol in cells.protocols(counts):
@@ -350,9 +298,7 @@ def _curves(
 
 
 def _mistakes(
-    logs: Sequence[ReportedLog],
-    counts: Counts,
-    wrong: Mapping[str, Sequence[Episode]],
+    logs: Sequence[ReportedLog], counts: Counts, wrong: Mapping[str, Sequence[Episode]]
 ) -> list[View]:
     """Each method's episodes, the worst first."""
     matched = {log.results.name: log.matched for log in logs}
@@ -376,3 +322,51 @@ def _mistakes(
 
 def _span(first: int, last: int) -> str:
     return f"{first}" if first == last else f"{first} to {last}"
+
+
+def settings_tables(
+    table: Mapping[str, Any], name: str = "run"
+) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    """run.toml as (table name, its keys and values); nested tables follow."""
+    plain = {key: value for key, value in table.items() if not _is_nested(value)}
+    if plain:
+        yield name, [(key, _plain(value)) for key, value in plain.items()]
+    for key, value in table.items():
+        if _is_nested(value):
+            label = key if name == "run" else f"{name}.{key}"
+            for n, part in enumerate(value if isinstance(value, list) else [value]):
+                yield from settings_tables(
+                    part, f"{label}[{n}]" if isinstance(value, list) else label
+                )
+
+
+def _is_nested(value: Any) -> bool:
+    """Whether a TOML value is a table, or several that hold tables."""
+    if isinstance(value, list):
+        return any(isinstance(part, dict) and any(map(_is_nested, part.values())) for part in value)
+    return isinstance(value, dict)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_plain(v)}" for key, v in value.items())
+    if isinstance(value, list):
+        between = "; " if any(isinstance(v, dict) for v in value) else ", "
+        return between.join(map(_plain, value)) or "none"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def filled(template: str, package: str = "sonarrec.report", /, **values: Any) -> str:
+    """A template of a package filled with values, as HTML. It may include those of this folder."""
+    return _environment(package).get_template(template).render(values)
+
+
+@cache  # keeps the compiled templates
+def _environment(package: str) -> Environment:
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(p, ".") for p in (package, "sonarrec.report")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )

@@ -53,10 +53,18 @@ def draw(
     marks: Sequence[Mark],
 ) -> dict[PictureRequest, Picture]:
     """The frame drawn for each request. estimates: its estimates by method. marks: its truth."""
-    return {
-        w: _picture(frame, reported, estimates[w.method], marks if w.wrong else (), w)
-        for w in requests
-    }
+    pictures = {}
+    for request in requests:
+        said, truth = estimates[request.method], marks if request.wrong else ()
+        landmarks = reported.results.landmarks
+        image = draw_frame(frame.image, frame.fan, landmarks, said, truth=truth, score=True)
+        image = shrunk(image, LARGEST)
+        parts = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in said if e.declared]
+        parts += [f"truth holds ID.{mark.landmark}" for mark in truth]
+        alt = f"Sonar image, frame {frame.index}: {'; '.join(parts) or 'nothing declared'}"
+        rows, columns = image.shape[:2]
+        pictures[request] = Picture(request, as_webp(image, QUALITY), columns, rows, alt)
+    return pictures
 
 
 def as_webp(image: ByteImage, quality: int) -> str:
@@ -82,26 +90,3 @@ def ellipse(outline: FloatArray) -> tuple[float, ...] | None:
     (x, y), (a, b), rotation = cv2.fitEllipse(outline.astype(np.float32))
     found = tuple(round(v, 1) for v in (x, y, a / 2, b / 2, rotation))
     return found if np.isfinite(found).all() else None
-
-
-def _picture(
-    frame: Frame,
-    reported: ReportedLog,
-    estimates: Sequence[Estimate],
-    marks: Sequence[Mark],
-    request: PictureRequest,
-) -> Picture:
-    landmarks = reported.results.landmarks
-    image = draw_frame(frame.image, frame.fan, landmarks, estimates, truth=marks, score=True)
-    image = shrunk(image, LARGEST)
-    parts = [
-        f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in estimates if e.declared
-    ]
-    parts += [f"truth holds ID.{mark.landmark}" for mark in marks]
-    return Picture(
-        request=request,
-        source=as_webp(image, QUALITY),
-        width=image.shape[1],
-        height=image.shape[0],
-        alt=f"Sonar image, frame {frame.index}: {'; '.join(parts) or 'nothing declared'}",
-    )

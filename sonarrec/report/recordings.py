@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,17 +84,12 @@ def _possible_names(path: Path) -> set[str]:
 def _inside(folder: Path) -> dict[str, list[Path]]:
     """Folders and log files below a folder, by their possible names."""
     by_name: dict[str, list[Path]] = defaultdict(list)
-    for path in _below(folder):
-        for name in _possible_names(path):
-            by_name[name].append(path)
-    return by_name
-
-
-def _below(folder: Path) -> Iterator[Path]:
     for root, folders, files in os.walk(folder):
         folders.sort()
-        yield from (Path(root, name) for name in folders)
-        yield from (Path(root, f) for f in sorted(files) if names_a_log(f))
+        for file in (*folders, *filter(names_a_log, sorted(files))):
+            for name in _possible_names(path := Path(root, file)):
+                by_name[name].append(path)
+    return by_name
 
 
 def _same(

@@ -171,7 +171,10 @@ def glyph(landmarks: LandmarkSet, k: int) -> str:
 
     To be filled by the even-odd rule.
     """
-    ring = "".join(_circle(share) for share in landmarks.ring)
+    ring = "".join(
+        f"M{50 - r:g} 50a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0z"
+        for r in (49 * share for share in landmarks.ring)
+    )
     inner, outer = landmarks.symbol
     sectors = landmarks.sectors[k]
     step = 2 * np.pi / len(sectors)
@@ -182,11 +185,6 @@ def glyph(landmarks: LandmarkSet, k: int) -> str:
         for half in range(2)
         if bright
     )
-
-
-def _circle(share: float) -> str:
-    r = 49 * share
-    return f"M{50 - r:g} 50a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0z"
 
 
 def _wedge(begin: float, angle: float, inner: float, outer: float) -> str:

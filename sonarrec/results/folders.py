@@ -13,12 +13,7 @@ from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import IO
 
-from sonarrec.errors import (
-    SonarrecError,
-    UsageError,
-    name_as_text,
-    number_of,
-)
+from sonarrec.errors import SonarrecError, UsageError, name_as_text, number_of
 from sonarrec.nouns import PART
 from sonarrec.tables.locks import is_there, locked
 from sonarrec.tables.outputs import Kind, is_output

@@ -146,7 +146,15 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     landmark_set = run.landmark_set(landmarks)
     fan = run.fan(sonar)
 
-    frame, timestamp_ns = _processed_frames(folder)
+    path, frames = folder / "frames.csv", read_frames(folder)
+    order = np.argsort(frames["frame"], kind="stable")
+    frame = frames["frame"][order]
+    repeated = np.flatnonzero(np.diff(frame) == 0)
+    if repeated.size:
+        line = line_number(path, int(order[repeated[0] + 1]))
+        raise SonarrecError(f"{path} line {line}: frame {frame[repeated[0]]} is listed twice")
+    if not frame.size:
+        raise SonarrecError(f"{path}: no frame was processed")
 
     path = estimates_of(folder)
     [(_, table)] = estimate_tables(path, landmark_set)
@@ -154,14 +162,23 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     position = None if pair is None else plane_position(pair, fan)
     listed = np.isin(table["frame"], frame)
     names = [printable(str(name)) for name in table["method"].categories]
-    methods = _methods(run, names)
+    expected = run.methods or ()
+    if run.methods is None and run.table:  # written by an earlier version
+        several = len(run.configs) > 1 or any(":" in name for name in names)
+        expected = () if several else METHODS
+    methods = list(dict.fromkeys((*expected, *names)))  # also those without any estimate
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
+    columns, probability = belief_names(landmark_set.ids), None
+    if all(name in table for name in columns):
+        probability = np.empty((int(listed.sum()), len(columns)), dtype=np.float32)
+        for k, name in enumerate(columns):
+            probability[:, k] = table.pop(name)[listed]  # so that they are held once
     return LogResults(
         name=log_of(folder),
         landmarks=landmark_set,
         fan=fan,
         frame=frame,
-        timestamp_ns=timestamp_ns,
+        timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
         methods=tuple(methods),
         method=renumber[table["method"].codes[listed]],
         frame_index=np.searchsorted(frame, table["frame"][listed]),
@@ -171,38 +188,11 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         position=None if position is None else position[listed],
         orientation=table.get("orientation_deg", np.full(len(listed), np.nan))[listed],
         object=table["object"][listed] if "object" in table else np.full(listed.sum(), -1),
-        probability=_probability(table, belief_names(landmark_set.ids), listed),
+        probability=probability,
         strays=int(np.count_nonzero(~listed)),
         finished=run.finished,
         run=run,
     )
-
-
-def _processed_frames(folder: Path) -> tuple[IntArray, IntArray | None]:
-    """(F,) numbers of the frames in frames.csv, rising, and (F,) their times, None if not stated.
-
-    Raises SonarrecError if there are none or one is listed twice.
-    """
-    path = folder / "frames.csv"
-    frames = read_frames(folder)
-    order = np.argsort(frames["frame"], kind="stable")
-    frame = frames["frame"][order]
-    repeated = np.flatnonzero(np.diff(frame) == 0)
-    if repeated.size:
-        line = line_number(path, int(order[repeated[0] + 1]))
-        raise SonarrecError(f"{path} line {line}: frame {frame[repeated[0]]} is listed twice")
-    if not frame.size:
-        raise SonarrecError(f"{path}: no frame was processed")
-    return frame, frames["timestamp_ns"][order] if "timestamp_ns" in frames else None
-
-
-def _methods(run: RunFile, present: list[str]) -> list[str]:
-    """The methods of a run: those with estimates (`present`), and those without any."""
-    expected = run.methods or ()
-    if run.methods is None and run.table:  # written by an earlier version
-        several = len(run.configs) > 1 or any(":" in name for name in present)
-        expected = () if several else METHODS
-    return list(dict.fromkeys((*expected, *present)))
 
 
 def read_frames(folder: Path) -> Table:
@@ -212,9 +202,7 @@ def read_frames(folder: Path) -> Table:
 
 
 def estimate_tables(
-    path: Path,
-    landmarks: LandmarkSet,
-    rows: int | None = None,
+    path: Path, landmarks: LandmarkSet, rows: int | None = None
 ) -> Iterator[tuple[int, Table]]:
     """estimates.csv in parts of at most `rows` rows, or whole: (index of the first row, columns).
 
@@ -234,18 +222,6 @@ def estimate_tables(
                 f"({', '.join(map(str, ids))}); name the set used with --landmarks"
             )
         yield first, table
-
-
-def _probability(
-    table: Table, columns: list[str], listed: BoolArray
-) -> npt.NDArray[np.float32] | None:
-    """(N, K + 1) of the listed rows, removed from the table; None if a column is missing."""
-    if any(name not in table for name in columns):
-        return None
-    probability = np.empty((int(listed.sum()), len(columns)), dtype=np.float32)
-    for k, name in enumerate(columns):
-        probability[:, k] = table.pop(name)[listed]
-    return probability
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,39 +45,31 @@ def run_table(
     """
     name, size, digest = source
     tables = [asdict(c) for c in settings]
+
+    def of_fan(*names: str) -> dict[str, float]:
+        return {name: getattr(fan, name) for name in names}
+
+    instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     return {
         "program": {**PROGRAM, "methods": list(methods)},
         "input": {"name": name, "bytes": size, "sha256": digest, **reading},
         "config": tables if len(tables) > 1 else tables[0],
         "sonar": sonar.as_table(),
         "fan": {
-            "rows": fan.rows,
-            "columns": fan.columns,
-            "metres_per_pixel": fan.metres_per_pixel,
+            **of_fan("rows", "columns", "metres_per_pixel"),
             "apex_px": [fan.apex_column, fan.apex_row],
-            "range_min_m": fan.range_min_m,
-            "range_max_m": fan.range_max_m,
+            **of_fan("range_min_m", "range_max_m"),
             "field_of_view_deg": fan.bearing_max_deg - fan.bearing_min_deg,
-            "bearing_min_deg": fan.bearing_min_deg,
-            "bearing_max_deg": fan.bearing_max_deg,
-            "tilt_deg": fan.tilt_deg,
+            **of_fan("bearing_min_deg", "bearing_max_deg", "tilt_deg"),
             **({} if fan.height_m is None else {"height_m": fan.height_m}),
         },
         "landmarks": landmarks.as_table(),
-        "ran_on": _ran_on(),
-    }
-
-
-def _ran_on() -> dict[str, str]:
-    """The libraries and processor instructions, on which the last digits of results depend.
-
-    numpy's exp and log round differently with and without AVX-512.
-    """
-    instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
-    return {
-        "processor": " ".join([platform.machine(), *instructions]),
-        "numpy": np.__version__,
-        "opencv": opencv_version,
+        # The last digits depend on it: numpy's exp and log round differently with AVX-512.
+        "ran_on": {
+            "processor": " ".join([platform.machine(), *instructions]),
+            "numpy": np.__version__,
+            "opencv": opencv_version,
+        },
     }
 
 
@@ -156,59 +148,39 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         return ExistingResults()
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     new_input = coming["input"]
-    _check_same_input(folder, old_input, new_input)
+    # Earlier versions kept no place, only the path, which may be relative.
+    where, other = "place" if "place" in old_input else "path", ""
+    changed = old_input.get("sha256") != new_input["sha256"]
+    if changed and old_input.get(where, new_input[where]) != new_input[where]:
+        other = f"another log ({old_input.get('path')})"
+    elif old_input.get("topic", new_input.get("topic")) != new_input.get("topic"):
+        other = f"topic {old_input['topic']} of this log"
+    if other:
+        raise SonarrecError(
+            f"{folder}: holds the results of {other}; choose another --out, or give --overwrite"
+        )
     # Not compared: what only a finished run states, where it ran and what its log was called.
     coming.pop("ran_on")
     before = {k: v for k, v in recorded.items() if k not in ("finished", "ran_on")}
     before["input"] = {k: v for k, v in old_input.items() if k not in _OF_THE_END}
     before["input"] |= {key: new_input[key] for key in ("path", "place")}
     if before == coming:
-        found = _finished_results(path, old_input)
-        lost = rows_lost(folder, old_input)
-        return ExistingResults(reason=lost[0]) if lost else found
-    if old_input.get("sha256") != new_input["sha256"]:
+        frames, unusable, candidates, problems = (
+            checked(old_input.get(key, default), _OF_THE_END[key], f"{path}: input.{key}")
+            for key, default in (
+                *(("frames_processed", 0), ("frames_unusable", 0), ("candidates", 0)),
+                ("problems", ()),
+            )
+        )
+        if lost := rows_lost(folder, old_input):
+            return ExistingResults(reason=lost[0])
+        return ExistingResults(True, frames, unusable, candidates, list(problems))
+    if changed:
         return ExistingResults(reason="the log has changed")
-    return ExistingResults(reason=_other_settings(before, coming))
-
-
-def _check_same_input(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    """Raise SonarrecError if [input] of results and of a run name different logs or topics."""
-    # Earlier versions kept no place, only the path, which may be relative.
-    where = "place" if "place" in old else "path"
-    if old.get("sha256") != new["sha256"] and old.get(where, new[where]) != new[where]:
-        raise SonarrecError(
-            f"{folder}: holds the results of another log ({old.get('path')}); choose another "
-            "--out, or give --overwrite"
-        )
-    if old.get("topic", new.get("topic")) != new.get("topic"):
-        raise SonarrecError(
-            f"{folder}: holds the results of topic {old['topic']} of this log; choose another "
-            "--out, or give --overwrite"
-        )
-
-
-def _finished_results(path: Path, recorded_input: Mapping[str, Any]) -> ExistingResults:
-    """Up-to-date results, with the counts of [input] in their run.toml at `path`."""
-
-    def value(key: str, default: Any = 0) -> Any:
-        found = recorded_input.get(key, default)
-        return checked(found, _OF_THE_END[key], f"{path}: input.{key}")
-
-    return ExistingResults(
-        up_to_date=True,
-        frames=value("frames_processed"),
-        unusable=value("frames_unusable"),
-        candidates=value("candidates"),
-        problems=list(value("problems", ())),
-    )
-
-
-def _other_settings(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
-    """Which keys of two run.toml differ; the first three are named."""
-    old, new = dict(flat(before)), dict(flat(after))
+    old, new = dict(flat(before)), dict(flat(coming))
     keys = [key for key in {**new, **old} if old.get(key) != new.get(key)]
     more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
-    return f"other settings: {', '.join(keys[:3])}{more}"
+    return ExistingResults(reason=f"other settings: {', '.join(keys[:3])}{more}")
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

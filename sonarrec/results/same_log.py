@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from sonarrec.arrays import IntArray
-from sonarrec.errors import SonarrecError, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_frames
 from sonarrec.results.run_file import RunFile
@@ -40,15 +40,11 @@ class CountedOnce:
     Results of different frames of one recording all count.
 
     frames: gives the frame numbers of the i-th results; it is called only if two have one
-    recording. action: what a command does with the results, such as "scored".
+    recording. action: what a command does with the results, such as "scored". told: of copies.
     """
 
-    def __init__(self, frames: Callable[[int], IntArray], action: str) -> None:
-        self.kept: list[int] = []
-        """Which results count, by index; the messages are about the others."""
-        self.notes: list[str] = []
-        self.unused: list[str] = []
-        self._frames, self._action = frames, action
+    def __init__(self, frames: Callable[[int], IntArray], action: str, told: Diagnostics) -> None:
+        self._frames, self._action, self._told = frames, action, told
         self._seen: list[tuple[Path, TruthOf | None]] = []
         self._first: dict[Recording, list[int]] = defaultdict(list)
 
@@ -59,21 +55,21 @@ class CountedOnce:
         same = (k for k in counted if np.intersect1d(self._frames(k), self._frames(i)).size)
         twin = next(same, None)
         if twin is None:
-            self.kept.append(i)
             counted.append(i)
             return True
         first, truth_of_first = self._seen[twin]
         by = f"SHA-256 {of[0][:12]}..." if of[0] else "by its tables"
         line = f"{folder}: the same log as {first} ({by}), which counts once"
-        unused = ""
         if _tables(folder) != _tables(first):
-            unused = f"these other results of it are not {self._action}"
-        elif truth is not None and truth_of_first is not None:
-            unused = _unused_truth(truth, truth_of_first) or ""
-        if unused:
-            self.unused.append(f"{line}; {unused}")
+            self._told.problem(f"{line}; these other results of it are not {self._action}")
+        elif truth is None or truth_of_first is None or truth.digest == truth_of_first.digest:
+            self._told.note(line)
+        elif truth.file != truth_of_first.file:
+            self._told.problem(f"{line}; its other truth, {truth.file}, is not used")
+        elif truth.rows:
+            self._told.problem(f"{line}; its rows for {truth.name} in {truth.file} are not used")
         else:
-            self.notes.append(line)
+            self._told.note(line)
         return False
 
 
@@ -82,12 +78,12 @@ def counted_once(
     recordings: Sequence[Recording],
     frames: Callable[[int], IntArray],
     action: str,
-) -> CountedOnce:
-    """CountedOnce of several results."""
-    once = CountedOnce(frames, action)
-    for folder, of in zip(folders, recordings, strict=True):
-        once.add(folder, of)
-    return once
+    told: Diagnostics,
+) -> list[int]:
+    """Which of several results count, by index; the arguments are as of CountedOnce."""
+    once = CountedOnce(frames, action, told)
+    pairs = zip(folders, recordings, strict=True)
+    return [i for i, pair in enumerate(pairs) if once.add(*pair)]
 
 
 def recording(folder: Path, run: RunFile, estimates: int) -> Recording:
@@ -108,15 +104,6 @@ def _tables(folder: Path) -> str:
         with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()
-
-
-def _unused_truth(truth: TruthOf, first: TruthOf) -> str | None:
-    """A message on a truth that is not used; None if it equals the one that is used."""
-    if truth.digest == first.digest:
-        return None
-    if truth.file != first.file:
-        return f"its other truth, {truth.file}, is not used"
-    return f"its rows for {truth.name} in {truth.file} are not used" if truth.rows else None
 
 
 class RecordedLog(Protocol):

@@ -149,29 +149,14 @@ class _Pass:
         """The pass as a row of sightings.csv."""
         means = np.where(self.count > 0, self.total / np.maximum(self.count, 1), np.nan).tolist()
         score, range_m, bearing, cos, sin, *squares, x, y = means
-        range_sigma, bearing_sigma, orientation_sigma = map(math.sqrt, squares)
         # Of equivalent directions the one nearest to the first orientation.
         mean = math.degrees(math.atan2(sin, cos)) * self.period_deg / 360
         first = self.first_orientation_deg
+        orientation = (first + math.remainder(mean - first, self.period_deg)) % 360
         return Sighting(
-            method=self.method,
-            landmark=self.landmark,
-            track=self.track,
-            first_frame=self.first_frame,
-            last_frame=self.last_frame,
-            start_ns=self.start_ns,
-            end_ns=self.end_ns,
-            frames_declared=self.frames_declared,
-            mean_score=score,
-            best_score=self.best_score,
-            range_m=range_m,
-            bearing_deg=bearing,
-            orientation_deg=(first + math.remainder(mean - first, self.period_deg)) % 360,
-            range_sigma_m=range_sigma,
-            bearing_sigma_deg=bearing_sigma,
-            orientation_sigma_deg=orientation_sigma,
-            x_m=x,
-            y_m=y,
+            *(self.method, self.landmark, self.track, self.first_frame, self.last_frame),
+            *(self.start_ns, self.end_ns, self.frames_declared, score, self.best_score),
+            *(range_m, bearing, orientation, *map(math.sqrt, squares), x, y),
         )
 
 
@@ -197,7 +182,15 @@ class Sightings:
             key = e.method, e.landmark, e.object if e.followed else None
             if key not in self._open:
                 self._open[key] = _Pass(*key, frame, timestamp_ns, self._period_deg[e.landmark])
-            self._open[key].add(frame, timestamp_ns, e, self._on_floor(timestamp_ns, e))
+            position = None  # on the floor, in the frame of the poses
+            if self._fan is not None and self._poses is not None:
+                ground, bearing = (
+                    float(ground_range(self._fan, e.range_m)),
+                    math.radians(e.bearing_deg),
+                )
+                right, ahead = ground * math.sin(bearing), ground * math.cos(bearing)
+                position = self._poses.place(timestamp_ns, right, ahead)
+            self._open[key].add(frame, timestamp_ns, e, position or (math.nan, math.nan))
         return _in_order(ended.values())
 
     def close_all(self) -> list[Sighting]:
@@ -205,16 +198,6 @@ class Sightings:
         ended = [*self._open.values()]
         self._open.clear()
         return _in_order(ended)
-
-    def _on_floor(self, timestamp_ns: int, estimate: Estimate) -> tuple[float, float]:
-        """(x, y) on the floor in the frame of the poses, m; NaN if not known."""
-        position = None
-        if self._fan is not None and self._poses is not None:
-            ground = float(ground_range(self._fan, estimate.range_m))
-            bearing = math.radians(estimate.bearing_deg)
-            right, ahead = ground * math.sin(bearing), ground * math.cos(bearing)
-            position = self._poses.place(timestamp_ns, right, ahead)
-        return position or (math.nan, math.nan)
 
 
 def _in_order(passes: Iterable[_Pass]) -> list[Sighting]:

@@ -60,13 +60,21 @@ def read_estimates(
     way round, probabilities from the score, the object by -1.
     Raises SonarrecError, with the line, for an invalid cell and for frames out of order.
     """
-    rows = (
-        item
-        for first, table in estimate_tables(path, landmarks, ROWS)
-        for item in _with_positions(path, first, table, method, landmarks, fan)
-    )
+
+    def rows() -> Iterator[tuple[int, int, Estimate]]:
+        """(row of the file, frame, estimate) of each row of the method."""
+        for first, table in estimate_tables(path, landmarks, ROWS):
+            of_method = np.flatnonzero(np.asarray(table["method"] == method))
+            for row, frame, estimate in estimates_in(table, of_method, landmarks, fan):
+                if math.isnan(estimate.x_px):
+                    raise SonarrecError(
+                        f"{path} line {line_number(path, first + row)}: no position: neither "
+                        "x_px,y_px nor range_m,bearing_deg"
+                    )
+                yield first + row, frame, estimate
+
     last = -1
-    for frame, group in groupby(rows, key=lambda item: item[1]):
+    for frame, group in groupby(rows(), key=lambda item: item[1]):
         items = list(group)
         if frame <= last:
             raise SonarrecError(
@@ -75,24 +83,6 @@ def read_estimates(
             )
         last = frame
         yield frame, tuple(estimate for _, _, estimate in items)
-
-
-def _with_positions(
-    path: Path, first: int, table: Table, method: str, landmarks: LandmarkSet, fan: Fan
-) -> Iterator[tuple[int, int, Estimate]]:
-    """(row of the file, frame, estimate) of each row of the method. first: that of the
-    table's first row.
-
-    Raises SonarrecError for a row without a position.
-    """
-    of_method = np.flatnonzero(np.asarray(table["method"] == method))
-    for row, frame, estimate in estimates_in(table, of_method, landmarks, fan):
-        if math.isnan(estimate.x_px):
-            raise SonarrecError(
-                f"{path} line {line_number(path, first + row)}: no position: neither x_px,y_px nor "
-                "range_m,bearing_deg"
-            )
-        yield first + row, frame, estimate
 
 
 def estimates_in(
@@ -105,7 +95,15 @@ def estimates_in(
     blank = np.full(count, np.nan)
     objects = table.get("object", np.full(count, -1))
     existence = np.nan_to_num(table.get("existence", blank), nan=1.0)
-    beliefs = _beliefs(table, landmarks)
+    # Where probabilities are missing they are the score and its complement.
+    score, columns = table["score"], belief_names(landmarks.ids)
+    beliefs = np.zeros((count, len(columns)))
+    beliefs[np.arange(count), landmarks.indices(table["landmark"])] = score
+    beliefs[:, -1] = 1 - score
+    if all(name in table for name in columns):
+        in_table = np.column_stack([table[name] for name in columns])
+        whole = np.isfinite(in_table).all(axis=1)
+        beliefs[whole] = in_table[whole]
     turn, *sigmas = (table.get(name, blank) for name in ("orientation_deg", *SIGMAS))
     for n in rows.tolist():
         estimate = Estimate(
@@ -119,7 +117,7 @@ def estimates_in(
             existence=float(existence[n]),
             probabilities=beliefs[n],
             landmark=int(table["landmark"][n]),
-            score=float(table["score"][n]),
+            score=float(score[n]),
             declared=bool(table["declared"][n]),
             range_sigma_m=float(sigmas[0][n]),
             bearing_sigma_deg=float(sigmas[1][n]),
@@ -149,16 +147,3 @@ def positions(
         np.where(in_polar, range_m, polar[0]),
         np.where(in_polar, bearing_deg, polar[1]),
     )
-
-
-def _beliefs(table: Table, landmarks: LandmarkSet) -> FloatArray:
-    """(rows, K + 1) probabilities; if they are missing, the score and its complement."""
-    score, names = table["score"], belief_names(landmarks.ids)
-    beliefs = np.zeros((len(score), len(names)))
-    beliefs[np.arange(len(score)), landmarks.indices(table["landmark"])] = score
-    beliefs[:, -1] = 1 - score
-    if all(name in table for name in names):
-        in_table = np.column_stack([table[name] for name in names])
-        whole = np.isfinite(in_table).all(axis=1)
-        beliefs[whole] = in_table[whole]
-    return beliefs

@@ -30,7 +30,7 @@ class _Table:
     def __init__(self, path: Path, header: Sequence[str]) -> None:
         new = path.with_name(f".{path.name}.new")
         self._file = new.open("wb", buffering=0)
-        self._size = 0
+        self.size = 0  # bytes written
         self.append([header])
         new.rename(path)  # so the file always has a header
 
@@ -44,19 +44,14 @@ class _Table:
             while data:
                 data = data[self._file.write(data) :]
         except BaseException:  # the disk is full, or Ctrl-C
-            self.cut(self._size)
+            self.cut(self.size)
             raise
-        self._size = self._file.tell()
+        self.size = self._file.tell()
 
     def cut(self, size: int) -> None:
         """Cut the file back to this size."""
         self._file.seek(self._file.truncate(size))
-        self._size = size
-
-    @property
-    def size(self) -> int:
-        """Bytes written."""
-        return self._size
+        self.size = size
 
     def close(self, *, sync: bool = False) -> None:
         if sync:

@@ -154,9 +154,7 @@ def poses_of(
     None if there are none. Raises SonarrecError if they cannot be used.
     """
     if topic is not None:
-        from sonarrec.readers.messages.poses import (
-            read_topic,  # with its decompressors, where needed
-        )
+        from sonarrec.readers.messages.poses import read_topic  # brings decompressors
 
         return read_topic(Path(path), topic, time)
     file = odometry or find_log(path).beside(POSES_FILE)

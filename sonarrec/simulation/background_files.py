@@ -40,9 +40,8 @@ def compose(
 
     contrasts: levels of ring and sectors above the floor, dB.
     """
-    composer = Composer(
-        background.fan, layout.landmarks, background.dynamic_range_db, look.beam_width_deg
-    )
+    told = background.dynamic_range_db, look.beam_width_deg
+    composer = Composer(background.fan, layout.landmarks, *told)
     for frame in background.frames():
         pose = background.path[frame.index]
         yield frame.index, composer.lay(frame.image, layout.discs, pose, contrasts, look.plate_db)
@@ -62,6 +61,10 @@ def write_backgrounds(
     Raises SonarrecError if a folder is in use or cannot be written.
     """
     check_free(*folders.values())
+    poses = [
+        [round(n * 1e9 / background.rate_hz), *(round(v, 6) for v in (p.pan_deg, p.x_m, p.y_m))]
+        for n, p in enumerate(background.path)
+    ]
     with writing(", ".join(map(str, folders.values()))), ExitStack() as stack:
         tables = []
         for folder in folders.values():
@@ -81,7 +84,7 @@ def write_backgrounds(
             if layout.landmarks != load_landmarks("basin"):
                 documents["landmarks"] = layout.landmarks.as_table()
             if background.has_poses:
-                _write_poses(folder / "poses.csv", background)
+                write_csv(folder / "poses.csv", ["timestamp_ns", "yaw", "x", "y"], poses)
             # Last: a folder without geometry is not taken for a whole recording.
             documents["sonar"] = {"sonar": _sonar(background).as_table()}
             write_documents(folder, documents)
@@ -108,14 +111,6 @@ def _sonar(background: Background) -> Sonar:
         pixel_scale="linear",
         dynamic_range_db=background.dynamic_range_db,
     )
-
-
-def _write_poses(path: Path, background: Background) -> None:
-    rows = (
-        [round(n * 1e9 / background.rate_hz), *(round(v, 6) for v in (p.pan_deg, p.x_m, p.y_m))]
-        for n, p in enumerate(background.path)
-    )
-    write_csv(path, ["timestamp_ns", "yaw", "x", "y"], rows)
 
 
 def _background_tables(

@@ -19,8 +19,10 @@ MakeFields = Callable[[int, np.ndarray, Any], dict[str, Any]]
 """Makes the fields of a message from time (ns), image, and geometry (None if it is not polar)."""
 
 
-def _clock(timestamp_ns: int) -> dict[str, int]:
-    return dict(zip(("sec", "nanosec"), divmod(timestamp_ns, 1_000_000_000), strict=True))
+def _clock(timestamp_ns: int, *names: str) -> dict[str, int]:
+    """Seconds and nanoseconds; names: of the two, by default those of ROS 2."""
+    values = divmod(timestamp_ns, 1_000_000_000)
+    return dict(zip(names or ("sec", "nanosec"), values, strict=True))
 
 
 def _header(timestamp_ns: int) -> dict[str, Any]:
@@ -84,17 +86,13 @@ def with_clock(
     sonar: Geometry,
 ) -> dict[str, Any]:
     """The fields of a foxglove message, with the names that an encoding has for its time."""
-    clock = dict(zip((seconds, nanoseconds), divmod(timestamp_ns, 1_000_000_000), strict=True))
-    return make(timestamp_ns, image, sonar) | {"timestamp": clock}
+    stamp = {"timestamp": _clock(timestamp_ns, seconds, nanoseconds)}
+    return make(timestamp_ns, image, sonar) | stamp
 
 
 def _ping_info() -> dict[str, Any]:
-    return {
-        "frequency": FREQUENCY,
-        "sound_speed": SOUND_SPEED,
-        "tx_beamwidths": [],
-        "rx_beamwidths": [],
-    }
+    widths: dict[str, Any] = {"tx_beamwidths": [], "rx_beamwidths": []}
+    return {"frequency": FREQUENCY, "sound_speed": SOUND_SPEED, **widths}
 
 
 def _samples(image: np.ndarray) -> dict[str, Any]:
@@ -163,17 +161,10 @@ def oculus_ping(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> dict[s
         "header": _header(timestamp_ns),
         "fire_msg": {
             "header": _header(timestamp_ns),
-            "mode": 2,
-            "gamma": 127,
-            "flags": 0,
-            "range": bin_m * image.shape[0],
-            "gain": 50.0,
-            "speed_of_sound": SOUND_SPEED,
-            "salinity": 0.0,
+            **{"mode": 2, "gamma": 127, "flags": 0, "range": bin_m * image.shape[0]},
+            **{"gain": 50.0, "speed_of_sound": SOUND_SPEED, "salinity": 0.0},
         },
-        "ping_id": 0,
-        "part_number": 0,
-        "start_time": 0,
+        **{"ping_id": 0, "part_number": 0, "start_time": 0},
         "bearings": _hundredths(sonar, image.shape[1]),
         "range_resolution": bin_m,
         "num_ranges": image.shape[0],
@@ -188,19 +179,10 @@ def oculus_interfaces_ping(timestamp_ns: int, image: np.ndarray, sonar: Geometry
     image = _from_the_sonar_on(image, sonar)
     return {
         "header": _header(timestamp_ns),
-        "ping_id": 0,
-        "ping_firing_date": 0,
-        "range": bin_m * image.shape[0],
-        "gain_percent": 50.0,
-        "frequency": FREQUENCY,
-        "speed_of_sound_used": SOUND_SPEED,
-        "range_resolution": bin_m,
-        "temperature": 10.0,
-        "pressure": 1.0,
-        "master_mode": 2,
-        "has_gains": False,
-        "n_ranges": image.shape[0],
-        "n_beams": image.shape[1],
+        **{"ping_id": 0, "ping_firing_date": 0, "range": bin_m * image.shape[0]},
+        **{"gain_percent": 50.0, "frequency": FREQUENCY, "speed_of_sound_used": SOUND_SPEED},
+        **{"range_resolution": bin_m, "temperature": 10.0, "pressure": 1.0, "master_mode": 2},
+        **{"has_gains": False, "n_ranges": image.shape[0], "n_beams": image.shape[1]},
         "step": image.shape[1] * image.itemsize,
         "sample_size": image.itemsize,
         "bearings": _hundredths(sonar, image.shape[1]),

@@ -92,16 +92,8 @@ def poses(scene: Scene) -> list[Pose]:
     heading, x, y = run(scene).T if travels(motion) else np.zeros((3, frames))
     tossed = np.random.default_rng([scene.seed, 10]).uniform(0, 2 * np.pi, 2)
     toss = np.sin(2 * np.pi * time[:, None] / motion.attitude_period_s + tossed)
-    return [
-        Pose(*values)
-        for values in np.column_stack(
-            [
-                pan + heading,
-                scene.sonar.height_m + heave,
-                motion.sway_x_m * np.sin(slow + phase[1]) + x,
-                motion.sway_y_m * np.sin(slow + phase[2]) + y,
-                motion.pitch_deg * toss[:, 0],
-                motion.roll_deg * toss[:, 1],
-            ]
-        ).tolist()
-    ]
+    attitude = toss * (motion.pitch_deg, motion.roll_deg)
+    x = motion.sway_x_m * np.sin(slow + phase[1]) + x
+    y = motion.sway_y_m * np.sin(slow + phase[2]) + y
+    every = np.column_stack([pan + heading, scene.sonar.height_m + heave, x, y, attitude])
+    return [Pose(*values) for values in every.tolist()]

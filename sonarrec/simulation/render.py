@@ -17,12 +17,10 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.nouns import Fan
-from sonarrec.simulation.fading import Fading
 from sonarrec.simulation.fish import Shoal
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, corners
-from sonarrec.simulation.motion import Pose, poses
-from sonarrec.simulation.multipath import Multipath, shifted
-from sonarrec.simulation.receiver import Picture, Receiver, vertical_pattern
+from sonarrec.simulation.motion import Pose, ar1, poses
+from sonarrec.simulation.receiver import Multipath, Picture, Receiver, shifted, vertical_pattern
 from sonarrec.simulation.scene import Scene, check_scene, scene_fan, travels
 from sonarrec.simulation.truth import DistractorTruth, LandmarkTruth, truth_in_view
 from sonarrec.simulation.world import View, World
@@ -47,10 +45,7 @@ class SimulatedFrame:
 
 
 def render(
-    scene: Scene,
-    path: Sequence[Pose] | None = None,
-    ground: Scene | None = None,
-    every: int = 1,
+    scene: Scene, path: Sequence[Pose] | None = None, ground: Scene | None = None, every: int = 1
 ) -> Iterator[SimulatedFrame]:
     """Render the scene's frames in order. The same scene gives the same bytes.
 
@@ -87,16 +82,8 @@ def render(
             shoal.swim_into(view, range_m, pose, fishes, rng)
         power = reception.power(view, pose, time_s, fading.signal_db[index])
         power *= (receiver.gain * np.float32(10 ** (fading.drift_db[index] / 20))) ** 2
-        truth, distractors = truth_in_view(scene, fan, pose, fishes)
-        yield SimulatedFrame(
-            index=index,
-            timestamp_ns=round(index * 1e9 / scene.rate_hz),
-            image=picture(power),
-            fan=fan,
-            pan_deg=pose.pan_deg,
-            truth=truth,
-            distractors=distractors,
-        )
+        stamp, shown = round(index * 1e9 / scene.rate_hz), truth_in_view(scene, fan, pose, fishes)
+        yield SimulatedFrame(index, stamp, picture(power), fan, pose.pan_deg, *shown)
 
 
 class _Reception:
@@ -147,3 +134,59 @@ class _Reception:
             smooth = cv2.GaussianBlur(power, (0, 0), sigmaX=0.8, sigmaY=2.0)
             power += np.float32(scene.noise.smear) * (smooth - power)
         return np.asarray(power)
+
+
+@dataclass(frozen=True, slots=True)
+class Fading:
+    """How the echoes fade from frame to frame.
+
+    time_s: (frames,). signal_db: (frames,) gain of the echoes. drift_db: (frames,) gain of echoes
+    and noise. object_db, afterglow_db: (frames, objects), landmarks first. patches: (frames,
+    World.PATCHES), standard normal.
+    """
+
+    time_s: FloatArray
+    signal_db: FloatArray
+    drift_db: FloatArray
+    object_db: FloatArray
+    afterglow_db: FloatArray
+    patches: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene) -> Fading:
+        """Draw the fading of a scene. With fewer frames it is the beginning of the same fading."""
+        # That is why each process has a generator of its own.
+        signal, objects, patches, glow, glow_changes, drift = np.random.default_rng(
+            [scene.seed, 5]
+        ).spawn(6)
+        fading, noise, frames = scene.fading, scene.noise, scene.frames
+        count, step_s = len(scene.landmarks) + len(scene.objects), 1 / scene.rate_hz
+
+        def changing(rng: np.random.Generator, size: int) -> FloatArray:
+            return ar1(rng, frames, size, step_s, fading.time_s)
+
+        time_s = np.arange(frames) * step_s
+        swing = np.sin(2 * np.pi * (time_s / noise.gain_drift_s + drift.uniform()))
+        return cls(
+            time_s,
+            _signal_gain_db(scene, signal),
+            noise.gain_drift_db * swing,
+            fading.object_db * changing(objects, count),
+            glow.normal(0, 3, count) + 2 * changing(glow_changes, count),
+            changing(patches, World.PATCHES),
+        )
+
+
+def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
+    """(frames,) gain of the echoes, dB: single frames fade, and bursts of frames."""
+    fading, frames = scene.fading, scene.frames
+    depths, singles, starts, bursts = rng.spawn(4)
+    depth = fading.depth_db * depths.gamma(4.0, 0.25, frames)
+    gain = -depth * (singles.random(frames) < fading.frame_probability)
+    begins = np.flatnonzero(starts.random(frames) < fading.burst_probability)
+    for begin in begins:
+        length = 1 + bursts.geometric(1 / max(fading.burst_frames, 1.0))
+        part = gain[begin : begin + length]
+        shape = np.sin(np.pi * (np.arange(len(part)) + 1) / (length + 1)) ** 0.5
+        np.minimum(part, -depth[begin] * shape, out=part)
+    return np.asarray(gain)

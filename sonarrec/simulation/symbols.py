@@ -40,7 +40,12 @@ def symbol(
         half = rng.uniform(0.15, 0.3)
         return np.asarray(within & (np.minimum(np.abs(x), np.abs(y)) < half))
     if kind == "letter":
-        return np.asarray(within & _values(_letter(rng), x, y))
+        text, face, thick = str(rng.choice(list(LETTERS))), cv2.FONT_HERSHEY_SIMPLEX, 14
+        picture = np.zeros((_GLYPH, _GLYPH), np.uint8)
+        (width, height), _ = cv2.getTextSize(text, face, 2.4, thick)
+        corner = (_GLYPH - width) // 2, (_GLYPH + height) // 2
+        cv2.putText(picture, text, corner, face, 2.4, 255, thick)
+        return np.asarray(within & _values(picture > 0, x, y))
     if kind == "blobs":
         return np.asarray(within & _values(_blobs(landmarks, rng), x, y))
     lit = _sectors(kind, landmarks, rng)
@@ -53,14 +58,6 @@ def _values(picture: BoolArray, x: FloatArray, y: FloatArray) -> BoolArray:
     size = len(picture)
     row, column = (np.clip((v + 1) / 2 * size, 0, size - 1).astype(int) for v in (-y, x))
     return np.asarray(picture[row, column])
-
-
-def _letter(rng: np.random.Generator) -> BoolArray:
-    text, face, thick = str(rng.choice(list(LETTERS))), cv2.FONT_HERSHEY_SIMPLEX, 14
-    glyph = np.zeros((_GLYPH, _GLYPH), np.uint8)
-    (width, height), _ = cv2.getTextSize(text, face, 2.4, thick)
-    cv2.putText(glyph, text, ((_GLYPH - width) // 2, (_GLYPH + height) // 2), face, 2.4, 255, thick)
-    return np.asarray(glyph > 0)
 
 
 def _blobs(landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
@@ -82,7 +79,10 @@ def _sectors(kind: str, landmarks: LandmarkSet, rng: np.random.Generator) -> Boo
     rotations = _rotations(landmarks)
     while True:
         if kind == "wedges":
-            lit = _wedges(rng)
+            lit = np.zeros(DIRECTIONS, bool)
+            for _ in range(int(rng.integers(1, 5))):
+                begin, width = rng.integers(DIRECTIONS), int(rng.integers(25, 151))
+                lit[(begin + np.arange(width)) % DIRECTIONS] = True
         else:
             parts = 8 if kind == "eighths" else int(rng.choice([3, 5, 6]))
             lit = (rng.random(parts) < 0.5)[np.arange(DIRECTIONS) * parts // DIRECTIONS]
@@ -95,11 +95,3 @@ def _rotations(landmarks: LandmarkSet) -> BoolArray:
     direction = (np.arange(DIRECTIONS) + 0.5) * 2 * math.pi / DIRECTIONS
     codes = landmarks.codes(direction) > 0.5
     return np.concatenate([np.roll(codes, step, axis=1) for step in range(0, DIRECTIONS, 5)])
-
-
-def _wedges(rng: np.random.Generator) -> BoolArray:
-    lit = np.zeros(DIRECTIONS, bool)
-    for _ in range(int(rng.integers(1, 5))):
-        begin, width = rng.integers(DIRECTIONS), int(rng.integers(25, 151))
-        lit[(begin + np.arange(width)) % DIRECTIONS] = True
-    return lit

@@ -14,9 +14,8 @@ from sonarrec.geometry import in_image, pixel_from_polar, points_on_disc
 from sonarrec.nouns import Fan
 from sonarrec.simulation.fish import Fishes
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.objects import object_radius
+from sonarrec.simulation.objects import object_radius, raised_m
 from sonarrec.simulation.plane import FLAT, Plane
-from sonarrec.simulation.resting import raised_m
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, position_of
 
 
@@ -139,11 +138,5 @@ def truth_row(
     """
     slant, bearing = (float(value) for value in seen)
     column, row = pixel_from_polar(fan, slant, bearing)
-    return (
-        round(float(column), 3),
-        round(float(row), 3),
-        round(slant, 5),
-        round(bearing, 4),
-        share,
-        round(rotation_deg % 360, 3),
-    )
+    pixel = round(float(column), 3), round(float(row), 3)
+    return *pixel, round(slant, 5), round(bearing, 4), share, round(rotation_deg % 360, 3)

@@ -13,9 +13,17 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 from sonarrec.simulation.grid import Cells, PolarGrid, SquareGrid, smooth_noise
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.objects import Canvas, Surface, draw_object, object_radius, size_of
+from sonarrec.simulation.objects import (
+    Canvas,
+    RaisedDisc,
+    Surface,
+    draw_object,
+    object_radius,
+    ripples,
+    silt_over,
+    size_of,
+)
 from sonarrec.simulation.plane import Plane
-from sonarrec.simulation.resting import RaisedDisc, ripples, silt_over
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, position_of
 
 TWIG = 0.12  # half the thickness of debris, in units of the noise that shapes it

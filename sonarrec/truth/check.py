@@ -18,9 +18,8 @@ from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.results.folders import possible_names
 from sonarrec.tables.read import line_numbers
-from sonarrec.truth.fits import columns_not_read, in_other_unit, unit_of_times
-from sonarrec.truth.in_view import share_in_image
-from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
+from sonarrec.truth.fits import in_other_unit, unit_of_times
+from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart, share_in_image
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
@@ -145,22 +144,11 @@ def check_truth(
         jumps = _jumps(rows, fan, landmarks.radius_m, max_pan_deg)
         faults += [*changes, *(jump for jump in jumps if jump.line not in changed)]
     diagnostics = Diagnostics()
-    diagnostics.note(*columns_not_read(table))
+    diagnostics.note(*table.not_read_text())
     diagnostics.problem(*log.diagnostics.problems)
-    return CheckedTruth(
-        path=path,
-        fan=fan,
-        landmarks=landmarks,
-        line=line,
-        landmark=landmark,
-        frame=frame,
-        x_px=x_px,
-        y_px=y_px,
-        visible=visible,
-        faults=sorted(faults, key=lambda fault: fault.line),
-        others=len(table.at) - len(row),
-        diagnostics=diagnostics,
-    )
+    ordered = sorted(faults, key=lambda fault: fault.line)
+    shown = (line, landmark, frame, x_px, y_px, visible, ordered)
+    return CheckedTruth(path, fan, landmarks, *shown, len(table.at) - len(row), diagnostics)
 
 
 def _matched(
@@ -221,9 +209,8 @@ def _overlaps(rows: _Rows, radius_m: float) -> Iterator[Fault]:
             other = (distance > 0) | (rows.landmark[group[k:]] != rows.landmark[a])
             for n in np.flatnonzero((distance < radius_m) & other):
                 first, second = sorted((int(rows.line[a]), int(rows.line[group[k:][n]])))
-                text = (
-                    f"lies on the landmark of line {first}, {distance[n]:.2f} m away on the floor"
-                )
+                away = f"{distance[n]:.2f} m away on the floor"
+                text = f"lies on the landmark of line {first}, {away}"
                 yield Fault(second, "overlap", text)
 
 
@@ -273,9 +260,14 @@ def _jumps(rows: _Rows, fan: Fan, radius_m: float, max_pan_deg: float) -> Iterat
             stay = {a for step, a in steps.values() if step <= 1}
             for b, (step, a) in steps.items():
                 frames = int(rows.frame[b] - rows.frame[a])
-                limits = radius_m * frames, max_pan_deg * frames
-                if step <= 1 or (a in stay and _near_an_edge(rows, b, fan, *limits, radius_m)):
+                if step <= 1:
                     continue
+                if a in stay:  # b may be another one, which was partly outside before
+                    shift_m, turn_deg = radius_m * frames, max_pan_deg * frames
+                    range_m = rows.range_m[b] + np.array([shift_m, -shift_m, 0, 0])
+                    bearing_deg = rows.bearing_deg[b] + np.array([0, 0, turn_deg, -turn_deg])
+                    if (share_in_image(fan, range_m, bearing_deg, radius_m) < 1).any():
+                        continue
                 if a in wrong and k and step_from(groups[k - 1], b)[0] <= 1:
                     continue
                 wrong.add(b)
@@ -285,12 +277,3 @@ def _jumps(rows: _Rows, fan: Fan, radius_m: float, max_pan_deg: float) -> Iterat
                     f"(line {rows.line[a]}) to {rows.frame[b]}"
                 )
                 yield Fault(int(rows.line[b]), "jump", text)
-
-
-def _near_an_edge(
-    rows: _Rows, b: int, fan: Fan, shift_m: float, rotation_deg: float, radius_m: float
-) -> bool:
-    """Whether a disc, after such a shift or rotation, may lie partly outside the fan image."""
-    range_m = rows.range_m[b] + np.array([shift_m, -shift_m, 0, 0])
-    bearing_deg = rows.bearing_deg[b] + np.array([0, 0, rotation_deg, -rotation_deg])
-    return bool((share_in_image(fan, range_m, bearing_deg, radius_m) < 1).any())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +28,8 @@ _UNKNOWN: Colour = (255, 255, 255)
 _GROUND, _INK = "#16181c", "#d8dade"
 
 
-@dataclass(frozen=True, slots=True)
-class _Strip:
-    """A line of tiles. rows: indices into the truth."""
-
-    title: str
-    rows: IntArray
+_Strip = tuple[str, IntArray]
+"""A line of tiles: its title, and the rows of the truth that they show."""
 
 
 def draw_contact_sheet(truth: CheckedTruth, frames: Iterable[Frame], out: Path) -> int:
@@ -49,12 +44,15 @@ def draw_contact_sheet(truth: CheckedTruth, frames: Iterable[Frame], out: Path) 
     if not strips:
         return 0
     wanted: dict[int, list[int]] = {}
-    for row in np.unique(np.concatenate([strip.rows for strip in strips])):
+    for row in np.unique(np.concatenate([rows for _, rows in strips])):
         wanted.setdefault(int(truth.frame[row]), []).append(int(row))
     tiles: dict[int, ByteImage] = {}
     for frame in frames:
         for row in wanted.get(frame.index, ()):
-            tiles[row] = _tile(truth, row, frame.image)
+            scale, shift = _zoom(truth, row)
+            enlarge = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
+            tile = cv2.warpAffine(frame.image, enlarge, (SIDE, SIDE), flags=cv2.INTER_LINEAR)
+            tiles[row] = np.asarray(tile, np.uint8)
         if frame.index >= max(wanted):
             break
     _draw(truth, strips, tiles, out)
@@ -72,7 +70,7 @@ def _strips(truth: CheckedTruth) -> list[_Strip]:
     if len(faulty) > len(drawn):
         title += f"\nfirst {len(drawn)} of\n{len(faulty)} rows"
     strips = [
-        _Strip(title if start == 0 else "", drawn[start : start + TILES])
+        (title if start == 0 else "", drawn[start : start + TILES])
         for start in range(0, len(drawn), TILES)
     ]
     passes = sorted(_passes(truth), key=lambda rows: int(truth.frame[rows[0]]))
@@ -84,7 +82,7 @@ def _strips(truth: CheckedTruth) -> list[_Strip]:
         )
         if len(passes) > MOST_STRIPS:
             title += f"\npass {n + 1} of {len(passes)}"
-        strips.append(_Strip(title, rows[_spread(len(rows), TILES)]))
+        strips.append((title, rows[_spread(len(rows), TILES)]))
     return strips
 
 
@@ -113,13 +111,6 @@ def _zoom(truth: CheckedTruth, row: int) -> tuple[float, FloatArray]:
     assert truth.y_px is not None
     scale = SIDE * truth.fan.metres_per_pixel / (_VIEW * truth.landmarks.radius_m)
     return scale, (SIDE - 1) / 2 - scale * np.array([truth.x_px[row], truth.y_px[row]])
-
-
-def _tile(truth: CheckedTruth, row: int, image: ByteImage) -> ByteImage:
-    """(SIDE, SIDE) uint8: the surroundings of one landmark."""
-    scale, shift = _zoom(truth, row)
-    enlarge = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
-    return np.asarray(cv2.warpAffine(image, enlarge, (SIDE, SIDE), flags=cv2.INTER_LINEAR))
 
 
 def _outline(truth: CheckedTruth, row: int) -> FloatArray:
@@ -151,10 +142,10 @@ def _draw(
     axes.text(_GAP, 24, title, color=_INK, fontsize=12, va="center")
     legend = "outline: the disc as the truth puts it; below: frame, visible; found wrong in red"
     axes.text(_GAP, 46, legend, color=_INK, fontsize=8, va="center", alpha=0.8)
-    for n, strip in enumerate(strips):
+    for n, (caption, rows) in enumerate(strips):
         y = _TOP + n * step
-        axes.text(_GAP, y + SIDE / 2, strip.title, color=_INK, fontsize=9, va="center")
-        for k, row in enumerate(int(row) for row in strip.rows):
+        axes.text(_GAP, y + SIDE / 2, caption, color=_INK, fontsize=9, va="center")
+        for k, row in enumerate(rows.tolist()):
             if row in tiles:
                 kinds = faults.get(int(truth.line[row]), [])
                 _draw_tile(axes, (_LEFT + k * (SIDE + _GAP), y), tiles[row], truth, row, kinds)

@@ -24,7 +24,7 @@ from sonarrec.sonar import Sonar
 from sonarrec.tables.order import natural_order
 from sonarrec.truth.annotations import read_annotations
 from sonarrec.truth.annotations.shapes import Annotations, Shape
-from sonarrec.truth.in_view import share_in_image
+from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
 
 _PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECASE)
@@ -33,8 +33,6 @@ _LAST_NUMBER = re.compile(r"(?<![0-9])(?<![0-9]\.)[0-9]{1,18}$")
 _BY_NUMBER = "frames by the number that ends every image name"
 _BY_ORDER = "frames by the natural order of the images listed; give --log where it has more"
 _FEW = 5  # most names in a message
-MOST_LETTERS = 255
-"""Of a file's name, on any disk."""
 
 FrameNumbers = dict[int | str, int]
 """The frame, or the time in ns, that each Shape.frame stands for."""
@@ -136,10 +134,7 @@ def convert(
 
 
 def _landmark_ids(
-    labels: Counter[str],
-    given: Mapping[str, int | None],
-    landmarks: LandmarkSet,
-    told: Diagnostics,
+    labels: Counter[str], given: Mapping[str, int | None], landmarks: LandmarkSet, told: Diagnostics
 ) -> dict[str, int]:
     """The ID per label that has one; labels that should have one are told."""
     known = ", ".join(map(str, landmarks.ids))
@@ -243,9 +238,6 @@ def _frames_of_images(
     Raises SonarrecError if the log has names, but none of these.
     """
     paths = {name: _path(name, log_names) for name in images}
-    long = next((name for name, path in paths.items() if len(path.name) > MOST_LETTERS), None)
-    if long is not None:
-        raise SonarrecError(f"image name of {len(long)} characters, {long[:40]!r}...: no file's")
     files, stems = _once(log_names), _once([Path(name).stem for name in log_names])
     found = {name: files.get(path.name, stems.get(path.stem)) for name, path in paths.items()}
     in_log: FrameNumbers = {name: n for name, n in found.items() if n is not None}
@@ -288,11 +280,7 @@ def _once(names: Sequence[str]) -> dict[str, int]:
 
 
 def _in_fan_pixels(
-    source: Path,
-    sizes: Sizes,
-    shapes: Sequence[Shape],
-    log: LogImages | None,
-    radius_m: float,
+    source: Path, sizes: Sizes, shapes: Sequence[Shape], log: LogImages | None, radius_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(column, row, visible), each (N,), of the shapes in the log's fan images.
 

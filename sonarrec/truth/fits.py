@@ -11,8 +11,7 @@ from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.errors import number_of
 from sonarrec.geometry import polar_from_plane
 from sonarrec.times import is_date
-from sonarrec.truth.in_view import share_in_image
-from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, match_times, pixels_apart
+from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, match_times, pixels_apart, share_in_image
 from sonarrec.truth.table import TruthTable
 
 
@@ -152,13 +151,6 @@ def of_other_logs(table: TruthTable, logs: Sequence[str], consequence: str) -> l
     ]
 
 
-def columns_not_read(table: TruthTable) -> list[str]:
-    """A line if columns are not read that may be meant as positions or `visible`."""
-    return [f"{table.path}: columns {', '.join(table.not_read)} are not read"] * bool(
-        table.not_read
-    )
-
-
 def notes_on_fit(
     table: TruthTable, log: ReadLog, truth: Truth, use: str, of_proposals: str
 ) -> list[str]:
@@ -168,7 +160,7 @@ def notes_on_fit(
     the consequence of rows as `truth propose` wrote them, a clause.
     """
     rows = table.rows_of(log.name)
-    notes = list(columns_not_read(table))
+    notes = table.not_read_text()
     if proposed := np.count_nonzero(table.proposed[rows]):
         notes.append(
             f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {log.name} are "

@@ -17,7 +17,7 @@ from sonarrec.nouns import follows
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
-from sonarrec.truth.in_view import share_in_image
+from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import FILLED_IN, TRACKED, write_truth
 
 HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.drawing.geometry import disc_width_px, draw_preview, nice_steps
+from sonarrec.drawing.geometry import disc_width_px, draw_preview
 from sonarrec.drawing.pen import FLOOR, GRID, TRUTH
 from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_frame, draw_strip
 from sonarrec.landmarks import BUILT_IN, load_landmarks
@@ -60,10 +60,6 @@ def test_grid_lines_lie_at_round_ranges_and_bearings() -> None:
     assert {-10, -5, 0, 5, 10} == set((5 * np.round(ray / 5)).astype(int))
 
 
-def test_without_grid_nothing_is_drawn() -> None:
-    assert not draw_frame(blank(FAN), FAN, BASIN, []).any()
-
-
 def test_the_outline_is_the_stated_fan() -> None:
     picture = draw_frame(blank(FAN), FAN, BASIN, [], grid=True)
     points = like(picture, GRID)
@@ -72,20 +68,6 @@ def test_the_outline_is_the_stated_fan() -> None:
         column = FAN.apex_column + range_m * math.sin(b) / FAN.metres_per_pixel
         row = FAN.apex_row - range_m * math.cos(b) / FAN.metres_per_pixel
         assert np.hypot(*(points - (column, row)).T).min() < 3, (range_m, bearing)
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "about", "expected"),
-    [
-        (1.25, 3.75, 5, [1.5, 2, 2.5, 3, 3.5]),
-        (0, 30, 5, [0, 5, 10, 15, 20, 25, 30]),
-        (0.45, 5.5, 5, [1, 2, 3, 4, 5]),
-        (-14.4, 14.4, 6, [-10, -5, 0, 5, 10]),
-        (-65, 65, 6, [-60, -40, -20, 0, 20, 40, 60]),
-    ],
-)
-def test_nice_steps(low: float, high: float, about: int, expected: list[float]) -> None:
-    np.testing.assert_allclose(nice_steps(low, high, about), expected, atol=1e-9)
 
 
 # The preview
@@ -128,13 +110,6 @@ def test_disc_width_is_that_of_a_rendered_disc() -> None:
     assert disc_width_px(FAN, BASIN) == pytest.approx(np.ptp(columns) + 1, abs=1.5)
 
 
-@pytest.mark.parametrize("rows", [2, 40, 300, 1400])
-@pytest.mark.parametrize("height", [None, 0.1, 3.7])
-def test_any_fan_can_be_previewed(rows: int, height: float | None) -> None:
-    fan = make_fan(rows=rows, height_m=height)
-    assert max(draw_preview(blank(fan), fan, BASIN).shape) >= 512
-
-
 # The strip's time axis
 
 
@@ -151,12 +126,6 @@ def test_ticks_stand_every_twenty_frames() -> None:
     away = np.abs(found[:, None] - expected)
     assert away.min(axis=0).max() <= 1  # each has its tick
     assert away.min(axis=1).max() <= 1  # and nothing else is there
-
-
-def test_a_short_log_has_ticks_only_where_it_has_frames() -> None:
-    found = ticks([Moment(n, n * PERIOD_NS, ()) for n in range(5)])
-    assert np.abs(found - (502 - 4 * (512 - 10 - 34) / (STRIP_FRAMES - 1))).max() <= 1
-    assert not len(ticks([Moment(n, n * PERIOD_NS, ()) for n in range(3, 9)]))
 
 
 # The commands
@@ -214,24 +183,6 @@ def test_a_preview_that_cannot_be_drawn_does_not_cost_the_account(tmp_path: Path
     assert told.exit_code == 1
     assert json.loads(told.stdout)["logs"][0]["images"][0]["lacks"]
     assert not out.exists()
-
-
-def test_a_preview_has_a_place_of_its_own(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(2))
-    for arguments, told in (
-        ((log, "--preview", log / "p.png"), "become part of the recording"),
-        ((log / "frame0.png", "--preview", log / "frame0.png"), "this command reads it"),
-        ((log, log, "--preview", tmp_path / "p.png"), "draws one log, but 2 are given"),
-        ((log, "--preview", tmp_path / "p.jpg"), "the name must end in .png"),
-        ((log, "--preview", log / "sonar.toml" / "p.png"), "sonar.toml is not a folder"),
-    ):
-        result = info(*arguments)
-        assert result.exit_code == 2
-        assert told in result.stderr
-    (log / "sonar.toml").unlink()
-    result = info(log, "--preview", tmp_path / "p.png")
-    assert result.exit_code == 1
-    assert "sonar geometry lacks range_min_m" in result.stderr
 
 
 def test_info_names_where_each_value_is_from(tmp_path: Path) -> None:

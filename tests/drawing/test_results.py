@@ -30,12 +30,7 @@ from sonarrec.drawing.results import (
 )
 from sonarrec.nouns import Estimate
 from tests.support.drawn import draw_on_floor, make_fan
-from tests.support.estimates import (
-    BASIN,
-    FAN,
-    at,
-    estimate,
-)
+from tests.support.estimates import BASIN, FAN, at, estimate
 
 
 def painted(picture: np.ndarray, colour: tuple[int, int, int], within: int = 0) -> np.ndarray:

@@ -15,19 +15,10 @@ from sonarrec.config import Config, preset
 from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import BUILT_IN, LandmarkSet, load_landmarks
 from sonarrec.learning import calibrate
-from sonarrec.learning.calibrate import (
-    FOLDS,
-    LearningReport,
-    _not_taught,
-    learn,
-)
+from sonarrec.learning.calibrate import FOLDS, LearningReport, _not_taught, learn
 from sonarrec.learning.samples import Tracks, describe
 from sonarrec.nouns import Frame
-from sonarrec.recogniser.stage3.model import (
-    built_in_model,
-    parse_model,
-    read_model,
-)
+from sonarrec.recogniser.stage3.model import built_in_model, parse_model
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.learning.random_scenes import random_scene
@@ -206,30 +197,6 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkey
     assert Path("by_run.toml").read_bytes() == Path("stated.toml").read_bytes()
 
 
-def test_logs_of_one_name_are_known_by_their_folders(tmp_path):
-    """As their results are named: the second was refused, and one alone held no landmark."""
-    head, rows = sample_rows(12)
-    logs = [part_of_sample(tmp_path / day / "pan", "sonar.toml") for day in ("a", "b")]
-    table = [f"log,{head}", *(f"{day}-pan,{row}" for day in ("a", "b") for row in rows), ""]
-    truth = labelled(tmp_path / "gt.csv", "\n".join(table))
-    report = learn(logs, truth, preset("default"), BASIN, LogOptions())
-    assert (report.logs, report.frames) == (("a-pan", "b-pan"), 24)
-    assert report.diagnostics.problems == []
-    alone = learn(logs[1:], truth, preset("default"), BASIN, LogOptions())
-    assert [2 * frames for frames, _ in alone.seen] == [frames for frames, _ in report.seen]
-    assert alone.seen[0][0] > 0
-
-
-def test_truth_on_frames_that_are_not_there_is_told(tmp_path):
-    head, rows = sample_rows(10)
-    truth = labelled(tmp_path / "gt.csv", "\n".join([head, *rows, "9000,1,0,0,2.0,0,1,0", ""]))
-    log, out = SAMPLES / "pan" / "00000*.png", tmp_path / "model.toml"
-    result = sonarrec("calibrate", log, "--ground-truth", truth, "-o", out, code=3)
-    assert "1 of" in result.stderr
-    assert "teach nothing" in result.stderr
-    assert np.isfinite(read_model(out).model.bias).all()
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("described_once")
 def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
@@ -274,27 +241,6 @@ def test_rows_that_teach_nothing_are_told(tmp_path):
     assert "1 of " in told.stderr
     assert "rows name logs that were not given (elsewhere); they teach nothing" in told.stderr
     assert "of pan" in told.stdout
-
-
-@pytest.mark.slow
-def test_truth_whose_pixels_are_of_another_fan_is_told(tmp_path):
-    """Ranges and bearings alone may well be those of another landmark here."""
-    truth = SAMPLES / "polar" / "gt.csv"
-    words = ("--ground-truth", truth, "-o", tmp_path / "m.toml")
-    told = sonarrec("calibrate", SAMPLES / "pan", *words).stderr
-    assert "204 rows for pan with x_px,y_px elsewhere than range_m,bearing_deg, which teach" in told
-
-
-def test_a_proposal_that_nobody_checked_is_told(tmp_path):
-    header, *rows = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()[:30]
-    proposed = [
-        f"{header},source",
-        *(f"{row},{'tracked' * (k < 5)}" for k, row in enumerate(rows)),
-    ]
-    truth = labelled(tmp_path / "gt.csv", "\n".join(proposed))
-    words = ("--ground-truth", truth, "-o", tmp_path / "m.toml")
-    told = sonarrec("calibrate", SAMPLES / "pan" / "00000*.png", *words, code=3).stderr
-    assert "5 of 29 rows for pan are unchecked proposals of `truth propose`; they teach" in told
 
 
 def test_names_of_logs_do_not_break_the_model_file():

@@ -9,19 +9,11 @@ import numpy as np
 import pytest
 
 from sonarrec.landmarks import load_landmarks
-from sonarrec.learning.calibrate import (
-    FOLDS,
-    _counted,
-    _labelled,
-)
-from sonarrec.learning.fit import PRIOR_WEIGHT, fit
-from sonarrec.learning.left_out import _standard_error, gain_on_the_rest
+from sonarrec.learning.calibrate import FOLDS, _counted, _labelled
+from sonarrec.learning.fit import PRIOR_WEIGHT, _standard_error, fit, gain_on_the_rest
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3.description import FEATURES
-from sonarrec.recogniser.stage3.model import (
-    AppearanceModel,
-    built_in_model,
-)
+from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.truth.match import Truth
 
 BASIN = load_landmarks("basin")
@@ -235,7 +227,7 @@ def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
         lessons.append(parts)
         return built_in
 
-    monkeypatch.setattr("sonarrec.learning.left_out.fit", seen)
+    monkeypatch.setattr("sonarrec.learning.fit.fit", seen)
     gain = gain_on_the_rest(logs, None)
     assert gain is not None
     assert gain[0] == gain[1]

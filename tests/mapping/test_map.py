@@ -28,7 +28,7 @@ from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
-from sonarrec.mapping.axes import CHI2_95, GeographicOrigin, ellipse, rings_at_180
+from sonarrec.mapping.axes import CHI2_95, ellipse
 from sonarrec.mapping.build import MapOptions, SiteMap, make_map
 from sonarrec.mapping.factors import Factor, factors, write_g2o
 from sonarrec.mapping.join import MappedLog, frame_shares, join
@@ -798,11 +798,6 @@ def test_headings_count_from_north_at_the_origin(mapped: Path) -> None:
     assert told[0] == told[1]
 
 
-def test_an_ellipse_round_a_pole_is_left_out() -> None:
-    round_it = GeographicOrigin(89.9999999, 0.0, 0.0).on_earth(ellipse(np.zeros(2), np.eye(2)))
-    assert rings_at_180(round_it) == []
-
-
 def test_an_ellipse_holds_what_it_says() -> None:
     covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
     line = ellipse(np.array([1.0, 2.0]), covariance)
@@ -911,10 +906,8 @@ def odometry_log(log: Path, path: FloatArray) -> None:
     ("options", "code", "told"),
     [
         ("--origin 54,10", 2, "--origin 54,10: expected 3 numbers separated by commas"),
-        ("--origin 95,10,0", 2, "LAT must be between -90 and 90"),
         ("--origin 90,10,0", 2, "LAT must be between -90 and 90"),
         ("--drift 0.1", 2, "--drift 0.1: expected 2 numbers"),
-        ("--drift -1,2", 2, "standard errors must not be negative"),
         ("--method nobody", 2, "no method 'nobody'"),
     ],
 )
@@ -924,20 +917,6 @@ def test_faults_are_one_line(options: str, code: int, told: str, tmp_path: Path)
     done = sonarrec("map", folder, *shlex.split(options), code=code)
     assert told in done.stderr
     assert done.stderr.count("\n") == 1
-    assert not (folder / "map").exists()
-
-
-def test_a_method_without_tracks_makes_no_map(tmp_path: Path) -> None:
-    """Two discs that look alike would become one between them."""
-    path = there_and_back(40)
-    folder = results(tmp_path / "dive", path, path)
-    estimates = folder / "estimates.csv"
-    estimates.write_text(estimates.read_text().replace("framework", "smi:paper"))
-    told = sonarrec("map", folder, code=2)
-    assert (
-        told.stderr
-        == "sonarrec: --method smi:paper: it has no tracks, only candidates of single frames\n"
-    )
     assert not (folder / "map").exists()
 
 
@@ -954,21 +933,6 @@ def test_poses_are_found_from_wherever_the_results_are_named(
     (folder / "sub").mkdir()
     monkeypatch.chdir(tmp_path / here)
     sonarrec("map", named)
-    assert table(folder / "map" / "map.csv")
-
-
-@pytest.mark.parametrize("where", ["day/dive", "day", ".", "day/dive/shots"])
-def test_poses_are_found_where_a_run_finds_those_of_a_folder(where: str, tmp_path: Path) -> None:
-    """In the folder that is the log, or above it; other tables of that name are in the way."""
-    folder = results(tmp_path / "out" / "dive", there_and_back(20), there_and_back(20))
-    log = tmp_path / "day" / "dive" / "shots"
-    log.mkdir(parents=True)
-    run = folder / "run.toml"
-    told = run.read_text().replace(str(tmp_path / "out" / "dive.mcap"), str(log))
-    run.write_text(told.replace("dive.poses.csv", "poses.csv"))
-    (tmp_path / "out" / "poses.csv").write_text("of another log\n")
-    (tmp_path / "out" / "dive.poses.csv").rename(tmp_path / where / "poses.csv")
-    sonarrec("map", folder)
     assert table(folder / "map" / "map.csv")
 
 
@@ -1007,19 +971,6 @@ def test_poses_that_changed_are_refused(tmp_path: Path) -> None:
     sonarrec("map", folder, "--odometry", moved, code=1)
     right = write_poses(tmp_path / "elsewhere" / "poses.csv", path)
     sonarrec("map", folder, "--odometry", right)
-
-
-def test_a_table_of_poses_that_is_not_used_is_told(tmp_path: Path) -> None:
-    """It was passed over without a word, and the map was by other poses."""
-    path = there_and_back()
-    folder = results(tmp_path / "dive", path, path)
-    alone = map_rows(folder)
-    own, better = tmp_path / "dive.poses.csv", write_poses(tmp_path / "better.csv", path + 1)
-    assert sonarrec("map", folder, "--odometry", own).stderr == ""
-    told = sonarrec("map", folder, "--odometry", better, "--odometry", own).stderr
-    assert told.startswith(f"sonarrec: note: {better}: not used, for no log was run with it; ")
-    assert told.count("\n") == 1
-    assert table(folder / "map" / "map.csv") == alone
 
 
 def test_of_several_tables_none_is_taken_at_random(tmp_path: Path) -> None:
@@ -1061,13 +1012,6 @@ def test_the_same_results_give_the_same_bytes(mapped: Path) -> None:
     assert before == {p.name: p.read_bytes() for p in mapped.iterdir()}
     sonarrec("map", mapped.parent)
     assert not (mapped / "map.geojson").exists()
-
-
-def test_an_origin_on_earth() -> None:
-    """A minute of latitude is a nautical mile, within what the ellipsoid's shape changes."""
-    found = GeographicOrigin(0.0, 0.0, 0.0).on_earth(np.array([[0.0, 1852.0], [1852.0, 0.0]]))
-    assert found[0] == pytest.approx([0, 1 / 60], rel=0.006)
-    assert found[1] == pytest.approx([1 / 60, 0], rel=0.006)
 
 
 @pytest.mark.usefixtures("pictures")

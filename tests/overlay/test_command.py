@@ -5,28 +5,17 @@ from __future__ import annotations
 import csv
 import os
 import re
-import tomllib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import tomli_w
-import zstandard
 from click.testing import CliRunner, Result
-from mcap.exceptions import McapError
 
 from sonarrec.cli import main
-from sonarrec.overlay.overlay import Targets, write_overlay
 from sonarrec.readers import open_log
 from sonarrec.sonar import Sonar
-from tests.support.estimates import (
-    BASIN,
-    csv_file,
-    moving,
-    noise,
-    write_results,
-)
+from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
 from tests.support.foxglove import messages
 from tests.support.logs import cdr_image, image_folder, mcap_file
 
@@ -110,15 +99,6 @@ def test_from_run_to_overlay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert cv2.VideoCapture("o.mp4").get(cv2.CAP_PROP_FRAME_COUNT) == 128
 
 
-def test_results_of_a_packed_log_of_any_name_are_found(tmp_path: Path) -> None:
-    log = mcap_file(tmp_path / "l.mcap", [("/s", n, cdr_image(i)) for n, i in enumerate(noise(2))])
-    packed = tmp_path / os.fsdecode(b"d\xe9ve.mcap.zst")
-    packed.write_bytes(zstandard.compress(log.read_bytes()))
-    write_results(tmp_path / "out" / r"d\xe9ve", moving(2))
-    targets = Targets(images=tmp_path / "shots")
-    assert write_overlay(packed, targets, results=tmp_path / "out").frames == 2
-
-
 @pytest.mark.usefixtures("work")
 def test_results_named_with_the_folder_of_the_log_are_found() -> None:
     """A run of several logs of one name names them so."""
@@ -200,39 +180,6 @@ def test_truth_of_another_log_is_told(lines: tuple[str, ...], told: str, work: P
     assert "no truth is drawn" in line
 
 
-def test_what_was_written_before_a_fault_is_kept(work: Path) -> None:
-    with (work / "sonarrec_out" / "log" / "estimates.csv").open("a") as file:
-        file.write("3,0,framework,x\n")
-    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
-    assert "estimates.csv line 8: landmark must be a whole number" in told.stderr
-    with pytest.raises(McapError):
-        list(messages(work / "o.mcap"))  # no footer: it is not whole
-    with open_log("o.mcap", sonar_file=work / "log" / "sonar.toml") as kept:
-        assert len(list(kept)) == 2  # frame 2 has no row: the next was read to know
-
-
-def test_an_older_overlay_stays_where_there_is_nothing_to_write(work: Path) -> None:
-    targets = ("--mcap", "o.mcap", "--foxglove-layout", "o.json")
-    sonarrec("overlay", "log", *targets, "-q")
-    (work / "o.json").write_bytes((work / "o.json").read_bytes().replace(b"65", b"50"))
-    before = [(work / name).read_bytes() for name in ("o.mcap", "o.json")]
-    sonarrec("overlay", "log", *targets, "--frames", "9:", code=2)
-    assert [(work / name).read_bytes() for name in ("o.mcap", "o.json")] == before
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full not found")
-@pytest.mark.parametrize(("target", "count"), [("--mcap", 3), ("--mcap", 200), ("--video", 3)])
-def test_full_disk(target: str, count: int, work: Path) -> None:
-    """Told in one line, at the close or in the middle of it."""
-    name = "full.mcap" if target == "--mcap" else "full.mp4"
-    (work / name).symlink_to("/dev/full")
-    image_folder(work / "many", noise(count))
-    write_results(work / "res", moving(3))
-    told = sonarrec("overlay", "many", "res", target, name, code=1)
-    assert len(told.stderr.splitlines()) == 1
-    assert told.stderr.startswith(f"sonarrec: {name}: ")
-
-
 def test_results_of_another_log(work: Path) -> None:
     cv2.imwrite("log/frame0.png", noise(1)[0] + 1)
     told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
@@ -244,17 +191,6 @@ def test_results_of_another_log(work: Path) -> None:
     (work / "log" / "frame3.png").unlink()
     told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
     assert "frame 3 is listed, but log has only 3 frames" in told.stderr
-
-
-def test_a_topic_of_another_log_is_nothing_that_was_given(work: Path) -> None:
-    folder = work / "sonarrec_out" / "log"
-    run = tomllib.loads((folder / "run.toml").read_text())
-    run["input"].update(name="dive.mcap", sha256="0" * 64, topic="/sonar", time="header")
-    (folder / "run.toml").write_text(tomli_w.dumps(run))
-    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
-    assert "results of another log, dive.mcap with" in told.stderr
-    told = sonarrec("overlay", "log", "--mcap", "o.mcap", "--topic", "/sonar", code=2)
-    assert "--topic chooses a channel of an MCAP or a ROS bag; this log is neither" in told.stderr
 
 
 def test_the_recording_is_never_overwritten(work: Path) -> None:

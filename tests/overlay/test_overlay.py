@@ -12,20 +12,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from sonarrec.drawing.pen import (
-    disc_outline,
-    landmark_colours,
-)
+from sonarrec.drawing.pen import disc_outline, landmark_colours
 from sonarrec.overlay.overlay import Targets, write_overlay
 from sonarrec.readers import open_log
 from sonarrec.sonar import Sonar, load_sonar
-from tests.support.estimates import (
-    BASIN,
-    csv_file,
-    moving,
-    noise,
-    write_results,
-)
+from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
 from tests.support.foxglove import messages, nanoseconds
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, image_folder, mcap_file
 
@@ -122,9 +113,7 @@ def test_polar_logs_bring_their_fan(tmp_path: Path) -> None:
         np.testing.assert_array_equal(cv2.imdecode(png, cv2.IMREAD_UNCHANGED), frame.image)
     fan = frames[0].fan
     stated = Sonar(
-        layout="fan",
-        metres_per_pixel=fan.metres_per_pixel,
-        apex_px=(fan.apex_column, fan.apex_row),
+        layout="fan", metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row)
     )
     stated = load_sonar(tmp_path / "sonar.toml").updated(stated)
     with open_log(tmp_path / "o.mcap", sonar=stated) as opened:

@@ -12,7 +12,7 @@ from sonarrec.nouns import Motion, Selection
 from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
-from sonarrec.truth.in_view import share_in_image
+from sonarrec.truth.match import share_in_image
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 from tests.support.slow import but_first
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -35,20 +33,6 @@ def test_in_a_browser(
     # WCAG 2 AA: 4.5 for text, 3 for what is drawn.
     assert min(contrast(colour, page) for colour in text) >= 4.5
     assert min(contrast(colour, page) for colour in drawn) >= 3
-
-
-def test_the_browser_would_tell(browser: Any, tmp_path: Path) -> None:
-    """The check itself: a page with every fault is found out."""
-    bad = tmp_path / "bad.html"
-    bad.write_text(
-        "<!doctype html><html><body><script>nothing.here()</script>"
-        "<img src='data:image/png;base64,AAAA'><p style='width: 900px'>wide</p></body></html>"
-    )
-    found = look(browser, bad, 400, "light")
-    assert any("nothing is not defined" in line["message"] for line in found["console"])
-    assert found["broken"] == 1
-    assert found["wide"] > 0
-    assert len(found["outside"]) == 1
 
 
 # Clicks
@@ -97,14 +81,6 @@ def click_at(browser: Any, chart: Any, share: float) -> None:
 def find(browser: Any, selector: str) -> list[Any]:
     found: list[Any] = browser.find_elements("css selector", selector)
     return found
-
-
-def screenshot(element: Any) -> np.ndarray:
-    """(rows, columns, 3) of an element as it is seen."""
-    data = base64.b64decode(element.screenshot_as_base64)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    assert image is not None
-    return image
 
 
 @pytest.mark.parametrize("width", [1280, 400])
@@ -223,87 +199,6 @@ def test_of_a_long_log_the_nearest_frame_is_shown(
         assert asked == pytest.approx(32 * share, abs=0.1)
     assert 3 < len(held) <= 9
     assert browser.get_log("browser") == []
-
-
-def test_contents_lead_to_the_sections(browser: Any, pages: dict[str, Path]) -> None:
-    look(browser, pages["full"], 1280, "light")
-    links = find(browser, "#contents a")
-    headings = [h.text for h in find(browser, "main section > h2")]
-    assert [link.text for link in links] == headings
-    for link in links:
-        link.click()
-        name = str(link.get_attribute("href")).partition("#")[2]
-        top = browser.execute_script(
-            "return document.getElementById(arguments[0]).getBoundingClientRect().top", name
-        )
-        end = browser.execute_script(
-            "return innerHeight + scrollY >= document.documentElement.scrollHeight - 1"
-        )
-        assert abs(top) < 2 or end
-        browser.execute_script("scrollTo(0, 0)")
-
-
-def test_tracks_never_declared_are_folded(browser: Any, pages: dict[str, Path]) -> None:
-    browser.get(pages["full"].as_uri())
-    folded = find(browser, "#tracks details.silent")
-    assert len(folded) == 1
-    lanes = folded[0].find_elements("css selector", ".lane")
-    assert lanes
-    assert not any(lane.is_displayed() for lane in lanes)
-    summary = folded[0].find_element("css selector", "summary")
-    assert summary.text.startswith(f"{len(lanes)} tracks never declared")
-    summary.click()
-    assert all(lane.is_displayed() for lane in lanes)
-    assert len({(lane.rect["x"], lane.rect["width"]) for lane in lanes}) == 1  # one time axis
-    assert folded[0].find_element("css selector", ".scale .xl").text == (
-        "seconds since the log's first frame"
-    )
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_wide_table_shows_that_it_scrolls(
-    browser: Any, pages: dict[str, Path], scheme: str
-) -> None:
-    """At 400 px: a shadow at the edge beyond which there is more, none where there is not."""
-    look(browser, pages["full"], 400, scheme)
-    wide = [
-        box
-        for box in find(browser, ".scroll")
-        if browser.execute_script("return arguments[0].scrollWidth > arguments[0].clientWidth", box)
-    ]
-    assert wide
-    box = wide[0]
-
-    def shadows() -> tuple[float, float]:
-        """How far the left and the right edge stand out from the page, 0 to 255, below a row."""
-        image = screenshot(box).astype(int)
-        paper = np.median(image.reshape(-1, 3), axis=0)
-        away = np.abs(image - paper).sum(axis=2)
-        return float(np.median(away[:, 1])), float(np.median(away[:, -2]))
-
-    left, right = shadows()
-    assert left < 30 < 60 < right
-    browser.execute_script("arguments[0].scrollLeft = 1e6", box)
-    left, right = shadows()
-    assert right < 30 < 60 < left
-    narrow = [b for b in find(browser, "#tables .scroll") if b not in wide]
-    assert narrow
-    box = narrow[0]
-    assert max(shadows()) < 30
-
-
-def test_every_chart_over_two_axes_is_labelled(browser: Any, pages: dict[str, Path]) -> None:
-    look(browser, pages["full"], 1280, "light")
-    unlabelled = browser.execute_script(
-        """
-return [...document.querySelectorAll('.roc .axes')]
-  .filter(a => !a.querySelector('.xl') || !a.querySelector('.yl'))
-  .concat([...document.querySelectorAll('.scale')].filter(s => !s.querySelector('.xl')))
-  .concat([...document.querySelectorAll('.panel')].filter(p => !/probability/.test(p.innerText)))
-  .map(e => e.outerHTML.slice(0, 90));"""
-    )
-    assert unlabelled == []
-    assert len(find(browser, ".roc .axes")) >= 4
 
 
 def test_on_paper(browser: Any, pages: dict[str, Path]) -> None:

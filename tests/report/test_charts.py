@@ -15,10 +15,7 @@ from sonarrec.drawing.pen import landmark_colours
 from sonarrec.evaluation.summary import Reliability
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, svg
-from sonarrec.report.logs import (
-    ReportedLog,
-    Track,
-)
+from sonarrec.report.logs import ReportedLog, Track
 from tests.support.browser import contrast
 
 
@@ -45,10 +42,7 @@ def drawn_points(path: str) -> list[list[tuple[int, int]]]:
 def test_lines_break_where_nothing_was_seen() -> None:
     x = np.array([0, 0.25, 0.5, 0.75, 1.0])
     y = np.array([0, 1, np.nan, 0.5, np.nan])
-    assert drawn_points(svg.polyline(x, y)) == [
-        [(0, 1000), (500, 0)],
-        [(1500, 500), (1500, 500)],
-    ]
+    assert drawn_points(svg.polyline(x, y)) == [[(0, 1000), (500, 0)], [(1500, 500), (1500, 500)]]
     assert svg.polyline(x, np.full(5, np.nan)) == ""
 
 
@@ -124,19 +118,6 @@ def test_bars_are_seen_beside_a_pause_of_a_day() -> None:
     columns = painted(path)
     assert np.flatnonzero(columns).tolist() == [0, svg.WIDTH - 1]
     assert columns[[0, -1]].tolist() == [1000, 500]
-
-
-def test_ticks_are_round_and_in_place() -> None:
-    for high in (0.3, 1.0, 61.75, 25_000.0):
-        ticks = svg.Axis(0.0, high).ticks()
-        assert 3 <= len(ticks) <= 7
-        for tick in ticks:
-            assert tick.at == pytest.approx(100 * float(tick.text) / high, abs=0.01)
-    assert svg.Axis(0.0, 0.3).ticks()[-1].text == "0.3"
-    # A second of a track, ten hours into the log; frames of a very long one.
-    late = [tick.text for tick in svg.Axis(36_000.125, 36_001.375).ticks()]
-    assert late == ["36000.25", "36000.5", "36000.75", "36001", "36001.25"]
-    assert svg.Axis(0.0, 3_000_000.0).ticks()[-1].text == "3000000"
 
 
 def test_the_landmark_drawn_is_the_landmark() -> None:

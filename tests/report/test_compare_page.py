@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -87,20 +84,6 @@ def test_names_of_other_programs_are_text(tmp_path: Path) -> None:
     assert name not in text
 
 
-def test_at_most_ten_runs_of_frames_are_listed_each_way(tmp_path: Path) -> None:
-    truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(60)]
-    claims = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f in range(60)]
-    old, gt = write_case(tmp_path / "old", range(60), claims, truth)
-    new, _ = write_case(tmp_path / "new", range(60), claims[::4], truth)
-    few, _ = write_case(tmp_path / "few", range(60), [c for c in claims if c[0] % 5], truth)
-    report("--compare", old, new, "--ground-truth", gt)
-    assert "shorter run" not in (new / "compare.html").read_text(encoding="utf-8")
-    report("--compare", old, few, "--ground-truth", gt)
-    text = (few / "compare.html").read_text(encoding="utf-8")
-    assert text.count("<td>1</td></tr>") == 10
-    assert "2 shorter runs left out" in text
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -115,25 +98,3 @@ def test_options_that_do_not_go_together(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.csv").write_text("results,ground_truth\n")
     assert says in report(*arguments, code=2).stderr
-
-
-def test_it_is_drawn_by_a_browser(sides: tuple[Path, Path, Path], tmp_path: Path) -> None:
-    """Headings and tables are there to see."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("no chromium here")
-    cv2 = pytest.importorskip("cv2")
-    old, new, gt = sides
-    report("--compare", old, new, "--ground-truth", gt, "-q")
-    picture = tmp_path / "page.png"
-    subprocess.run(
-        [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-         "--window-size=1000,1400", f"--screenshot={picture}",
-         (new / "compare.html").resolve().as_uri()],
-        check=True, capture_output=True, timeout=120,
-    )  # fmt: skip
-    drawn = cv2.imread(str(picture))
-    assert drawn.shape[1] == 1000
-    ink = np.count_nonzero((drawn < 100).all(axis=2), axis=1)
-    assert (ink[:200] > 0).sum() > 20  # the heading
-    assert (ink[700:] > 0).any()

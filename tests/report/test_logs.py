@@ -9,19 +9,11 @@ import numpy as np
 import pytest
 
 from sonarrec.evaluation.judge import PROTOCOLS
-from sonarrec.report.logs import (
-    alongside,
-    judged_sightings,
-    tracks,
-)
+from sonarrec.report.logs import alongside, judged_sightings, tracks
 from sonarrec.report.mistakes import episodes, in_words
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE
-from tests.support.pages import (
-    PLACED,
-    reported,
-    tables,
-)
+from tests.support.pages import PLACED, reported, tables
 
 
 def write_log(folder: Path, rng: np.random.Generator, frames: int = 120) -> None:

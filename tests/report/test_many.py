@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
-import tomli_w
 
-from sonarrec.errors import UsageError
 from sonarrec.evaluation.cells import scored_by
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.landmarks import load_landmarks
 from sonarrec.report.build import write_report
 from sonarrec.report.logs import MOST_LOGS
-from tests.support.browser import look
 from tests.support.command import sonarrec
 from tests.support.made_up import make_logs
 from tests.support.pages import tables
@@ -111,14 +106,6 @@ def test_the_page_stays_small(page: Path, made: Path) -> None:
     assert "failed: " in stands
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("width", [1280, 400])
-def test_it_opens_in_a_browser(browser: Any, page: Path, width: int) -> None:
-    found = look(browser, page, width, "light")
-    browser.save_screenshot(str(page.with_suffix(f".{width}.png")))
-    assert (found["console"], found["wide"], found["outside"]) == ([], 0, []) or found["wide"] < 0
-
-
 PLACED = "frame,method,object,range_m,bearing_deg,landmark,score,declared"
 RIGHT = [f"{n},framework,1,2.0,0,1,.9,1" for n in range(10, 20)]
 
@@ -132,37 +119,6 @@ def plain_logs(root: Path, estimates: dict[str, list[str]], truth: list[str]) ->
     lines = ["log,frame,landmark,range_m,bearing_deg", *truth, ""]
     (root / "gt.csv").write_text("\n".join(lines))
     return root / "out"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("named", [True, False])
-def test_panels_of_logs_without_truth(tmp_path: Path, named: bool) -> None:
-    """Nothing stands out, so the first eight have panels; the truth speaks of the last alone, and
-    these may be the only ones that name a method."""
-    estimates = {
-        f"log{n:02d}": [PLACED, "5,framework,1,2.0,0,1,.3,0"][: 1 + named] for n in range(9)
-    }
-    estimates |= {f"log{n:02d}": [PLACED, *RIGHT] for n in (9, 10)}
-    truth = [f"log{log},{n},1,2.0,0" for log in ("09", "10") for n in range(10, 20)]
-    out = plain_logs(tmp_path, estimates, truth)
-    page = tmp_path / "page.html"
-    assert write_report(page, out, ground_truth=tmp_path / "gt.csv").unused == ()
-    text = page.read_text(encoding="utf-8")
-    shown = re.findall(r"<h3>(log\d\d)</h3>", section(text, "seen"))
-    assert shown == [f"log{n:02d}" for n in range(8)]
-    assert "framework: 0 false claims, 0 missed" in section(text, "mistakes")
-
-
-def test_no_panels_of_logs_that_are_not_scored(tmp_path: Path) -> None:
-    """The truth of the first nine speaks of other frames: what is left has the panels."""
-    truth = [f"log{n:02d},{n + 900},1,2.0,0" for n in range(9)]
-    truth += [f"log{log},{n},1,2.0,0" for log in ("09", "10") for n in range(10, 20)]
-    out = plain_logs(tmp_path, {f"log{n:02d}": [PLACED, *RIGHT] for n in range(11)}, truth)
-    page = tmp_path / "page.html"
-    report = write_report(page, out, ground_truth=tmp_path / "gt.csv")
-    assert len([line for line in report.unused if "is not scored" in line]) == 9
-    text = page.read_text(encoding="utf-8")
-    assert re.findall(r"<h3>(log\d\d)</h3>", section(text, "seen")) == ["log09", "log10"]
 
 
 def test_a_log_named_twice_has_one_panel(tmp_path: Path) -> None:
@@ -251,24 +207,3 @@ def test_sightings_are_those_of_the_method_shown(tmp_path: Path) -> None:
 
     assert told(None) == [("log3", "sightings of framework: 3, where 1 are usual")]
     assert told("smi") == [("log2", "sightings of smi: 3, where 1 are usual")]
-
-
-def test_a_method_that_no_log_has(tmp_path: Path) -> None:
-    estimates = {f"log{n}": [PLACED, "5,framework,1,2.0,0,1,.9,1"] for n in range(9)}
-    out = plain_logs(tmp_path, estimates, [f"log{n},5,1,2.0,0" for n in range(9)])
-    for truth in (None, tmp_path / "gt.csv"):
-        with pytest.raises(UsageError, match="there is smi, framework"):
-            write_report(tmp_path / "page.html", out, ground_truth=truth, method="none")
-
-
-def test_what_is_seen_is_told_by_the_landmark_set_given(tmp_path: Path) -> None:
-    """IDs above 10 are of no preset, so only --landmarks makes the tables readable."""
-    mine = tmp_path / "mine.toml"
-    told = load_landmarks("basin").as_table() | {"name": "mine"}
-    told["landmark"] = [one | {"id": one["id"] + 10} for one in told["landmark"]]
-    mine.write_text(tomli_w.dumps(told))
-    claims = [f"{n},framework,1,2.0,0,11,.9,1" for n in range(10, 20)]
-    out = plain_logs(tmp_path, {f"log{n:02d}": [PLACED, *claims] for n in range(10)}, [])
-    page = tmp_path / "page.html"
-    sonarrec("report", out, "--landmarks", mine, "-o", page)
-    assert "10 logs" in page.read_text(encoding="utf-8")

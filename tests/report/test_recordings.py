@@ -18,11 +18,7 @@ import zstandard
 from sonarrec.report import frames
 from sonarrec.truth.table import read_truth
 from tests.support.command import SAMPLE, sonarrec
-from tests.support.pages import (
-    Page,
-    held_frames,
-    reported,
-)
+from tests.support.pages import Page, held_frames, reported
 
 
 def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None:
@@ -64,19 +60,6 @@ def test_outlines_lie_where_the_table_has_them(pages: dict[str, Path], results: 
                 place = np.array([float(row["x_px"]), float(row["y_px"])]) + 0.5
                 away = [np.linalg.norm(np.array(o["ellipse"][:2]) - place) for o in of_method]
                 assert min(away) < 1
-
-
-@pytest.mark.parametrize("most", [3, 40])
-def test_which_frames_are_held(results: Path, most: int) -> None:
-    """The wanted first, in their order; of the rest as many as there is room for, spread out."""
-    logs = [reported(results, SAMPLE / "gt.csv")]
-    wanted = [("pan", 99), ("pan", 5), ("other", 1), ("pan", 99), ("pan", 6), ("pan", 7)]
-    found = frames.choose(logs, wanted, most)["pan"]
-    assert len(found) == most
-    assert found == sorted(set(found))
-    assert {99, 5, 6} <= set(found)
-    if most == 40:
-        assert max(np.diff(found)) <= 6
 
 
 def test_of_each_log_a_frame_is_held(results: Path) -> None:
@@ -155,20 +138,6 @@ def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
     assert "no log of the name gone" in Page(tmp_path / "out" / "report.html").text
     (log,) = held_frames(tmp_path / "out" / "report.html")
     assert (log["name"], log["in_all"]) == ("pan", 128)
-
-
-@pytest.mark.slow
-def test_logs_in_several_folders_are_each_found_in_one(tmp_path: Path) -> None:
-    """What is not in the first folder, but in the second, is not told as missing."""
-    for name in ("a", "b"):
-        shutil.copytree(SAMPLE, tmp_path / f"at_{name}" / name)
-        sonarrec(
-            "run", "-q", tmp_path / f"at_{name}" / name, "--frames", ":3", "-o", tmp_path / "o"
-        )
-    both = ["--log", tmp_path / "at_a", "--log", tmp_path / "at_b"]
-    assert "no log of the name" not in sonarrec("report", tmp_path / "o", *both).stderr
-    told = sonarrec("report", tmp_path / "o", *both[:2], code=3).stderr
-    assert told.count("no log of the name b in it; the page has no frames of it") == 1
 
 
 def test_a_packed_log_of_any_name_is_found_in_a_folder_of_logs(tmp_path: Path) -> None:

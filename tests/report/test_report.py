@@ -7,10 +7,7 @@ import csv
 import hashlib
 import re
 import shutil
-import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,15 +16,10 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.judge import PROTOCOLS
-from sonarrec.report.settings import settings_tables
+from sonarrec.report.page import settings_tables
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
-from tests.support.pages import (
-    DECLARED,
-    PLACED,
-    Page,
-    tables,
-)
+from tests.support.pages import DECLARED, PLACED, Page, tables
 
 PASSES = "Declared by framework, a row per pass, in order of first sight"
 
@@ -139,14 +131,6 @@ def test_without_truth_and_log_the_page_says_so(pages: dict[str, Path]) -> None:
     assert {row[0] for row in seen[1:]} == {"ID.1", "ID.3"}
 
 
-def test_size_and_sameness(pages: dict[str, Path], results: Path, tmp_path: Path) -> None:
-    assert pages["full"].stat().st_size < 1.5e6
-    again = tmp_path / "again.html"
-    scored = ("--ground-truth", SAMPLE / "gt.csv", "--log", SAMPLE)
-    sonarrec("report", results, *scored, "-o", again, "-q")
-    assert again.read_bytes() == pages["full"].read_bytes()
-
-
 def test_names_are_text_not_html(tmp_path: Path) -> None:
     folder = tmp_path / "<img src=x onerror=alert(1)>"
     tables(folder, range(2), DECLARED, ["0,<script>bad()</script>,1,1,0.9,1"])
@@ -205,23 +189,6 @@ def test_odd_results(tmp_path: Path, name: str, truth: str | None) -> None:
         assert "nan" not in str(attributes.get("d")) + str(attributes.get("style"))
 
 
-def test_a_landmark_set_of_nine_ids(tmp_path: Path) -> None:
-    sets = "".join(
-        f"[[landmark]]\nid = {n + 10}\nsectors = [{','.join('1' * (n + 1) + '0' * (9 - n))}]\n"
-        for n in range(9)
-    )
-    landmarks = tmp_path / "nine.toml"
-    landmarks.write_text(
-        f'name = "nine"\nradius_m = 0.2\nring = [0.8, 1.0]\nsymbol = [0.1, 0.6]\n{sets}'
-    )
-    rows = [f"0,framework,{n},{n + 10},0.9,1" for n in range(9)]
-    tables(tmp_path, range(2), DECLARED, rows)
-    sonarrec("report", tmp_path, "--landmarks", landmarks)
-    page = Page(tmp_path / "report.html")
-    assert len(page.tables[PASSES]) == 10
-    assert "Never" not in page.text
-
-
 @pytest.mark.slow
 def test_several_logs(results: Path, tmp_path: Path) -> None:
     root = tmp_path / "out"
@@ -262,40 +229,6 @@ def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Pa
     assert "logs a and b were run with different landmark IDs" in fault
 
 
-@pytest.mark.slow
-def test_several_presets(tmp_path: Path) -> None:
-    half = ("--frames", "20:70")
-    sonarrec("run", SAMPLE, *half, "--preset", "paper,default", "--out", tmp_path, "-q")
-    head, *rows = (SAMPLE / "gt.csv").read_text().splitlines()
-    rows = [row for row in rows if 20 <= int(row.partition(",")[0]) < 70]
-    (tmp_path / "gt.csv").write_text("\n".join([head, *rows, ""]))
-    scored = ("--ground-truth", tmp_path / "gt.csv")
-    sonarrec("report", tmp_path / "pan", *scored, "--method", "framework:default")
-    text = Page(tmp_path / "pan" / "report.html").text
-    assert "Declared by framework:default" in text
-    assert re.search("framework:(default|paper) minus framework:(default|paper)", text)
-    assert "framework:paper: " in text
-    fault = sonarrec("report", tmp_path / "pan", "--method", "best", code=2).stderr
-    there = "smi:paper, framework:paper, smi:default, framework:default"
-    assert f"no method 'best'; there is {there}" in fault
-
-
-def test_every_setting_is_shown(pages: dict[str, Path], results: Path) -> None:
-    def leaves(value: Any) -> Iterator[tuple[str, Any]]:
-        for key, inner in value.items():
-            if isinstance(inner, dict):
-                yield from leaves(inner)
-            elif not isinstance(inner, list):
-                yield key, inner
-
-    text = Page(pages["bare"]).text
-    run = tomllib.loads((results / "run.toml").read_text())
-    found = list(leaves(run))
-    assert len(found) > 40
-    for key, value in found:
-        assert f"{key}{str(value).lower() if isinstance(value, bool) else value}" in text
-
-
 def test_settings_of_several_presets_and_odd_values() -> None:
     run = {
         "finished": True,
@@ -315,19 +248,6 @@ def test_settings_of_several_presets_and_odd_values() -> None:
     ]
 
 
-def test_what_could_not_be_used_is_told(results: Path, tmp_path: Path) -> None:
-    shutil.copytree(results, tmp_path / "pan")
-    run = (results / "run.toml").read_text()
-    run = run.replace("finished = true", "finished = false")
-    run = run.replace("problems = []", 'problems = ["000007.png: unreadable, skipped"]')
-    (tmp_path / "pan" / "run.toml").write_text(run)
-    told_twice = sonarrec("report", tmp_path / "pan", code=3)
-    assert "the run was cut short" in told_twice.stderr
-    text = Page(tmp_path / "pan" / "report.html").text
-    assert "the run was cut short" in text
-    assert "000007.png: unreadable, skipped" in text
-
-
 def test_a_log_without_sightings(results: Path, tmp_path: Path) -> None:
     """Nothing declared: the page says so and shows what came nearest to it."""
     shutil.copytree(results, tmp_path / "pan")
@@ -342,10 +262,6 @@ def test_a_log_without_sightings(results: Path, tmp_path: Path) -> None:
     assert "No landmark was declared." in page.text
     assert "Nothing declared; nearest to it ID." in page.text
     assert len([name for name, _ in page.elements if name == "img"]) == 1
-
-
-def test_no_results_is_one_line(tmp_path: Path) -> None:
-    assert "no results here" in sonarrec("report", tmp_path, code=1).stderr
 
 
 @pytest.mark.slow
@@ -375,29 +291,6 @@ def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
         ("3", "1.00", ""),
     ]
     assert "declared in 1 frame. False claim: no landmark lies there." in text
-
-
-@pytest.mark.slow
-def test_a_long_log_stays_a_small_page(tmp_path: Path) -> None:
-    """20,000 frames, 300 tracks: what is drawn is bounded, and what is left out is told."""
-    frames, objects = 20_000, 300
-    noise = np.random.default_rng(0).random((frames, 2)).round(3)
-    rows = (
-        f"{n},{m},{n * objects // frames},2,0,{a},0,{1 - a},0,0,"
-        f"{3 - 2 * (a > 0.5)},{b},{+(b > 0.5)}"
-        for n, (a, b) in enumerate(noise.tolist())
-        for m in ("smi", "framework")
-    )
-    tables(tmp_path, ((n, n * 10**8) for n in range(frames)), PLACED, rows)
-    (tmp_path / "gt.csv").write_text(
-        "frame,landmark,range_m,bearing_deg\n" + "".join(f"{n},1,2,0\n" for n in range(frames))
-    )
-    sonarrec("report", tmp_path, "--ground-truth", tmp_path / "gt.csv")
-    assert (tmp_path / "report.html").stat().st_size < 1e6
-    text = Page(tmp_path / "report.html").text
-    assert "12 of 300 declared tracks are shown" in text
-    assert "more sightings left out" in text
-    assert "lesser groups of mistakes left out" in text
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ import resource
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ from sonarrec.results.folders import (
 from sonarrec.results.read import find_logs
 from tests.support.batch import environment, until
 from tests.support.command import sonarrec
-from tests.support.kills import assert_readable, command, finished, frames, held, stop_at_random
+from tests.support.kills import command, finished, frames, stop_at_random
 from tests.support.locked import locked
 from tests.support.logs import cdr_image, mcap_file
 from tests.support.logs import frames as images
@@ -81,11 +80,6 @@ def test_names_of_different_places_are_different_and_begin_alike(places: list[Pa
             assert name == place.name
 
 
-def test_as_many_folders_in_front_as_tell_them_apart() -> None:
-    logs = [Path("/x/day1/dive.mcap"), Path("/x/day2/dive.mcap"), Path("/x/day2/other.mcap")]
-    assert folder_names([(p.stem, p) for p in logs]) == ["day1-dive", "day2-dive", "other"]
-
-
 def test_what_nothing_tells_apart_is_refused() -> None:
     with pytest.raises(UsageError, match="would all go to pan"):
         folder_names([("pan", Path("/x/pan")), ("pan", Path("/x/pan.mcap"))])
@@ -101,17 +95,6 @@ def test_equal_stems_of_one_call_get_folders_of_their_own(log: Path, tmp_path: P
     assert frames(tmp_path / "out" / "day2-dive") == list(range(5))
 
 
-def test_one_bad_log_does_not_stop_the_others(log: Path, tmp_path: Path) -> None:
-    one = shorter(log, tmp_path / "one")
-    two = shorter(log, tmp_path / "two")
-    empty = tmp_path / "empty.mcap"
-    empty.touch()
-    done = sonarrec("run", one, empty, tmp_path / "no.mcap", two, "-o", tmp_path / "out", code=3)
-    assert f"2 done, 2 failed: {empty}, {tmp_path / 'no.mcap'}" in done.stderr
-    assert finished(tmp_path / "out" / "two")
-    sonarrec("run", empty, tmp_path / "no.mcap", "-o", tmp_path / "out", code=1)
-
-
 def test_the_same_results_are_not_made_again(log: Path, tmp_path: Path) -> None:
     short = shorter(log, tmp_path / "short")
     out = tmp_path / "out"
@@ -121,21 +104,6 @@ def test_the_same_results_are_not_made_again(log: Path, tmp_path: Path) -> None:
     assert (out / "short" / "frames.csv").stat().st_mtime_ns == before
     sonarrec("run", "-q", short, "-o", out, "--overwrite")
     assert (out / "short" / "frames.csv").stat().st_mtime_ns > before
-
-
-def test_other_settings_replace_results_and_what_was_made_of_them(
-    log: Path, tmp_path: Path
-) -> None:
-    short, out = shorter(log, tmp_path / "short"), tmp_path / "out"
-    sonarrec("run", "-q", short, "-o", out)
-    (out / "short" / "evaluation").mkdir()
-    (out / "short" / "evaluation" / "confusion.csv").touch()
-    (out / "short" / "notes.txt").write_text("mine")
-    done = sonarrec("run", "-q", short, "-o", out, "--set", "features.declare=.9")
-    assert "earlier results are replaced (other settings: features.declare)" in done.stderr
-    assert not (out / "short" / "evaluation").exists()
-    assert (out / "short" / "notes.txt").read_text() == "mine"
-    assert not list(out.glob(".*"))
 
 
 def test_what_was_made_of_all_results_is_told_where_some_are_made_anew(
@@ -223,17 +191,6 @@ def test_a_path_may_be_of_another_log_in_another_folder(
     assert frames(tmp_path / "out" / "dive") == [0, 1, 2, 3]
 
 
-def test_another_logs_results_are_replaced_only_when_told(log: Path, tmp_path: Path) -> None:
-    one, two = (shorter(log, tmp_path / d / "dive", n) for d, n in (("a", 3), ("b", 4)))
-    out = tmp_path / "out"
-    sonarrec("run", "-q", one, "-o", out)
-    refused = sonarrec("run", "-q", two, "-o", out, code=1).stderr
-    assert "holds the results of another log" in refused
-    assert frames(out / "dive") == [0, 1, 2]
-    sonarrec("run", "-q", two, "-o", out, "--overwrite")
-    assert frames(out / "dive") == [0, 1, 2, 3]
-
-
 @pytest.mark.parametrize(
     ("number", "code"),
     but_first([(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGKILL, -9)]),
@@ -313,45 +270,6 @@ def test_a_full_disk_is_one_line_and_costs_no_frame(log: Path, tmp_path: Path, s
     if size > 10_000:
         assert f"{part}: " in line
         assert 0 < len(frames(part)) < FRAMES
-        assert f"the {len(frames(part))} frames before" in line
-        assert not finished(part)
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
-    """Mounts a file system of so many bytes; skips where this user may not."""
-    folder = tmp_path / "small"
-    folder.mkdir()
-    mounted = []
-
-    def mount(size: int) -> Path:
-        words = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
-        if shutil.which("mount") is None or subprocess.run(words, capture_output=True).returncode:
-            pytest.skip("this user may mount no file system")
-        mounted.append(folder)
-        return folder
-
-    yield mount
-    for one in mounted:
-        subprocess.run(["umount", str(one)], check=True)
-
-
-@pytest.mark.parametrize("pages", but_first([14, 10, 12, 16]))
-def test_a_full_file_system_is_one_line_and_costs_no_frame(
-    log: Path, tmp_path: Path, small_disk: Callable[[int], Path], pages: int
-) -> None:
-    out = small_disk(4096 * pages)
-    sonarrec("run", "-q", shorter(log, tmp_path / "dive"), "-o", out)
-    old = held(out / "dive")
-    done = sonarrec("run", "-q", log, "-o", out, "--overwrite", code=1)
-    [line] = done.stderr.splitlines()
-    assert "cannot write results" in line
-    assert "No space left on device" in line
-    assert held(out / "dive") == old
-    assert finished(out / "dive")
-    part = part_of(out / "dive")
-    if part.exists():
-        assert_readable(part)
         assert f"the {len(frames(part))} frames before" in line
         assert not finished(part)
 
@@ -436,13 +354,6 @@ def test_results_that_a_run_laid_aside_are_not_counted_with_the_new_ones(tmp_pat
     assert [p.name for p in find_logs(tmp_path)] == ["dive.part", "other", "third.part"]
 
 
-def test_results_come_in_natural_order(tmp_path: Path) -> None:
-    for number in (10, 9, 1):
-        (tmp_path / f"dive{number}").mkdir()
-        (tmp_path / f"dive{number}" / "frames.csv").touch()
-    assert [p.name for p in find_logs(tmp_path)] == ["dive1", "dive9", "dive10"]
-
-
 def test_results_that_may_not_be_read_are_told(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -464,13 +375,6 @@ def test_results_that_may_not_be_read_are_told(
     other.rmdir()
     with locked(out / "lost+found"):  # of a file system
         assert [p.name for p in find_logs(out)] == ["dive"]
-
-
-def test_a_log_named_as_a_part_keeps_its_results(log: Path, tmp_path: Path) -> None:
-    for name, count in (("dive.part", 2), ("dive", 3)):
-        done = run(shorter(log, tmp_path / name, count), tmp_path / "out")
-        assert finished(done.folder)
-    assert sorted(len(frames(folder)) for folder in find_logs(tmp_path / "out")) == [2, 3]
 
 
 def test_an_exchange_that_was_broken_off_is_put_right(tmp_path: Path) -> None:

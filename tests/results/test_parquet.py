@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner, Result
@@ -145,32 +144,6 @@ def test_a_run_that_is_stopped_leaves_csv(tmp_path: Path) -> None:
     assert len(read_results(part).frames) == 1
 
 
-def test_a_log_without_estimates(tmp_path: Path) -> None:
-    folder, run = tmp_path / "log", {"input": {}}
-    with ResultsWriter(folder, load_landmarks("basin"), run, parquet=True) as writer:
-        writer.write(FrameResult(index=0, timestamp_ns=0, candidates=0, tracks=0, estimates=()))
-        writer.finish([])
-    found = read_results(folder).estimates
-    assert len(found) == 0
-    assert list(found)[:3] == ["frame", "timestamp_ns", "method"]
-    tables = list(estimate_tables(estimates_of(folder), load_landmarks("basin"), 100))
-    assert sum(len(table["frame"]) for _, table in tables) == 0
-
-
-@pytest.mark.slow
-def test_the_other_form_is_made_anew_and_takes_the_place(
-    both: dict[str, Path], tmp_path: Path
-) -> None:
-    shutil.copytree(both["csv"], tmp_path / "out" / "pan")
-    told = call("run", SAMPLE, "--tables", "parquet", "-o", tmp_path / "out")
-    assert told.exit_code == 0, told.output
-    assert "other settings: program.tables" in told.stderr
-    there = {path.name for path in (tmp_path / "out" / "pan").iterdir()}
-    assert there == {"frames.csv", "estimates.parquet", "sightings.csv", "run.toml"}
-    again = call("run", SAMPLE, "--tables", "parquet", "-o", tmp_path / "out")
-    assert "up to date" in again.output
-
-
 @pytest.mark.parametrize(
     "changed",
     [
@@ -198,48 +171,6 @@ def test_parquet_of_other_programs(both: dict[str, Path], tmp_path: Path, change
     assert found.methods == expected.methods
     for name in ("method", "frame_index", "landmark_index", "score", "declared", "position"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-
-
-_BYTES = [pa.binary(), pa.large_binary(), pa.binary(3)]
-
-
-@pytest.mark.parametrize(
-    ("kind", "category"),
-    [(kind, category) for kind in _BYTES for category in (False, True)]
-    + [(pa.binary_view(), False)],  # as categories pyarrow does not write them
-    ids=str,
-)
-def test_text_as_bytes_of_every_kind(
-    both: dict[str, Path], tmp_path: Path, kind: pa.DataType, category: bool
-) -> None:
-    """Also as categories, which Arrow notes beside the columns."""
-    shutil.copytree(both["csv"], tmp_path / "pan")
-    source = tmp_path / "pan" / "estimates.csv"
-    source.write_text(source.read_text("utf-8").replace(",framework,", ",née,"), "utf-8")
-    table = pa.Table.from_pandas(pd.read_csv(source))
-    names = table["method"].to_pylist()
-    if kind == pa.binary(3):  # of one length, as "née" is not
-        names = [name if name == "smi" else "abc" for name in names]
-    method = pa.array([name.encode() for name in names], kind)
-    method = method.dictionary_encode() if category else method
-    source.unlink()
-    table = table.set_column(table.column_names.index("method"), "method", method)
-    notes = pa.array([[1.0]] * len(table))  # a column of its own, which no one reads
-    pq.write_table(table.append_column("notes", notes), source.with_suffix(".parquet"))
-    found = read_log(tmp_path / "pan")
-    assert [found.methods[k] for k in found.method] == names
-    assert list(read_results(tmp_path / "pan").estimates["method"]) == names
-
-
-def test_a_column_of_lists_is_one_line(both: dict[str, Path], tmp_path: Path) -> None:
-    shutil.copytree(both["parquet"], tmp_path / "pan")
-    path = tmp_path / "pan" / "estimates.parquet"
-    table = pq.read_table(path)
-    for name in ("method", "score"):
-        lists = pa.array([[cell] for cell in table[name].to_pylist()])
-        pq.write_table(table.set_column(table.column_names.index(name), name, lists), path)
-        with pytest.raises(SonarrecError, match=f"column {name} holds list<.*>, not numbers or"):
-            read_log(tmp_path / "pan")
 
 
 def test_damaged_parquet_is_one_line(both: dict[str, Path], tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import tracemalloc
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -21,12 +20,10 @@ from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.poses import pose_table
-from sonarrec.results import sightings
 from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import MOST_SIGHTINGS, run
-from sonarrec.tables import toml
 from tests.results.test_write import tables
 from tests.support.drawn import make_fan
 
@@ -232,47 +229,6 @@ def test_a_run_that_breaks_off_leaves_the_passes_of_its_frames(tmp_path: Path) -
     assert [(s.first_frame, s.last_frame) for s in written] == [(0, 2), (18, 19)]
     worked_out = list(read_sightings(part))  # run.toml says that it did not finish
     assert [(s.first_frame, s.last_frame) for s in worked_out] == [(0, 2), (18, 19)]
-
-
-def of_another_program(folder: Path, rows: list[tuple[int, float]]) -> Path:
-    """Results without sightings.csv: 100 frames, and rows of (frame, score)."""
-    folder.mkdir()
-    frames = "".join(f"{n},{n}\n" for n in range(100))
-    (folder / "frames.csv").write_text(f"frame,timestamp_ns\n{frames}")
-    declared = "".join(f"{n},framework,1,2.0,0.0,1,{score},1\n" for n, score in rows)
-    header = "frame,method,object,range_m,bearing_deg,landmark,score,declared"
-    (folder / "estimates.csv").write_text(f"{header}\n{declared}")
-    return folder
-
-
-def test_passes_are_worked_out_of_rows_in_any_order(tmp_path: Path) -> None:
-    rows = [(n, n / 100) for n in range(100) if n % 30 < 5]
-    found = [
-        list(read_sightings(of_another_program(tmp_path / name, given)))
-        for name, given in (("rising", rows), ("falling", rows[::-1]))
-    ]
-    assert [s.frames_declared for s in found[0]] == [5, 5, 5, 5]
-    assert repr(found[0]) == repr(found[1])
-
-
-@pytest.mark.slow
-def test_passes_are_worked_out_in_memory_that_does_not_grow(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sightings, "ROWS", 500)
-    monkeypatch.setattr(toml, "MAX_LENGTH", 2**16)  # of the landmark set, for which room is made
-
-    def peak(times: int) -> int:
-        rows = [(n, 0.5) for n in range(100) for _ in range(times)]
-        folder = of_another_program(tmp_path / str(times), rows)
-        tracemalloc.start()
-        assert len(list(read_sightings(folder))) == 1
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return most
-
-    peak(1)  # what is loaded once
-    assert peak(60) < 2 * peak(15)
 
 
 @pytest.mark.parametrize("cell", ["x", "", "1.5"])

@@ -10,14 +10,7 @@ import pytest
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.stream import choose_method, read_estimates
-from tests.support.estimates import (
-    BASIN,
-    FAN,
-    at,
-    csv_file,
-    estimate,
-    write_results,
-)
+from tests.support.estimates import BASIN, FAN, at, csv_file, estimate, write_results
 
 
 def test_estimates_come_back_as_written(tmp_path: Path) -> None:

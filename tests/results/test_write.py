@@ -11,16 +11,11 @@ import pytest
 from sonarrec import config
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
-from sonarrec.nouns import (
-    Estimate,
-    FrameResult,
-    Motion,
-    Stamps,
-)
+from sonarrec.nouns import Estimate, FrameResult, Motion, Stamps
 from sonarrec.results.columns import estimate_columns
 from sonarrec.results.run_file import read_run, run_table
 from sonarrec.results.write import ResultsWriter
-from sonarrec.sonar import Sonar, load_sonar, sonar_from_table
+from sonarrec.sonar import Sonar, sonar_from_table
 from tests.support.drawn import make_fan
 
 BASIN = load_landmarks("basin")
@@ -134,31 +129,6 @@ def test_run_toml_says_finished_only_at_the_end(tmp_path):
     assert not list((tmp_path / "log_a").glob("*.part"))
 
 
-def broken_off(folder) -> None:
-    with ResultsWriter(folder, BASIN, tables()) as writer:
-        writer.write(result(0, estimate()))
-        raise KeyboardInterrupt
-
-
-def test_a_run_that_broke_off_is_not_passed_off_as_whole(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        broken_off(tmp_path / "log_a")
-    part = tmp_path / "log_a.part"
-    assert tomllib.loads((part / "run.toml").read_text())["finished"] is False
-    assert len(rows(part / "estimates.csv")) == 2  # what was done is on disk
-    assert not (tmp_path / "log_a").exists()
-
-
-def test_a_second_run_does_not_leave_rows_of_the_first(tmp_path):
-    for frames in (5, 2):
-        with ResultsWriter(tmp_path, BASIN, tables()) as writer:
-            for i in range(frames):
-                writer.write(result(i, estimate()))
-            writer.finish([])
-    assert len(rows(tmp_path / "frames.csv")) == 3
-    assert len(rows(tmp_path / "estimates.csv")) == 3
-
-
 def test_run_toml_holds_all_that_the_run_needs_again(tmp_path):
     with ResultsWriter(tmp_path, BASIN, tables()) as writer:
         writer.finish([])
@@ -186,14 +156,6 @@ def test_a_fan_that_looks_aside_is_read_back_as_it_was(tmp_path):
     run = read_run(tmp_path / "run.toml")
     assert run.fan() == aside
     assert run.fan(Sonar(field_of_view_deg=20.0)).bearing_min_deg == -10
-
-
-def test_the_sonar_of_a_run_reads_as_a_sonar_toml(tmp_path):
-    import tomli_w
-
-    file = tmp_path / "sonar.toml"
-    file.write_text(tomli_w.dumps({"sonar": tables()["sonar"]}))
-    assert load_sonar(file).range_max_m == 3.75
 
 
 @pytest.mark.parametrize("taken", ["file in the way", "no permission"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,6 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.config import preset
-from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.nouns import Fan
@@ -34,7 +32,6 @@ from tests.support.command import sonarrec
 BASIN = load_landmarks("basin")
 LOOK = DiscLook(plate_db=-6.0, beam_width_deg=0.4)
 ARIS = Path(__file__).parents[1] / "readers" / "aris_sample" / "sample.aris"
-LAMPREY = Path(__file__).resolve().parents[3] / "shared/data/river/lamprey1.avi"
 FRAMES = 24
 # A made-up sonar whose images are as even as speckle lets them be.
 FAN = Fan(
@@ -95,10 +92,7 @@ def test_the_contrast_is_the_one_asked_for(contrast: float) -> None:
     """
     composer = Composer(FAN, BASIN, 50.0, 0.4)
     here = Pose(0.0, 0.7, 0.0, 0.0)
-    discs = [
-        LaidDisc("filled", 0, -0.2, 2.5, 0.0),
-        LaidDisc("blank", 0, 0.3, 2.5, 0.0),
-    ]
+    discs = [LaidDisc("filled", 0, -0.2, 2.5, 0.0), LaidDisc("blank", 0, 0.3, 2.5, 0.0)]
     rng = np.random.default_rng(1)
     row, column = np.mgrid[0 : FAN.rows, 0 : FAN.columns].astype(float)
     range_m, bearing = polar_from_pixel(FAN, column, row)
@@ -229,15 +223,6 @@ def test_what_is_written_is_a_log_of_the_same_geometry(
     assert not (tmp_path / "a" / "landmarks.toml").exists()
 
 
-def test_a_set_that_only_has_the_name_of_the_built_in_one_is_written(
-    background: Background, tmp_path: Path
-) -> None:
-    discs = replace(BASIN, radius_m=0.12)
-    one = replace(background, path=background.path[:1])
-    write_backgrounds(one, draw_layout(one, discs, 2, 1), LOOK, {3.0: tmp_path / "a"})
-    assert load_landmarks(tmp_path / "a" / "landmarks.toml") == discs
-
-
 @pytest.mark.slow
 def test_a_series_is_recognised_and_scored_as_it_is(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "series"
@@ -302,17 +287,6 @@ def test_a_log_without_geometry_and_a_folder_in_use_are_refused(
     assert "--plate is for --background" in told
 
 
-def test_a_frame_that_cannot_be_used_is_told_and_left_out(recording: Path, tmp_path: Path) -> None:
-    damaged = tmp_path / "damaged"
-    shutil.copytree(recording, damaged)
-    (damaged / "000003.png").write_bytes(b"no picture")
-    out = tmp_path / "out"
-    told = sonarrec("simulate", "--background", damaged, "--frames", "0:8", "-o", out, code=3)
-    assert "000003.png" in told.stderr
-    assert f"{out}: 7 frames" in told.stdout
-    assert len(list(out.glob("*.png"))) == 7
-
-
 def test_amplitudes_have_the_range_that_the_reader_gave_them(
     recording: Path, tmp_path: Path
 ) -> None:
@@ -348,29 +322,3 @@ def test_an_aris_file_tells_its_range(
     assert written["dynamic_range_db"] == pytest.approx(expected, abs=0.01)
     sonar = tomllib.loads((out / "sonar.toml").read_text())["sonar"]
     assert sonar["dynamic_range_db"] == written["dynamic_range_db"]
-
-
-def test_black_floor_has_no_room() -> None:
-    """Where a recording shows no echo nobody would look for landmarks."""
-    path = (Pose(0.0, 0.7, 0.0, 0.0),)
-    dark = Background(
-        *("dark", lambda: None, (0, None), FAN, path),  # type: ignore[arg-type]
-        *(np.zeros((FAN.rows, FAN.columns), dtype=bool), 4.0, 0, False, 0.4, 50.0, Diagnostics()),
-    )
-    with pytest.raises(SonarrecError, match="no place on the floor shows echoes"):
-        draw_layout(dark, BASIN, 0)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not LAMPREY.exists(), reason="no river recording beside the repository")
-def test_a_real_river(tmp_path: Path) -> None:
-    sonarrec(
-        *("simulate", "--background", LAMPREY, "--frames", "0:5", "--count", "3"),
-        *("-o", tmp_path / "river"),
-    )
-    with open_log(tmp_path / "river") as made, open_log(LAMPREY) as real:
-        pairs = list(zip(made, real, strict=False))
-    assert len(pairs) == 5
-    for laid, plain in pairs:
-        assert laid.fan == plain.fan
-        assert 0.005 < np.mean(laid.image != plain.image) < 0.2

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
-import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +15,7 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.render import render
@@ -34,7 +32,6 @@ from sonarrec.simulation.simulate import write_recording
 from sonarrec.sonar import load_sonar
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.bare import BARE, POLAR, power
-from tests.support.command import sonarrec
 
 
 @pytest.mark.parametrize(
@@ -99,13 +96,6 @@ def test_values_beyond_what_images_hold_are_drawn(tmp_path, text: str) -> None:
     for frame in render(load_scene(path)):
         assert 1 < frame.image.std() < 127
         assert 10 < np.median(frame.image[frame.image > 0]) < 200
-
-
-def test_unknown_names() -> None:
-    with pytest.raises(SonarrecError, match=r"no scene 'nowhere'.*basin, paper"):
-        load_scene("nowhere")
-    with pytest.raises(SonarrecError, match="unknown kind of scene"):
-        random_scene(1, "sunny")
 
 
 @pytest.mark.parametrize("path", sorted(BUILT_IN.glob("*.toml")), ids=lambda path: path.stem)
@@ -230,28 +220,6 @@ def test_simulate_command(tmp_path) -> None:
     wrong = runner.invoke(main, ["simulate", "--scene", "x", "--out", str(tmp_path / "new")])
     assert wrong.exit_code == 2
     assert not (tmp_path / "new").exists()
-
-
-def test_ctrl_c_says_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object) -> bool:
-        raise KeyboardInterrupt
-
-    out = tmp_path / "log"
-    monkeypatch.setattr(cv2, "imencode", stop)
-    stopped = CliRunner().invoke(main, ["simulate", "-q", "--frames", "2", "-o", str(out)])
-    assert stopped.exit_code == 130
-    left = f"the output so far is in {out}; remove it to start again"
-    assert stopped.stderr == f"sonarrec: stopped; {left}\n"
-
-
-@pytest.mark.skipif(sys.platform == "darwin", reason="its file names are UTF-8")
-def test_a_name_that_is_not_utf8(tmp_path: Path) -> None:
-    out = tmp_path / os.fsdecode(b"basin\xe9")
-    done = sonarrec("simulate", "--scene", "basin", "--frames", "1", "-o", out)
-    assert done.stdout == f"{name_as_text(out)}: 1 frame of scene 'basin'\n"
-    told = sonarrec("simulate", "--background", out, "--count", "1", "-o", f"{out}_laid").stdout
-    assert told.startswith(f"{name_as_text(out)}_laid: 1 frame, 1 landmark")
-    assert len(list(Path(f"{out}_laid").glob("*.png"))) == 1
 
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     MotionSection,
@@ -19,8 +18,7 @@ from sonarrec.simulation.scene import (
     Scene,
     SonarSection,
 )
-from sonarrec.truth.in_view import share_in_image
-from tests.studies.learning.random_scenes import random_scene
+from sonarrec.truth.match import share_in_image
 from tests.support.bare import BARE, POLAR, mean_power, power
 from tests.support.command import sonarrec
 
@@ -154,11 +152,7 @@ def test_the_floor_reaches_as_far_as_sway_and_slope_ask_for(
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "[motion]\nsway_x_m = 300",
-        "[motion]\nyaw_jitter_deg = 2000",
-        "[sonar]\nrange_bins = 16384",
-    ],
+    ["[motion]\nsway_x_m = 300", "[motion]\nyaw_jitter_deg = 2000", "[sonar]\nrange_bins = 16384"],
 )
 def test_more_floor_than_memory_holds_is_one_clear_line(tmp_path, text: str) -> None:
     scene = tmp_path / "scene.toml"
@@ -312,25 +306,3 @@ def test_noise_level_is_the_stated_snr() -> None:
     seen = mean_power(noisy, 4)
     rows = int((0.6 - 0.3) / 2.5 * 512)  # nearer than the height there is only water
     assert 10 * math.log10(seen[:rows].mean()) == pytest.approx(-12.0, abs=0.3)
-
-
-def test_sweep_is_triangular() -> None:
-    travelled = np.array([0, 10, 20, 30, 60, 80, 100.0])
-    np.testing.assert_allclose(sweep_deg(-20, 20, 0, travelled), [0, 10, 20, 10, -20, 0, 20])
-    np.testing.assert_allclose(sweep_deg(5, 5, 5, travelled), 5)
-
-
-def test_same_scene_same_bytes() -> None:
-    first, again, other = (
-        [frame.image.tobytes() for frame in render(random_scene(seed, "jitter", frames=3))]
-        for seed in (5, 5, 6)
-    )
-    assert first == again
-    assert first != other
-    assert len(set(first)) == 3
-
-
-def test_fewer_frames_are_the_first_of_the_same_log() -> None:
-    scene = random_scene(2, "fading", frames=12)
-    few = [frame.image.tobytes() for frame in render(replace(scene, frames=4))]
-    assert few == [frame.image.tobytes() for frame in render(scene)][:4]

@@ -30,7 +30,7 @@ except SystemExit as end:
     assert end.code in (0, None, 3), end.code
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
-# As in memory.py: a new process is charged with the peak of the one it was forked from.
+# A new process is charged with the peak of the one it was forked from.
 _LAUNCH = "import subprocess, sys; sys.exit(subprocess.run(sys.argv[1:]).returncode)"
 
 

@@ -318,11 +318,7 @@ def by_json(name: str, dotted: str) -> Maker:
 
 def by_foxglove(compressed: bool) -> Maker:
     """The Foxglove SDK writes the whole file, in protobuf."""
-    options = {
-        "none": None,
-        "lz4": MCAPCompression.Lz4,
-        "zstd": MCAPCompression.Zstd,
-    }
+    options = {"none": None, "lz4": MCAPCompression.Lz4, "zstd": MCAPCompression.Zstd}
 
     def make(path: Path, images: list[np.ndarray], compression: str) -> None:
         context = foxglove.Context()

@@ -111,12 +111,6 @@ def test_tracks_left_out_are_told(
     assert f"left out: {said}" in done.stdout.replace("it declared ", "")
 
 
-def test_tracks_that_declared_nothing_are_not_told(tmp_path: Path) -> None:
-    folder = results(tmp_path / "log", track(1, range(20), declared=0))
-    done = run(folder, "--out", tmp_path / "gt.csv")
-    assert done.stdout.splitlines() == [f"{tmp_path / 'gt.csv'}: 0 rows from 0 tracks"]
-
-
 def test_short_gaps_are_filled_in_and_long_ones_are_not(tmp_path: Path) -> None:
     seen = [*range(6), *range(9, 15), *range(30, 36)]
     rows = proposed(results(tmp_path / "log", track(1, seen)), "--max-gap", "3")
@@ -183,13 +177,6 @@ def test_of_many_tracks_those_of_most_rows_are_printed(tmp_path: Path) -> None:
     assert len(lines) == 40
     assert lines[-1].startswith("  log49  ID.1  track 49")
     assert end == "  these have the most rows; 10 more tracks"
-
-
-def test_columns_are_aligned_for_names_of_any_length(tmp_path: Path) -> None:
-    for name in ("a", "pan-of-monday"):
-        results(tmp_path / "out" / name, track(1, range(10)))
-    _, *lines = run(tmp_path / "out", "--out", tmp_path / "gt.csv").stdout.splitlines()
-    assert len({line.index("track") for line in lines}) == 1, lines
 
 
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -154,25 +155,14 @@ def table(site: Site) -> list[dict[str, Any]]:
             *((r.near_m, r.far_m, r.tpr) for r in one.rates.by_range),
         ]
         for near, far, rate in steps:
-            row = dict.fromkeys(COLUMNS) | {
-                "contrast_db": one.contrast_db,
-                "range_from_m": _rounded(near),
-                "range_to_m": _rounded(far),
-                "landmark_frames": rate.cases,
-                "passes": rate.units,
-                "recognised": rate.count,
-                **_with_interval("tpr", rate),
-            }
+            found = map(_rounded, (near, far)), map(_rounded, (rate.value, rate.low, rate.high))
+            counts = rate.cases, rate.units, rate.count
+            cells: list[Any] = [one.contrast_db, *found[0], *counts, *found[1]]
             if math.isnan(near):
-                row |= {"frames": false.cases, "false_claims": false.count}
-                row |= _with_interval("false_per_100", false)
-            rows.append(row)
+                cells += [false.cases, false.count]
+                cells += map(_rounded, (false.value, false.low, false.high))
+            rows.append(dict(zip_longest(COLUMNS, cells)))
     return rows
-
-
-def _with_interval(name: str, rate: Rate) -> dict[str, float | None]:
-    values = {"": rate.value, "_low": rate.low, "_high": rate.high}
-    return {name + ending: _rounded(value) for ending, value in values.items()}
 
 
 def _rounded(value: float) -> float | None:

@@ -67,16 +67,13 @@ def _refuse(*_: object) -> None:
 
 def _box(a: Mapping[str, str]) -> tuple[float, float]:
     # Also of a rotated box, which turns about its centre.
-    return (coordinate(a["xtl"]) + coordinate(a["xbr"])) / 2, (
-        coordinate(a["ytl"]) + coordinate(a["ybr"])
-    ) / 2
+    left, right, top, bottom = (coordinate(a[name]) for name in ("xtl", "xbr", "ytl", "ybr"))
+    return (left + right) / 2, (top + bottom) / 2
 
 
 def _mask(a: Mapping[str, str]) -> tuple[float, float]:
-    return (
-        coordinate(a["left"]) + coordinate(a["width"]) / 2,
-        coordinate(a["top"]) + coordinate(a["height"]) / 2,
-    )
+    left, width, top, height = (coordinate(a[name]) for name in ("left", "width", "top", "height"))
+    return left + width / 2, top + height / 2
 
 
 def _points(a: Mapping[str, str]) -> list[tuple[float, float]]:

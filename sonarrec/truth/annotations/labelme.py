@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from sonarrec.errors import SonarrecError, number_of
 from sonarrec.truth.annotations.shapes import (
@@ -57,7 +56,11 @@ def read(path: Path) -> Annotations:
                     found.unused[kind] += 1
                     continue
                 x, y = (value - HALF_A_PIXEL for value in centre)
-                found.shapes.append(Shape(name, label, x, y, stated_visible(_flags(shape))))
+                # `visible` as a flag would be no share, only a yes.
+                flags = shape["flags"] if isinstance(shape.get("flags"), dict) else {}
+                hidden = next((v for flag, v in flags.items() if flag.lower() == "occluded"), None)
+                visible = stated_visible({"occluded": hidden})
+                found.shapes.append(Shape(name, label, x, y, visible))
         except ValueError as error:
             raise SonarrecError(
                 f"{file}: not as LabelMe writes it ({where}{error})"
@@ -69,13 +72,6 @@ def read(path: Path) -> Annotations:
 def _files(folder: Path) -> list[Path]:
     """The JSON files of a folder, but hidden ones."""
     return sorted(file for file in folder.glob("*.json") if not file.name.startswith("."))
-
-
-def _flags(shape: dict[str, Any]) -> dict[str, Any]:
-    """The flags a person set on a shape; `visible` as a flag would be no share, only a yes."""
-    flags = shape.get("flags")
-    told = flags.items() if isinstance(flags, dict) else ()
-    return {"occluded": next((value for flag, value in told if flag.lower() == "occluded"), None)}
 
 
 def _centre(kind: str, points: Sequence[Sequence[float]]) -> tuple[float, float] | None:

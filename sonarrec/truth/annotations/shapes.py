@@ -21,9 +21,6 @@ PARTLY_HIDDEN = 0.5
 HALF_A_PIXEL = 0.5
 """Drawing tools put (0, 0) at the image's corner, this program at the centre of its first pixel."""
 
-MOST_DIGITS = 400
-"""Of a number; Python itself refuses to read or write thousands of them."""
-
 
 @dataclass(frozen=True, slots=True)
 class Shape:
@@ -99,8 +96,8 @@ def stated_visible(attributes: Mapping[str, Any]) -> float | None:
 def coordinate(value: Any) -> float:
     """A coordinate in pixels as a number. Raises ValueError where it is none."""
     try:
-        number = float(value) if len(str(value)) < MOST_DIGITS else math.inf
-    except (TypeError, ValueError):
+        number = float(value)
+    except (OverflowError, TypeError, ValueError):
         number = math.nan
     if not abs(number) <= LARGEST:  # or nan
         raise ValueError(f"{shortened(value)} is no coordinate in pixels")
@@ -117,7 +114,7 @@ def coordinates(values: Any, count: int, what: str) -> list[float]:
 def whole(value: Any) -> int:
     """A frame number, a size or a class. Raises ValueError where it is none."""
     try:
-        number = int(value) if len(str(value)) < MOST_DIGITS else LARGEST + 1
+        number = int(value)
     except (OverflowError, TypeError, ValueError):
         number = LARGEST + 1
     if abs(number) > LARGEST or (isinstance(value, float) and value != number):
