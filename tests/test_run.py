@@ -18,7 +18,6 @@ import pytest
 import tomli_w
 
 from sonarrec import run
-from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.simulate import write_image
 from tests.support.command import SAMPLE, sonarrec
@@ -210,12 +209,6 @@ def test_another_landmark_set(work: Path) -> None:
 # What is said, and what is not
 
 
-def test_one_frame_is_a_frame(pings: Path) -> None:
-    for image in sorted(pings.glob("*.png"))[1:]:
-        image.unlink()
-    assert sonarrec("run", "pings").stdout.splitlines()[0].endswith("pings: 1 frame")
-
-
 def test_silent_where_stderr_is_no_terminal(pings: Path) -> None:
     command = [sys.executable, "-m", "sonarrec", "run", str(pings)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -289,12 +282,6 @@ def test_a_pipe_and_a_device_are_no_missing_files(work: Path) -> None:
         assert message == f"sonarrec: {name}: neither a file nor a folder\n"
 
 
-def test_empty_folder(work: Path) -> None:
-    (work / "pings").mkdir()
-    assert "empty" in one_line_fault("run", "pings")
-    assert not (work / "sonarrec_out").exists()
-
-
 def test_unreadable_image_in_the_middle(pings: Path) -> None:
     whole = (pings / "000004.png").read_bytes()
     (pings / "000004.png").write_bytes(whole[: len(whole) // 2])
@@ -307,14 +294,6 @@ def test_unreadable_image_in_the_middle(pings: Path) -> None:
     assert run["finished"] is True
     assert run["input"]["frames_processed"] == 9
     assert "000004.png" in run["input"]["problems"][0]
-
-
-def test_images_of_changing_size(pings: Path) -> None:
-    cv2.imwrite(str(pings / "000003.png"), np.zeros((20, 30), np.uint8))
-    told = sonarrec("run", pings, code=3)
-    assert "000003.png" in told.stderr
-    assert "30 x 20" in told.stderr
-    assert len(table(Path("sonarrec_out/pings/frames.csv"))) == 9
 
 
 def test_no_image_can_be_read(pings: Path) -> None:
@@ -396,28 +375,6 @@ def test_clicks_own_usage_errors(pings: Path) -> None:
     assert "Usage" in sonarrec("run", code=2).stderr
     assert "--nonsense" in sonarrec("run", pings, "--nonsense", code=2).stderr
     assert "--seed" in sonarrec("run", pings, "--seed", "-1", code=2).stderr
-
-
-def test_died_in_the_middle_is_not_passed_off_as_whole(
-    pings: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sonarrec("run", pings)
-    before = Path("sonarrec_out/pings/estimates.csv").read_bytes()
-    stage2, calls = ThreeStages.stage2, []
-
-    def failing(*arguments: object) -> object:
-        calls.append(1)
-        if len(calls) == 5:
-            raise RuntimeError("power cut")
-        return stage2(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(ThreeStages, "stage2", failing)
-    with pytest.raises(RuntimeError, match="power cut"):
-        sonarrec("run", pings, "--overwrite")
-    run = tomllib.loads(Path("sonarrec_out/pings.part/run.toml").read_text())
-    assert run["finished"] is False
-    assert len(table(Path("sonarrec_out/pings.part/frames.csv"))) == 4
-    assert Path("sonarrec_out/pings/estimates.csv").read_bytes() == before
 
 
 @pytest.fixture

@@ -148,16 +148,12 @@ def items_of(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
         items = [store.file(url)]
     else:
         if _is_glob(url):
-            items = [i for i in store.glob(url) if names_an_image(i.url.name)]
+            items = parts = [i for i in store.glob(url) if names_an_image(i.url.name)]
         else:
-            items = [
-                i
-                for i in store.listing(url)[0]
-                if names_a_log(i.url.name)
-                or names_an_image(i.url.name)
-                or i.url.name.endswith((METADATA, *COMPANIONS))
-            ]
-        if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
+            there = store.listing(url)[0]
+            parts = [i for i in there if names_a_log(i.url.name) or names_an_image(i.url.name)]
+            items = parts + [i for i in there if i.url.name.endswith((METADATA, *COMPANIONS))]
+        if not parts:
             raise SonarrecError(f"{url.redacted}: no log and no image here")
         items = store.described(items)
     known = {item.url for item in items}

@@ -111,17 +111,8 @@ def prepare(
             frame_count = max(end - span[0], 0)
         # The first frames leave the list as they are used: none is kept as long as the run.
         first = (begin.pop(0) for _ in range(len(begin)))
-        yield PreparedRun(
-            log=log,
-            frames=chain(first, frames),
-            frame_count=frame_count,
-            fan=fan,
-            landmarks=landmarks,
-            poses=poses,
-            recogniser=recogniser,
-            table=table,
-            folder=folder,
-        )
+        seen = chain(first, frames)
+        yield PreparedRun(log, seen, frame_count, fan, landmarks, poses, recogniser, table, folder)
 
 
 def digest_asked(earlier: RunFile, source: Source) -> tuple[int, str] | None:

@@ -46,8 +46,6 @@ POSITION_KINDS: dict[str, Kind] = {
 }
 LARGEST = 10**9
 """Larger positions (pixels, m, deg) are invalid; their squares could not be used."""
-MOST_COLUMNS = 1_000
-LONGEST_LINE = 64_000
 MOST_SHOWN = 300
 """Characters of a header in a message."""
 _OPTIONS: dict[str, Any] = {
@@ -58,6 +56,7 @@ _OPTIONS: dict[str, Any] = {
     "na_values": ["", "nan"],
     "low_memory": False,
 }
+_RAGGED = (pd.errors.ParserError, pd.errors.ParserWarning)
 _AT_ONCE = 256
 """Lines handed to pandas at a time."""
 _BLANK = ", \t\r\n"
@@ -100,16 +99,12 @@ def _names(path: Path, expected: str) -> list[str]:
 
     def read() -> list[str]:
         with _opened(path) as file:
-            lines = (line for _, line in _lines(path, file))
+            lines = (line for _, line in _lines(file))
             for cells in csv.reader(lines, skipinitialspace=True):
                 return cells
         raise pd.errors.EmptyDataError
 
     names: list[str] = _parse(path, expected, read)
-    if len(names) > MOST_COLUMNS:
-        raise SonarrecError(
-            f"{path}: {len(names)} columns; sonarrec has no tables of more than {MOST_COLUMNS}"
-        )
     for mark, name in ((";", ";"), ("\t", "tabs")):  # as spreadsheets save them
         if len(names) == 1 and mark in names[0]:
             raise SonarrecError(
@@ -171,7 +166,7 @@ def read_tables(
 def _csv_parts(path: Path, dtype: Mapping[str, type], rows: int | None) -> Iterator[Any]:
     """Data frames of at most `rows` rows; None: one of all rows."""
     with _opened(path) as file:
-        text: Any = _Text(line for _, line in _lines(path, file))
+        text: Any = _Text(line for _, line in _lines(file))
         if rows is None:
             yield pd.read_csv(text, dtype=dtype, **_OPTIONS)
         else:
@@ -182,22 +177,9 @@ def _opened(path: Path, errors: str = "strict") -> TextIO:
     return path.open(encoding="utf-8-sig", errors=errors, newline="")
 
 
-def _lines(path: Path, file: TextIO) -> Iterator[tuple[int, str]]:
-    """The lines of a CSV file that are not blank, by their 1-based number.
-
-    Raises SonarrecError at a line that is too long to be one of a table.
-    """
-    for number in itertools.count(1):
-        line = file.readline(LONGEST_LINE)
-        if not line:
-            return
-        if len(line) == LONGEST_LINE and line[-1] not in "\r\n":
-            raise SonarrecError(
-                f"{path}: not a table of sonarrec, line {number} has more than {LONGEST_LINE} "
-                "characters"
-            )
-        if line.strip(_BLANK):
-            yield number, line
+def _lines(file: TextIO) -> Iterator[tuple[int, str]]:
+    """The lines of a CSV file that are not blank, by their 1-based number."""
+    return ((number, line) for number, line in enumerate(file, 1) if line.strip(_BLANK))
 
 
 class _Text(io.TextIOBase):
@@ -221,8 +203,8 @@ def _parse(path: Path, expected: str, read: Callable[[], Any]) -> Any:
         raise SonarrecError(f"{path}: no such file") from None
     except pd.errors.EmptyDataError:
         raise SonarrecError(f"{path}: empty; expected a header such as {expected}") from None
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
-        ragged = isinstance(error, pd.errors.ParserError | pd.errors.ParserWarning)
+    except (OSError, UnicodeDecodeError, csv.Error, *_RAGGED) as error:
+        ragged = isinstance(error, _RAGGED)
         why = (_longer_row(path) if ragged else None) or str(error).strip()
         if "EOF inside string" in why:
             why = 'a quotation mark (") is never closed'
@@ -332,7 +314,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     with _opened(path, errors="replace") as file:
 
         def lines() -> Iterator[str]:
-            for number, line in _lines(path, file):
+            for number, line in _lines(file):
                 numbers.append(number)
                 yield line
 

@@ -303,25 +303,6 @@ def test_of_a_log_on_a_server_without_truth_or_that_changed_a_line_says_so(
     assert "s3://dives/day/a.mcap: does not exist" in sonarrec("evaluate", "sonarrec_out/a").stderr
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("day")
-def test_compare_finds_the_truth_beside_a_log_on_a_server(
-    sonarrec: Sonarrec, s3: Any, tmp_path: Path
-) -> None:
-    upload(s3, write_truth(tmp_path / "own.csv"), "day/gt.csv")
-    for out, seed in (("s3://dives/old", "0"), ("new", "1")):
-        assert sonarrec("run", "s3://dives/day/a.mcap", "-o", out, "--seed", seed).exit_code == 0
-    done = sonarrec("evaluate", "--compare", "s3://dives/old", "new")
-    assert done.exit_code == 0, done.stderr
-    note = "new/a: ground truth s3://dives/day/gt.csv, beside its log"
-    assert f"note: {note}" in done.stdout
-    told = json.loads(Path("new/evaluation/compare.json").read_text())
-    assert (told["old"], told["new"], told["notes"]) == ("s3://dives/old", "new", [note])
-    page = sonarrec("report", "--compare", "s3://dives/old", "new")
-    assert page.exit_code == 0, page.stderr
-    assert str(tmp_path) not in Path("new/compare.html").read_text()
-
-
 def test_truth_of_a_web_server_is_asked_for_by_its_name(sonarrec: Sonarrec, tmp_path: Path) -> None:
     """Of a file without any index page; of a folder of images it is the one inside."""
     site = tmp_path / "site"
@@ -375,28 +356,6 @@ def test_info_tells_of_a_log_there(sonarrec: Sonarrec) -> None:
     assert told.stdout.startswith("s3://dives/day/a.mcap: MCAP")
     assert "s3://dives/day/sonar.toml" in told.stdout
     assert told.stderr == "sonarrec: s3://dives/day/none.mcap: does not exist\n"
-
-
-def test_info_names_each_log_there_whose_radii_cannot_be_tried(
-    sonarrec: Sonarrec, s3: Any, day: Path
-) -> None:
-    logs = [f"s3://dives/bare/{name}.mcap" for name in "ab"]
-    for log in logs:
-        upload(s3, day / "a.mcap", log.removeprefix("s3://dives/"))
-    told = sonarrec("info", "--quick", "--try-radii", *logs)
-    assert told.exit_code == 1
-    for log in logs:
-        assert f"sonarrec: {log}: sonar geometry lacks range_min_m" in told.stderr
-
-
-@pytest.mark.usefixtures("s3")
-def test_the_path_of_the_sonar_by_results_there_is_that_by_local_ones(
-    sonarrec: Sonarrec, day: Path
-) -> None:
-    for out, path in (("s3://dives/out", "far.csv"), ("here", "near.csv")):
-        done = sonarrec("run", str(day / "a.mcap"), "-o", out, "-q", "--odometry-out", path)
-        assert done.exit_code == 0, done.stderr
-    assert Path("far.csv").read_bytes() == Path("near.csv").read_bytes()
 
 
 @pytest.mark.usefixtures("day")

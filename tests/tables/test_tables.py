@@ -118,3 +118,14 @@ def test_lines_behind_a_cell_beyond_all_measure_are_counted_on(tmp_path: Path) -
     path = tmp_path / "t.csv"
     path.write_text('a,b\n1,2\n3,"' + 50_000 * "long\n" + '"\n')
     assert [line_number(path, row) for row in (0, 1)] == [2, 3]
+
+
+@pytest.mark.parametrize("text", ["x" * 200_000, '"a\n' + 200_000 * "b\n", "a," * 5_000])
+def test_what_is_no_table_is_one_line(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(SonarrecError) as caught:
+        read_table(path, {"b": "whole"}, ("b",), "a,b")
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < len(str(path)) + 600
