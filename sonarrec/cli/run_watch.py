@@ -59,9 +59,8 @@ class RunWatch(Watch):
         self._start_time_s = monotonic()
         self._bars = ExitStack()
         self._show_frame: Callable[..., None] | None = None  # moves the bar of frames
-        self._show_bytes: Callable[[int, int | None], None] | None = None  # moves that of bytes
-        # Moves that of logs; None if one log runs at a time.
-        self._show_logs: Callable[[float, str], None] | None = None
+        self._show_bytes: Callable[..., None] | None = None  # moves that of bytes
+        self._show_logs: Callable[..., None] | None = None  # that of logs; None if one runs at once
 
     def __enter__(self) -> RunWatch:
         self.table.write()
@@ -211,7 +210,7 @@ class RunWatch(Watch):
         note = f"{len(self._outcomes)}/{len(self.tasks)} logs, {frames} frames, "
         note += f"{frames / max(monotonic() - self._start_time_s, 1e-3):.0f} frames/s"
         note += f", {failed} failed" if failed else ""
-        self._show_logs(len(self._outcomes) + sum(shares), note)
+        self._show_logs(len(self._outcomes) + sum(shares), note=note)
 
     @contextmanager
     def _over_the_bar(self) -> Iterator[None]:
