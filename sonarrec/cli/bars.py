@@ -35,9 +35,8 @@ def _bar(quiet: bool, *, own: bool = False, **look: Any) -> Iterator[Move]:
 
         if own:
             descriptor = os.dup(sys.stderr.fileno())
-            file = stack.enter_context(os.fdopen(descriptor, "w", encoding=sys.stderr.encoding))
-            look["file"] = file
-            move(0)
+            terminal = os.fdopen(descriptor, "w", encoding=sys.stderr.encoding)
+            look["file"] = stack.enter_context(terminal)
         yield move
 
 

@@ -97,26 +97,17 @@ class RunWatch(Watch):
         self._running[i] = 0, None
         if self._show_logs is None:
             self._bars.close()
-            self._show_frame = self._show_bytes = None
-            remote = self.tasks[i].remote
-            if remote is None or remote.log is None:
-                self._open_bar(i)
-
-    def _open_bar(self, i: int) -> None:
-        bar = progress(self.quiet, title=f"{self.tasks[i].name}{self._prefix(i)}")
-        self._show_frame = self._bars.enter_context(bar)
-
-    def fetching(self, i: int, arrived: int, total: int | None) -> None:
-        if self._show_bytes is None:
+            bar = progress(self.quiet, title=f"{self.tasks[i].name}{self._prefix(i)}")
+            self._show_frame = self._bars.enter_context(bar)
             self._show_bytes = self._bars.enter_context(fetching(self.quiet, self.tasks[i].path))
-        self._show_bytes(arrived, total)
+
+    def fetching(self, i: int, arrived: int, total: int | None) -> None:  # noqa: ARG002
+        if self._show_bytes is not None:
+            self._show_bytes(arrived, total)
 
     def frames(self, i: int, done: int, total: int | None) -> None:
         self._running[i] = done, total
         self.table.frames(i, done)
-        if self._show_logs is None and self._show_frame is None:
-            self._bars.close()  # the bar of bytes
-            self._open_bar(i)
         if self._show_frame is not None:
             self._show_frame(total)
         self._move_bar_of_logs()
@@ -141,11 +132,8 @@ class RunWatch(Watch):
                 text = outcome.message
                 if summary is not None:
                     passes = number_of(sum(summary.passes.values()), "pass", "es")
-                    parts = (
-                        number_of(summary.frames, "frame"),
-                        number_of(summary.candidates, "candidate"),
-                    )
-                    text = ", ".join([*parts, passes])
+                    text = f"{number_of(summary.candidates, 'candidate')}, {passes}"
+                    text = f"{number_of(summary.frames, 'frame')}, {text}"
                 how = f"{_in_words(outcome)}, {text}, {outcome.seconds:.1f} s"
                 tell([f"{task.path}{self._prefix(i)}: {how}"])
             self._print_ended()
@@ -247,16 +235,14 @@ class RunWatch(Watch):
         if outcome.summary is None:
             return document | {"message": outcome.message}
         sightings = outcome.summary.folder / "sightings.csv"
-        if self.box is None:
-            return document | as_json(outcome.summary, outcome.folder, sightings)
-        hidden_name = f".{task.name}.sightings.csv"  # local results are deleted after the upload
-        self.box.fetch(f"{task.name}/sightings.csv", hidden_name)
+        if self.box is not None:  # local results are deleted after the upload
+            sightings = self.box.folder / f".{task.name}.sightings.csv"
+            self.box.fetch(f"{task.name}/sightings.csv", sightings.name)
         try:
-            return document | as_json(
-                outcome.summary, outcome.folder, self.box.folder / hidden_name
-            )
+            return document | as_json(outcome.summary, outcome.folder, sightings)
         finally:
-            (self.box.folder / hidden_name).unlink(missing_ok=True)
+            if self.box is not None:
+                sightings.unlink(missing_ok=True)
 
 
 def _in_words(outcome: Outcome) -> str:
