@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 import click
 
 from sonarrec.cli.groups import FILE, Decorator, as_one, in_geometry, in_input, in_pixels
-from sonarrec.errors import UsageError, name_as_text
+from sonarrec.errors import UsageError
 from sonarrec.nouns import Clock, ColourMap
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
         for line in from_file or ():
             if from_file is not None and "\0" in line:
                 raise UsageError(
-                    f"--from-file {name_as_text(from_file.name)}: not a list of logs, "
+                    f"--from-file {from_file.name}: not a list of logs, "
                     "which is UTF-8 text with one LOG per line; to run a single log leave out "
                     "--from-file"
                 )

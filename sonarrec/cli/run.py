@@ -243,7 +243,7 @@ def _unquoted_glob_notes(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
     for folder, count in Counter(f.parent for f in files if names_an_image(f.name)).items():
         if count > 1:
             yield (
-                f"{name_as_text(folder)}: {count} of its images are each run as a log of one "
+                f"{folder}: {count} of its images are each run as a log of one "
                 "frame; give the folder, or quote the glob, to run them as one log"
             )
 

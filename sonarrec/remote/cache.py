@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.tables.locks import is_there, locked
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
@@ -29,9 +29,7 @@ class NoRoomError(SonarrecError):
 
 def unwritable(place: Path, error: OSError) -> SonarrecError:
     """The error to raise if a place in the cache cannot be written."""
-    return SonarrecError(
-        f"{name_as_text(place)}: cannot be written ({error.strerror}); choose another --cache"
-    )
+    return SonarrecError(f"{place}: cannot be written ({error.strerror}); choose another --cache")
 
 
 def size_bytes(text: str) -> int:
@@ -110,7 +108,7 @@ class Cache:
             if sum(sizes.values()) + count > self.limit:
                 raise NoRoomError(
                     f"{url}: {_size(count)} do not fit beside the logs in use in "
-                    f"{name_as_text(self.folder)} (at most {_size(self.limit)}); give a larger "
+                    f"{self.folder} (at most {_size(self.limit)}); give a larger "
                     "--cache-size"
                 )
             (entry / "bytes").write_text(str(count))

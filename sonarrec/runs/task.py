@@ -9,7 +9,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Literal
 
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import SonarrecError
 from sonarrec.remote.fetch import Progress, fetched
 from sonarrec.remote.run import RemotePlaces
 from sonarrec.results.folders import part_of
@@ -135,4 +135,4 @@ def _at_hand(
         except OSError as error:
             if error.filename is None:  # not a fault of the input
                 raise
-            raise SonarrecError(f"{name_as_text(error.filename)}: {error.strerror}") from None
+            raise SonarrecError(f"{error.filename}: {error.strerror}") from None

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
-from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import IMAGE_SUFFIXES
 
 Kind = Literal[
@@ -61,19 +61,15 @@ def check_output(
         images = glob.has_magic(str(place)) and not place.exists()  # a glob of images
         log = place.parent if images else place
         if _same(path, place) or _same(path, log):
-            raise UsageError(f"{name_as_text(path)}: this command reads it; write somewhere else")
+            raise UsageError(f"{path}: this command reads it; write somewhere else")
         if kind == "picture" and log.is_dir() and _same(path.parent, log):
-            raise UsageError(
-                f"{name_as_text(path)}: it would become part of the recording; write somewhere else"
-            )
+            raise UsageError(f"{path}: it would become part of the recording; write somewhere else")
     if not path.exists():
         above = next(place for place in path.parents if place.exists())
         if not above.is_dir():
-            raise UsageError(f"{name_as_text(path)}: {name_as_text(above)} is not a folder")
+            raise UsageError(f"{path}: {above} is not a folder")
         if not os.access(above, os.W_OK | os.X_OK):
-            raise UsageError(
-                f"{name_as_text(path)}: no permission to write in {name_as_text(above)}"
-            )
+            raise UsageError(f"{path}: no permission to write in {above}")
         return
     if not path.is_dir() and not path.is_file():
         return  # a device, such as /dev/null
@@ -81,7 +77,7 @@ def check_output(
         is_ours = is_output(path, kind, header)
     if not is_ours:
         raise UsageError(
-            f"{name_as_text(path)}: exists and is no {kind} of sonarrec, so it is not overwritten; "
+            f"{path}: exists and is no {kind} of sonarrec, so it is not overwritten; "
             "choose another name, or remove it first"
         )
 
@@ -111,8 +107,7 @@ def check_no_recording(folder: Path, ours: Iterable[str]) -> None:
             other = next((file for file in images if not is_output(file, "picture")), None)
         if other is not None:
             raise UsageError(
-                f"{name_as_text(folder)}: holds {name_as_text(other.name)}, so it may be a "
-                "recording; write somewhere else"
+                f"{folder}: holds {other.name}, so it may be a recording; write somewhere else"
             )
 
 
@@ -142,7 +137,7 @@ def writing(place: object) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = name_as_text(error.filename or place)
+        where = error.filename or place
         raise SonarrecError(f"{where}: cannot be written ({error.strerror})") from None
 
 

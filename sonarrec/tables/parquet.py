@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import SonarrecError
 from sonarrec.tables.outputs import replaced
 
 PARQUET = ".parquet"
@@ -69,9 +69,7 @@ def read_parts(path: Path, columns: Sequence[str] | None, rows: int | None) -> I
 
     for name in columns or ():
         if pa.types.is_nested(kind := file.schema_arrow.field(name).type):
-            raise SonarrecError(
-                f"{name_as_text(path)}: column {name} holds {kind}, not numbers or text"
-            )
+            raise SonarrecError(f"{path}: column {name} holds {kind}, not numbers or text")
     try:
         if rows is None:
             yield _plain(file.read(columns))
@@ -120,4 +118,4 @@ def _plain(table: Any) -> Any:
 
 def _unreadable(path: Path, error: Exception) -> SonarrecError:
     why = " ".join(str(error).split())[:200]
-    return SonarrecError(f"{name_as_text(path)}: not a readable Parquet table ({why})")
+    return SonarrecError(f"{path}: not a readable Parquet table ({why})")
