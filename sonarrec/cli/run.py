@@ -259,7 +259,6 @@ def _tasks(
 ) -> list[Task]:
     """A task for each log. out: the local folder of the results."""
     from sonarrec.remote.find import RemoteLog
-    from sonarrec.remote.run import RemotePlaces
     from sonarrec.runs.one import result_names
     from sonarrec.runs.task import Task
 
@@ -267,14 +266,14 @@ def _tasks(
     names = result_names([log if isinstance(log, RemoteLog) else log.path for log in logs])
     for log, name in zip(logs, names, strict=True):
         if isinstance(log, RemoteLog):
-            remote, path, up_to = log, log.url.redacted, None
+            remote, path, reading = log, log.url.redacted, log_options
         else:
-            remote, path, up_to = None, log.path, log.up_to
-        places = None
+            remote, path, reading = None, log.path, replace(log_options, up_to=log.up_to)
+        task = Task(path, name, str(out), reading, run_options, overwrite)
         if remote or outbox:
-            places = RemotePlaces(cache(), remote, outbox.url if outbox else None)
-        options = replace(log_options, up_to=up_to)
-        tasks.append(Task(path, name, str(out), options, run_options, overwrite, places))
+            to = outbox.url if outbox else None
+            task = replace(task, cache=cache(), server_log=remote, server_out=to)
+        tasks.append(task)
     return tasks
 
 

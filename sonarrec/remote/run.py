@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,18 +13,6 @@ from sonarrec.remote.cache import Cache
 from sonarrec.remote.fetch import CachedCopy, fetched, fetched_file, fetched_results
 from sonarrec.remote.find import RemoteLog, beside, find
 from sonarrec.remote.urls import Url, is_url
-
-
-@dataclass(frozen=True, slots=True)
-class RemotePlaces:
-    """The log and the results folder of one run, if they lie on servers; can be pickled.
-
-    log: to be fetched; None if it is local. out: the folder to upload to; None if it is local.
-    """
-
-    cache: Cache
-    log: RemoteLog | None = None
-    out: Url | None = None
 
 
 def all_logs(

@@ -10,8 +10,10 @@ from time import monotonic
 from typing import Literal
 
 from sonarrec.errors import SonarrecError
+from sonarrec.remote.cache import Cache
 from sonarrec.remote.fetch import Progress, fetched
-from sonarrec.remote.run import RemotePlaces
+from sonarrec.remote.find import RemoteLog
+from sonarrec.remote.urls import Url
 from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import LogOptions, existing_results
 from sonarrec.runs.one import Observe, Summary, process
@@ -32,7 +34,9 @@ class Task:
     log_options: LogOptions
     run_options: RunOptions
     overwrite: bool = False
-    remote: RemotePlaces | None = None  # set if the log or its results lie on a server
+    cache: Cache | None = None  # set if the log or its results lie on a server
+    server_log: RemoteLog | None = None
+    server_out: Url | None = None
     ahead: bool = False  # on two cores, see `two_cores`
 
 
@@ -114,20 +118,17 @@ def _at_hand(
     A log on a server is held in the cache; results for a server are uploaded at the end. A file
     that cannot be opened inside raises SonarrecError, so that it costs this log only.
     """
-    remote = task.remote
     path, log_options = Path(task.path), task.log_options
     renamed: Callable[[str], str] = str
     with ExitStack() as stack:
-        if remote is not None and remote.log is not None:
-            local_log = stack.enter_context(fetched(remote.log, remote.cache, fetching))
-            path, log_options = (
-                local_log.path,
-                replace(log_options, up_to=local_log.up_to, origin=local_log.origin),
-            )
-        if remote is not None and remote.out is not None:
+        if task.cache is not None and task.server_log is not None:
+            copy = stack.enter_context(fetched(task.server_log, task.cache, fetching))
+            path = copy.path
+            log_options = replace(log_options, up_to=copy.up_to, origin=copy.origin)
+        if task.cache is not None and task.server_out is not None:
             from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
 
-            box = Outbox(remote.out, remote.cache)
+            box = Outbox(task.server_out, task.cache)
             renamed = box.origin.with_server_names
             stack.enter_context(box.results(task.name, upload=upload))
         try:
