@@ -23,7 +23,7 @@ from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, TABLES
 
 if TYPE_CHECKING:
-    from sonarrec.remote.store import Item, Store
+    from sonarrec.remote.store import Item
 
 RESULTS = frozenset({"run.toml", *TABLES, *ESTIMATES})
 """The files of results that are fetched. Without run.toml, uploaded last, they are unfinished."""
@@ -86,31 +86,26 @@ def fetched_results(text: str, cache: Cache) -> Iterator[CachedCopy]:
 
     url = parse_url(text)
     store = Store(url)
-    items, unfinished = _finished(store, url)
-    unused = [url] if unfinished else []
-    if not items and not unfinished:
-        for name in store.listing(url)[1]:
-            finished, unfinished = _finished(store, url.child(name))
-            items += finished
-            unused += [url.child(name)] if unfinished else []
-    lines = tuple(
-        f"{folder.redacted}: left out because its upload is not finished (it has no run.toml)"
-        for folder in unused
-    )
+
+    def results_in(folder: Url) -> list[Item]:
+        return [item for item in store.listing(folder)[0] if item.url.name in RESULTS]
+
+    found = {url: results_in(url)}
+    if not found[url]:
+        folders = [url.child(name) for name in store.listing(url)[1]]
+        found = {folder: results_in(folder) for folder in folders}
+    items, unfinished = list[Item](), list[str]()
+    for folder, there in found.items():
+        if {"run.toml", "frames.csv"} <= {item.url.name for item in there}:
+            items += there
+        elif there:
+            why = "left out because its upload is not finished (it has no run.toml)"
+            unfinished.append(f"{folder.redacted}: {why}")
     if not items:
-        raise SonarrecError(
-            lines[0] if lines else f"{url.redacted}: holds no results of `sonarrec run`"
-        )
+        none = f"{url.redacted}: holds no results of `sonarrec run`"
+        raise SonarrecError(unfinished[0] if unfinished else none)
     with _kept(url, url.parent, store.described(items), cache) as (files, origin):
-        yield CachedCopy(files / relative(url, url.parent), origin, unused=lines)
-
-
-def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
-    """(the files of the results in a folder if they are finished, whether they are unfinished)."""
-    there = [item for item in store.listing(folder)[0] if item.url.name in RESULTS]
-    if {"run.toml", "frames.csv"} <= {item.url.name for item in there}:
-        return there, False
-    return [], bool(there)
+        yield CachedCopy(files / relative(url, url.parent), origin, unused=tuple(unfinished))
 
 
 @contextmanager
