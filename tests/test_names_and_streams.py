@@ -229,20 +229,6 @@ def test_a_disc_that_no_sonar_sees_is_refused(tmp_path: Path, radius: str, prese
     assert "radius_m" in done.stderr
 
 
-def test_a_file_of_dots_keeps_its_results_in_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("...mcap", "...sonar.toml"):
-        suffix = name.removeprefix("..")
-        shutil.copy(ROOT / "sample_data" / f"pan{suffix}", tmp_path / name)
-    (tmp_path / "deep").mkdir()
-    monkeypatch.chdir(tmp_path)
-    words = ["run", "-q", "...mcap", "-o", "deep/out", "--sonar", str(SAMPLE / "sonar.toml")]
-    assert CliRunner().invoke(main, [*words, "--frames", ":2"]).exit_code == 0
-    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["out"]
-    assert {p.name for p in (tmp_path / "deep" / "out").iterdir()} == {"log", "logs.csv"}
-
-
 def test_a_method_s_name_cannot_steer_the_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -296,13 +296,6 @@ def test_unreadable_image_in_the_middle(pings: Path) -> None:
     assert "000004.png" in run["input"]["problems"][0]
 
 
-def test_no_image_can_be_read(pings: Path) -> None:
-    for path in pings.glob("*.png"):
-        path.write_bytes(b"no image")
-    one_line_fault("run", pings)
-    assert not Path("sonarrec_out/pings").exists()
-
-
 def test_no_geometry(pings: Path) -> None:
     (pings / "sonar.toml").unlink()
     message = one_line_fault("run", pings)
@@ -371,12 +364,6 @@ def test_settings_that_cannot_be_meant(pings: Path, options: tuple[str, ...], wo
     assert not Path("sonarrec_out").exists()
 
 
-def test_clicks_own_usage_errors(pings: Path) -> None:
-    assert "Usage" in sonarrec("run", code=2).stderr
-    assert "--nonsense" in sonarrec("run", pings, "--nonsense", code=2).stderr
-    assert "--seed" in sonarrec("run", pings, "--seed", "-1", code=2).stderr
-
-
 @pytest.fixture
 def processed(pings: Path) -> Path:
     sonarrec("run", pings)
@@ -397,12 +384,6 @@ def test_truth_of_frames_that_were_not_processed() -> None:
     assert "not processed" in told.stderr
     write_truth(lambda text: text.splitlines()[0] + "\n500,1,100,100,1.75,0,1.0,0\n")
     assert "none of" in one_line_fault("evaluate", "--ground-truth", "gt.csv")
-
-
-@pytest.mark.usefixtures("work")
-def test_evaluate_without_results() -> None:
-    write_truth(str)
-    assert "sonarrec run" in one_line_fault("evaluate", "--ground-truth", "gt.csv", code=2)
 
 
 def test_another_programs_results(work: Path) -> None:

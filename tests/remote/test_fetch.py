@@ -72,15 +72,6 @@ def test_a_transfer_that_breaks_off_is_tried_again(site: Path, cache: Cache) -> 
         assert len(web.gets("a.mcap")) == 4
 
 
-def test_it_is_tried_three_times_again_then_given_up(site: Path, cache: Cache) -> None:
-    noise(site / "a.mcap")
-    with web_server(site, broken=99) as web:
-        told = rf"{web.url}/a\.mcap: failed, also in 3 retries \("
-        with pytest.raises(SonarrecError, match=told), fetched(f"{web.url}/a.mcap", cache):
-            pass
-        assert len(web.gets("a.mcap")) == 4
-
-
 def test_a_log_that_changes_while_it_is_fetched_is_told(site: Path, cache: Cache) -> None:
     noise(site / "a.mcap")
 

@@ -18,17 +18,14 @@ from typing import Any
 class Web:
     """A web server over a folder, and how it behaves.
 
-    ranges: it serves parts of files. lengths: it tells how long files are. broken: how many more
-    answers break off in the middle. busy: how many more GETs are answered by 503.
+    lengths: it tells how long files are. broken: how many more answers break off in the middle.
     asked: (method, path, Range or "") of every request.
     """
 
     folder: Path
-    ranges: bool = True
     lengths: bool = True
     tags: bool = True
     broken: int = 0
-    busy: int = 0
     port: int = 0
     asked: list[tuple[str, str, str]] = field(default_factory=list)
 
@@ -73,14 +70,10 @@ def web_server(folder: Path, **how: Any) -> Iterator[Web]:
             if not path.is_file():
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
-            if web.busy and body:
-                web.busy -= 1
-                self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
-                return
             data = path.read_bytes()
             whole = len(data)
             asked = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
-            if asked and web.ranges:
+            if asked:
                 start = int(asked[1])
                 data = data[start : int(asked[2]) + 1 if asked[2] else None]
                 self.send_response(HTTPStatus.PARTIAL_CONTENT)

@@ -17,8 +17,6 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.plots import draw_roc
-from sonarrec.mapping.picture import draw_map
 from sonarrec.tables.outputs import replaced, with_mark, write_csv, write_text, writing
 from tests.support.slow import but_first
 
@@ -323,24 +321,6 @@ def test_what_is_replaced_keeps_its_links_and_rights(tmp_path: Path) -> None:
     assert link.is_symlink()
     assert contents(path.parent) == {path: b"second"}
     assert path.stat().st_mode & 0o777 == 0o600
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("line", "names"),
-    [(EVALUATE, ["evaluation/roc.png"]), (f"map {TABLES}", ["map/map.png", "map/map.geojson"])],
-)
-def test_outputs_of_earlier_versions_are_written_again(
-    work: Path, line: str, names: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Which bore no mark."""
-    assert sonarrec(f"{line} -q").exit_code == 0
-    monkeypatch.setattr("sonarrec.evaluation.write.draw_roc", draw_roc)  # as users have them
-    monkeypatch.setattr("sonarrec.mapping.write.draw_map", draw_map)
-    for name in names:
-        (work / TABLES / name).write_bytes(b"as it was")
-    assert sonarrec(f"{line} -q").exit_code == 0
-    assert not any(b"as it was" in data for data in contents(work).values())
 
 
 def test_a_pipe_is_written_itself(tmp_path: Path) -> None:

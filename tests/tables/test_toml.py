@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
 from sonarrec.config import SECTIONS, Config, configs, with_assignments
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
@@ -126,28 +124,6 @@ def test_a_run_toml_that_cannot_be_meant(stated: str, says: str, tmp_path: Path)
     path = tmp_path / "run.toml"
     path.write_text(stated)
     assert says in one_line(lambda: read_run(path), path)
-
-
-@pytest.mark.parametrize("stated", ["sonar = 3\n", "[input]\nsha256 = 3\n"])
-def test_no_command_breaks_on_it(stated: str, tmp_path: Path) -> None:
-    """run, evaluate, report, overlay and truth propose: one line, exit code 1 or 2."""
-    log, results = SAMPLE, tmp_path / "pan"
-    results.mkdir()
-    (results / "frames.csv").write_text("frame,timestamp_ns,candidates,tracks\n0,0,0,0\n")
-    (results / "estimates.csv").write_text("frame,method,object,landmark,score,declared\n")
-    run = results / "run.toml"
-    run.write_text(stated)
-    for arguments in (
-        ["run", str(log), "--config", str(run), "--out", str(tmp_path / "out")],
-        ["evaluate", str(results), "--ground-truth", str(log / "gt.csv")],
-        ["report", str(results)],
-        ["overlay", str(log), str(results), "--mcap", str(tmp_path / "o.mcap")],
-        ["truth", "propose", str(results), "--out", str(tmp_path / "gt.csv")],
-    ):
-        told = CliRunner().invoke(main, arguments)
-        assert told.exit_code in (1, 2), (arguments, told.output)
-        assert isinstance(told.exception, SystemExit), (arguments, told.exception)
-        assert "run.toml" in told.output, (arguments, told.output)
 
 
 def test_names_no_file_can_have() -> None:
