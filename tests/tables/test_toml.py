@@ -27,7 +27,6 @@ LINES = ["smeared_bias = 0\n", *(f"{name} = {CURVE}\n" for name in FEATURES)]
 SET = 'name = "x"\nradius_m = 1\nring = [0.5, 1]\nsymbol = [0, 0.5]\n'
 
 TABLES = ("input", "sonar", "fan", "landmarks", "odometry", "model")
-SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 
 # reader, what of its file is sound, a number in it
 READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {
