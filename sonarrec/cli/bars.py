@@ -40,16 +40,20 @@ def _bar(quiet: bool, *, own: bool = False, **look: Any) -> Iterator[Move]:
         yield move
 
 
+def progress_of_frames(
+    quiet: bool, total: int | None = None, title: str | None = None
+) -> AbstractContextManager[Move]:
+    """A progress bar over frames. title: text before it."""
+    # It has its own file descriptor, because readers redirect that of stderr while they decode.
+    return _bar(quiet, own=True, total=total, desc=title, unit="frame")
+
+
 @contextmanager
 def progress(
     quiet: bool, total: int | None = None, title: str | None = None
 ) -> Iterator[Callable[..., None]]:
-    """A progress bar over frames. title: text before it.
-
-    Yields a function to call after each frame: step(total=None, note="").
-    """
-    # It has its own file descriptor, because readers redirect that of stderr while they decode.
-    with _bar(quiet, own=True, total=total, desc=title, unit="frame") as move:
+    """The same, by a function to call after each frame: step(total=None, note="")."""
+    with progress_of_frames(quiet, total, title) as move:
         frames = count(1)
         yield lambda total=None, note="": move(next(frames), total, note)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.bars import fetching, progress, progress_of_logs
+from sonarrec.cli.bars import fetching, progress_of_frames, progress_of_logs
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, say, tell
 from sonarrec.errors import MissingError, SonarrecError, number_of, printable
 from sonarrec.results.folders import MADE, PAGES
@@ -97,7 +97,7 @@ class RunWatch(Watch):
         self._running[i] = 0, None
         if self._show_logs is None:
             self._bars.close()
-            bar = progress(self.quiet, title=f"{self.tasks[i].name}{self._prefix(i)}")
+            bar = progress_of_frames(self.quiet, title=f"{self.tasks[i].name}{self._prefix(i)}")
             self._show_frame = self._bars.enter_context(bar)
             self._show_bytes = self._bars.enter_context(fetching(self.quiet, self.tasks[i].path))
 
@@ -109,7 +109,7 @@ class RunWatch(Watch):
         self._running[i] = done, total
         self.table.frames(i, done)
         if self._show_frame is not None:
-            self._show_frame(total)
+            self._show_frame(done, total)
         self._move_bar_of_logs()
 
     def ended(self, i: int, outcome: Outcome) -> None:
