@@ -16,7 +16,6 @@ from sonarrec.cli.groups import (
     ANY,
     FILE,
     NEW_FILE,
-    Decorator,
     FiniteRange,
     GroupedCommand,
     file_names,
@@ -27,6 +26,7 @@ from sonarrec.cli.groups import (
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
 
+NEW = "A new file; an existing one is not overwritten."
 MOST_FAULTS = 20
 """Printed of one kind."""
 MOST_TRACKS = 40
@@ -43,11 +43,6 @@ def truth() -> None:
       sonarrec truth check gt.csv pings/
       sonarrec truth propose sonarrec_out/pings
     """
-
-
-def _new_file_option(default: str) -> Decorator:
-    text = "A new file; an existing one is not overwritten."
-    return options.out(NEW_FILE, text, default=Path(default))
 
 
 def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> Any:
@@ -84,7 +79,7 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
 )
 @log_options()
 @options.landmarks
-@_new_file_option("gt.csv")
+@options.out(NEW_FILE, NEW, default=Path("gt.csv"))
 @options.quiet
 def convert(
     annotations: Path,
@@ -226,7 +221,7 @@ def check(
     default=8,
     help="Longest gap in a track that is filled in, frames.",
 )
-@_new_file_option("gt_proposed.csv")
+@options.out(NEW_FILE, NEW, default=Path("gt_proposed.csv"))
 @options.quiet
 def propose(
     results: Path, method: str, min_score: float, max_gap: int, out: Path, quiet: bool

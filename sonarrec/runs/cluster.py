@@ -57,7 +57,10 @@ def run_on_cluster(
             if future.status == "finished":
                 watch.ended(i, future.result())
             else:
-                watch.ended(i, Outcome("failed", error=_loss(tasks[i], future)))
+                gone = f"the scheduler gave up on it ({future.status})"
+                why = future.exception() if future.status == "error" else gone
+                lost = SonarrecError(f"{tasks[i].path}: {why}")
+                watch.ended(i, Outcome("failed", error=lost))
             future.release()
 
 
@@ -100,9 +103,3 @@ def _run_on_worker(task: Task, folder: Path, timeout_s: float | None) -> Outcome
         if not isinstance(outcome.error, LockedError) or monotonic() > give_up:
             return outcome
         sleep(1)
-
-
-def _loss(task: Task, future: Any) -> SonarrecError:
-    if future.status == "error":
-        return SonarrecError(f"{task.path}: {future.exception()}")
-    return SonarrecError(f"{task.path}: the scheduler gave up on it ({future.status})")

@@ -399,15 +399,14 @@ def position_pair(path: Path, table: Table) -> tuple[str, FloatArray, FloatArray
             continue
         first, second = (table[name] for name in pair)
         blank = np.isnan(first) | np.isnan(second)
-        row = int(np.argmax(blank)) if blank.any() else None
-        if row is not None:
-            fault = f"{path} line {line_number(path, row)}: {' or '.join(pair)} is empty"
-            if not blank.all():
-                raise SonarrecError(fault)
-            if not (np.isnan(first) & np.isnan(second)).all():
-                half = fault
-            continue
-        return kind, first, second
+        if not blank.any():
+            return kind, first, second
+        line = line_number(path, int(np.argmax(blank)))
+        fault = f"{path} line {line}: {' or '.join(pair)} is empty"
+        if not blank.all():
+            raise SonarrecError(fault)
+        if not (np.isnan(first) & np.isnan(second)).all():
+            half = fault
     if half is not None:
         raise SonarrecError(half)
     return None
