@@ -386,24 +386,6 @@ def test_truth_of_frames_that_were_not_processed() -> None:
     assert "none of" in one_line_fault("evaluate", "--ground-truth", "gt.csv")
 
 
-def test_another_programs_results(work: Path) -> None:
-    """Scored from frames.csv and estimates.csv alone, by range and bearing."""
-    write_truth(str)
-    mine = work / "mine"
-    mine.mkdir()
-    (mine / "frames.csv").write_text("frame\n" + "".join(f"{n}\n" for n in range(10)))
-    rows = [r for r in table(Path("gt.csv")) if float(r["visible"]) >= 0.9]
-    assert rows
-    lines = [
-        f"{r['frame']},theirs,{r['range_m']},{r['bearing_deg']},{r['landmark']},0.9,1" for r in rows
-    ]
-    (mine / "estimates.csv").write_text(
-        "frame,method,range_m,bearing_deg,landmark,score,declared\n" + "\n".join(lines) + "\n"
-    )
-    sonarrec("evaluate", "--ground-truth", "gt.csv", "mine")
-    assert rates(mine)["strict", "theirs"] == (1.0, 0.0)
-
-
 # The least it must show
 
 

@@ -223,26 +223,6 @@ def test_status_tells_the_table_while_it_grows_and_after(tmp_path: Path) -> None
     assert told.stdout.startswith("2 logs: 2 done\n40 frames, 0 unusable")
 
 
-def test_the_rate_is_of_runs_not_of_looking_whether_all_is_up_to_date(tmp_path: Path) -> None:
-    (log,) = made(tmp_path, "a", frames=1)
-    out = tmp_path / "out"
-    sonarrec("run", log, "-o", out, "-q")
-    took = rows(out)["a"]["seconds"]
-    sonarrec("run", log, "-o", out, "-q")
-    assert rows(out)["a"]["seconds"] == took
-    for lost in (None, f"{','.join(COLUMNS)}\na,a,failed,0,0,0.01,0,in use\n"):
-        (out / "logs.csv").unlink()
-        if lost is not None:
-            (out / "logs.csv").write_text(lost)
-        sonarrec("run", log, "-o", out, "-q")
-        assert rows(out)["a"]["seconds"] == "0.0"
-        assert "frames/s" not in sonarrec("status", out).stdout
-
-
-def test_status_without_a_table(tmp_path: Path) -> None:
-    assert "no such file" in sonarrec("status", tmp_path, code=2).stderr
-
-
 @pytest.mark.parametrize("text", ["", "no table at all", "day,diver\n"])
 def test_status_of_what_is_no_such_table(text: str, tmp_path: Path) -> None:
     (tmp_path / "logs.csv").write_text(text)

@@ -139,19 +139,6 @@ def test_a_fault_comes_behind_the_results_before_it(
 
 
 @forks
-def test_what_is_done_in_the_process_keeps_its_state_there() -> None:
-    seen: list[int] = []
-
-    def so_far(n: int) -> int:
-        seen.append(n)
-        return sum(seen)
-
-    with two_cores() as (_, in_order):
-        assert [*in_order(so_far, range(5))] == [0, 1, 3, 6, 10]
-    assert seen == []
-
-
-@forks
 def test_a_process_that_is_killed_is_told() -> None:
     def dies(n: int) -> int:
         if n == 3:

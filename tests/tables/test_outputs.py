@@ -16,8 +16,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.errors import SonarrecError
-from sonarrec.tables.outputs import replaced, with_mark, write_csv, write_text, writing
+from sonarrec.tables.outputs import replaced, with_mark, write_csv, write_text
 from tests.support.slow import but_first
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
@@ -132,21 +131,6 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
     after = contents(work)
     assert {path: after.get(path) for path in before} == before
     assert not set(after) - set(before)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "truth check gt.csv nope.mcap",
-        "overlay nope.mcap --images shots",
-        "info nope.mcap --preview a.png",
-    ],
-)
-@pytest.mark.usefixtures("work")
-def test_a_log_that_is_not_there_is_what_is_told(line: str) -> None:
-    done = sonarrec(line)
-    assert done.exit_code == 2
-    assert done.stderr == "sonarrec: nope.mcap: no such file or folder\n"
 
 
 @pytest.mark.parametrize(
@@ -339,18 +323,3 @@ def test_a_marked_png_is_the_same_picture() -> None:
     data = with_mark(cv2.imencode(".png", picture)[1].tobytes())
     read = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(read, picture)
-
-
-@pytest.mark.parametrize(
-    ("fault", "told"),
-    [
-        ((errno.ENOSPC, "No space left on device"), "maps: cannot be written (No space left"),
-        ((errno.EACCES, "Permission denied", "maps/a.csv"), "maps/a.csv: cannot be written (Perm"),
-    ],
-)
-def test_what_the_disk_refuses_names_the_file_where_it_is_known(
-    fault: tuple[object, ...], told: str
-) -> None:
-    with pytest.raises(SonarrecError) as raised, writing("maps"):
-        raise OSError(*fault)
-    assert str(raised.value).startswith(told)
