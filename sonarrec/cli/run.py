@@ -14,16 +14,9 @@ from typing import IO, TYPE_CHECKING
 
 import click
 
-from sonarrec.cli import options
+from sonarrec.cli import options, options_log
 from sonarrec.cli.endings import FAILED, INTERRUPTED, PARTLY, TERMINATED, leave, say, tell
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_batch, in_input, in_output
-from sonarrec.cli.options_log import (
-    LogChoice,
-    log_options,
-    many_logs_options,
-    named_logs,
-    odometry_options,
-)
 from sonarrec.errors import SonarrecError, UsageError, name_as_text, number_of
 
 if TYPE_CHECKING:
@@ -35,13 +28,13 @@ if TYPE_CHECKING:
     from sonarrec.runs.task import Task
 
 
-_ODOMETRY = odometry_options(in_input)
+_ODOMETRY = options_log.odometry_options(in_input)
 
 
 @command(short_help="Recognise the landmarks in logs.")
 @click.argument("log", shell_complete=file_names, nargs=-1)
-@many_logs_options
-@log_options(time=True)
+@options_log.many_logs_options
+@options_log.log_options(time=True)
 @options.landmarks
 @_ODOMETRY["odometry"]
 @_ODOMETRY["odometry_topic"]
@@ -105,7 +98,7 @@ def run(
     log: tuple[str, ...],
     recursive: bool,
     from_file: IO[str] | None,
-    log_choice: LogChoice,
+    log_choice: options_log.LogChoice,
     landmarks: str | None,
     odometry: Path | None,
     odometry_topic: str | None,
@@ -171,7 +164,7 @@ def run(
     run_options.check()
     if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
         raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
-    logs = named_logs(log, from_file, recursive)
+    logs = options_log.named_logs(log, from_file, recursive)
     tell([], _unquoted_glob_notes(logs))
     if odometry is not None and len(logs) > 1:
         from sonarrec.readers.poses_csv import read_poses
