@@ -94,7 +94,8 @@ def fetched_results(text: str, cache: Cache) -> Iterator[CachedCopy]:
     if not found[url]:
         folders = [url.child(name) for name in store.listing(url)[1]]
         found = {folder: results_in(folder) for folder in folders}
-    items, unfinished = list[Item](), list[str]()
+    items: list[Item] = []
+    unfinished: list[str] = []
     for folder, there in found.items():
         if {"run.toml", "frames.csv"} <= {item.url.name for item in there}:
             items += there

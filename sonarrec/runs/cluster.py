@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import closing
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -95,11 +96,11 @@ def _check_address(dask: Any, address: str) -> None:
 
 def _run_on_worker(task: Task, folder: Path, timeout_s: float | None) -> Outcome:
     """Run a task in a process of its own; called on a worker. folder: to which its paths relate."""
-    processes = Processes(timeout_s, folder if folder.is_dir() else None)
     give_up = monotonic() + 2 * GRACE_S
-    while True:
-        outcome = processes.run(task)
-        # The process of a lost worker may still be writing its results.
-        if not isinstance(outcome.error, LockedError) or monotonic() > give_up:
-            return outcome
-        sleep(1)
+    with closing(Processes(timeout_s, folder if folder.is_dir() else None)) as processes:
+        while True:
+            outcome = processes.run(task)
+            # The process of a lost worker may still be writing its results.
+            if not isinstance(outcome.error, LockedError) or monotonic() > give_up:
+                return outcome
+            sleep(1)

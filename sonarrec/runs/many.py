@@ -1,4 +1,4 @@
-"""Runs logs, each in a process of its own, so that a crash or a lack of memory costs one log only.
+"""Runs logs in separate processes, so that a crash or a lack of memory costs one log only.
 
 Tasks, the numbers of frames done and Outcomes are pickled: both ends are the same program.
 """
@@ -13,11 +13,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from threading import Lock, Thread, Timer
 from time import monotonic, sleep
+from typing import IO
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import FrameResult
@@ -86,7 +88,7 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
         if outcome.status != "waiting":
             tell(watch.ended, i, outcome)
 
-    with ThreadPoolExecutor(jobs) as threads:
+    with closing(processes), ThreadPoolExecutor(jobs) as threads:
         try:
             futures = [threads.submit(work, i, task) for i, task in enumerate(tasks)]
             for ended in as_completed(futures):
@@ -98,12 +100,13 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
 
 
 class Processes:
-    """Runs logs in processes of their own; each call of `run` waits for its one."""
+    """Runs logs in processes: in one that an earlier log has left, else in a new one."""
 
     def __init__(self, timeout_s: float | None = None, folder: Path | None = None) -> None:
         """timeout_s: how long one log may take; None: no limit. folder: to which paths relate."""
         self._timeout_s = timeout_s
         self._folder = folder
+        self._idle = list[tuple[Child, IO[bytes]]]()  # with the file of what each prints
         self._running = set[Child]()
         self._starting = Lock()
         self._stopped = False
@@ -127,41 +130,43 @@ class Processes:
             if self._stopped:
                 return Outcome("waiting")
             try:
-                printed = TemporaryFile()  # noqa: SIM115 - closed below
-                child = self._start(printed.fileno())
+                child, printed = self._idle.pop() if self._idle else self._start()
             except OSError as error:  # no memory, file descriptors or disk space
                 return failed(f"no process could be started for it ({error.strerror})")
             self._running.add(child)
         timer = Timer(limit_s or 0, _end, [child])
-        with printed, child:
-            try:
-                if limit_s is not None:
-                    timer.start()
-                outcome = _listen(child, task, frames)
-            finally:
-                timer.cancel()
-                _wait_or_kill(child)
-                self._running.discard(child)
-            if outcome is not None:
-                return outcome
-            if self._stopped:
-                return Outcome("waiting")
-            if limit_s is not None and monotonic() - start_s >= limit_s:
-                return failed(f"took more than {limit_s:g} s (--timeout)")
-            if child.returncode >= 0:
-                printed.seek(0)
-                fault = printed.read().decode(errors="replace")
-                return failed("a bug in sonarrec ended its process; the traceback is above", fault)
-            number = -child.returncode
-            name = (
-                signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
-            )
-            memory = " (out of memory?)" if name == "SIGKILL" else ""
-            return failed(f"its process was ended by {name}{memory}")
+        if limit_s is not None:
+            timer.start()
+        try:
+            outcome = _listen(child, task, frames)
+        finally:
+            timer.cancel()
+        late = limit_s is not None and monotonic() - start_s >= limit_s
+        self._running.discard(child)
+        if outcome is not None and not late:
+            self._idle.append((child, printed))
+            return outcome
+        said = _said_until_its_end(child, printed)
+        if self._stopped:
+            return Outcome("waiting")
+        if late:
+            return failed(f"took more than {limit_s:g} s (--timeout)")
+        if child.returncode >= 0:
+            return failed("a bug in sonarrec ended its process; the traceback is above", said)
+        number = -child.returncode
+        name = signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
+        memory = " (out of memory?)" if name == "SIGKILL" else ""
+        return failed(f"its process was ended by {name}{memory}")
 
-    def _start(self, printed: int) -> Child:
-        """A process that waits for its task. printed: the file of what it prints."""
-        return subprocess.Popen(
+    def close(self) -> None:
+        """End the processes that wait for another log."""
+        for child, printed in self._idle:
+            _said_until_its_end(child, printed)
+
+    def _start(self) -> tuple[Child, IO[bytes]]:
+        """A process that waits for tasks, and the file of what it prints, such as a traceback."""
+        printed = TemporaryFile()  # noqa: SIM115 - as long as the process
+        child = subprocess.Popen(
             [sys.executable, "-c", _START, json.dumps(sys.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -170,6 +175,7 @@ class Processes:
             env=os.environ | _ONE_THREAD,
             start_new_session=True,
         )
+        return child, printed
 
 
 def _listen(child: Child, task: Task, frames: Frames | None) -> Outcome | None:
@@ -200,8 +206,19 @@ def _wait_or_kill(child: Child) -> None:
         child.kill()
 
 
+def _said_until_its_end(child: Child, printed: IO[bytes]) -> str:
+    """Wait for a process to end, for which there is no other task; what it has printed."""
+    with child, printed:
+        assert child.stdin is not None
+        with suppress(OSError):
+            child.stdin.close()
+        _wait_or_kill(child)
+        printed.seek(0)
+        return printed.read().decode(errors="replace")
+
+
 def main() -> None:
-    """The process of a log: its task comes on stdin, the outcome goes to stdout.
+    """The process that runs logs: tasks come on stdin, progress and outcomes go to stdout.
 
     After SIGTERM, or if the parent dies, the frames so far are kept.
     """
@@ -210,7 +227,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C on the terminal; the parent sends SIGTERM
     signal.signal(signal.SIGTERM, _stop)
     Thread(target=_watch_parent, args=(os.getppid(),), daemon=True).start()
-    frames, last = 0, 0.0
+    frames, last = 0, 0.0  # of this task; when they were sent
 
     def send(message: object) -> None:
         pickle.dump(message, pipe)
@@ -224,16 +241,24 @@ def main() -> None:
             send((frames, total))
 
     try:
-        task: Task = pickle.load(sys.stdin.buffer)
-        try:
-            outcome = run_task(task, observe)
-        except MemoryError:
-            outcome = Outcome("failed", error=SonarrecError(f"{task.path}: not enough memory"))
-        send(outcome)
+        while (task := _next_task()) is not None:
+            frames = 0
+            try:
+                outcome = run_task(task, observe)
+            except MemoryError:
+                outcome = Outcome("failed", error=SonarrecError(f"{task.path}: not enough memory"))
+            send(outcome)
     except KeyboardInterrupt:
         os._exit(128 + signal.SIGTERM)
     except BrokenPipeError:
         os._exit(1)
+
+
+def _next_task() -> Task | None:
+    with suppress(EOFError):
+        task: Task = pickle.load(sys.stdin.buffer)
+        return task
+    return None
 
 
 def _watch_parent(parent: int) -> None:
