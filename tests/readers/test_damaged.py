@@ -161,3 +161,23 @@ def test_a_changed_file_is_told_or_reads_as_before(make: Make, tmp_path: Path) -
             assert lines or usable == len(IMAGES) or not found.images
         assert not [line for line in lines if "\n" in line or len(line) > 1000]
     assert most > len(IMAGES) // 2 or path.suffix == ".bag"  # whose one chunk holds all
+
+
+@pytest.mark.parametrize("kind", ["aris", "didson", "oculus"])
+@pytest.mark.parametrize("lost", [100, 900, -700])
+def test_lost_or_strange_bytes_cost_the_frames_they_lie_in(
+    kind: str, lost: int, tmp_path: Path
+) -> None:
+    """Reading goes on at the next header; every other frame keeps its image and its time."""
+    path, whole = made(CORPUS[kind], tmp_path)
+    data, before = path.read_bytes(), {frame.timestamp_ns: frame.image for frame in whole}
+    for k in range(2, 9):
+        at = len(data) * k // 10
+        path.write_bytes(data[:at] + (data[at + lost :] if lost > 0 else bytes(-lost) + data[at:]))
+        found, lines = read(path)
+        times = [frame.timestamp_ns for frame in found]
+        assert times == sorted(set(times))
+        for frame in found:
+            np.testing.assert_array_equal(frame.image, before[frame.timestamp_ns])
+        assert len(whole) - 2 <= len(found)
+        assert lines

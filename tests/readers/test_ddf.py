@@ -404,47 +404,12 @@ def test_a_damaged_header_costs_its_frame_alone(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("lost", "left", "says"),
-    [
-        (100, [0, 1, 3, 4, 5, 6, 7], "frame 2: only 3996 of its 4096 bytes are there"),
-        (-700, [0, 1, 3, 4, 5, 6, 7], "frame 2: 4796 bytes up to the next frame, in place of 4096"),
-        (4096 + 1000, [0, 1, 3, 4, 5, 6], "frame 2: only 3096 of its 4096 bytes are there"),
-        (-3 * 4096, [0, 1, 6, 7, 8, 9, 10], "about 4 frames are lost from frame 2 on"),
-    ],
-)
-def test_bytes_lost_or_too_many_cost_the_frame_they_lie_in(
-    lost: int, left: list[int], says: str, tmp_path: Path
-) -> None:
-    path = aris_file(tmp_path / "a.aris", frames(8, 64, 48))
-    whole, _, _ = read(path)
-    data = path.read_bytes()
-    at = 1024 + 2 * 4096 + 3000  # inside the samples of frame 2
-    path.write_bytes(data[:at] + (data[at + lost :] if lost > 0 else bytes(-lost) + data[at:]))
-    found, problems, _ = read(path)
-    assert [frame.index for frame in found] == left
-    before = {frame.timestamp_ns: frame.image for frame in whole}
-    for frame in found:
-        np.testing.assert_array_equal(frame.image, before[frame.timestamp_ns])
-    assert any(says in line for line in problems)
-
-
 def test_what_follows_the_last_frame_is_told(tmp_path: Path) -> None:
     path = aris_file(tmp_path / "a.aris", frames(3, 64, 48))
     path.write_bytes(path.read_bytes() + bytes(9000))
     found, problems, _ = read(path)
     assert len(found) == 3
     assert problems == ["a.aris: no frame begins in the last 9000 bytes"]
-
-
-def test_a_first_header_that_lies_costs_its_frame_alone(tmp_path: Path) -> None:
-    path = aris_file(tmp_path / "a.aris", frames(4, 64, 48))
-    data = bytearray(path.read_bytes())
-    data[1024 + 468 : 1024 + 472] = struct.pack("<I", 2_000_000)  # samples of a beam
-    path.write_bytes(data)
-    found, problems, _ = read(path)
-    assert [frame.index for frame in found] == [1, 2, 3]
-    assert problems == ["frame 0: its header states another number of samples or beams, skipped"]
 
 
 @pytest.mark.parametrize(
@@ -464,13 +429,6 @@ def test_what_cannot_be_opened(data: bytes, says: str, tmp_path: Path) -> None:
         read(tmp_path / "a.aris")
     assert "\n" not in str(caught.value)
     sonarrec("info", tmp_path / "a.aris", code=1)
-
-
-def test_a_file_without_a_whole_frame(tmp_path: Path) -> None:
-    path = aris_file(tmp_path / "a.aris", frames(1, 64, 48))
-    path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(SonarrecError, match="holds no whole frame: a frame takes 4096 bytes"):
-        read(path)
 
 
 def test_quick_info_counts_the_frames() -> None:

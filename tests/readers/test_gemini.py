@@ -216,12 +216,6 @@ def test_what_one_image_cannot_be(more: dict[str, Any], says: str, tmp_path: Pat
     assert says in line
 
 
-def test_samples_of_another_number(tmp_path: Path) -> None:
-    bad = RECORDS[1].replace((64).to_bytes(4, "little"), (65).to_bytes(4, "little"), 1)
-    _, problems = read(gemini_log(tmp_path / "a.glf", [RECORDS[0], bad, RECORDS[2]]))
-    assert "2560 samples, not the 2600 of its beams and bins" in problems[0]
-
-
 def test_what_cannot_be_opened(tmp_path: Path) -> None:
     path = tmp_path / "a.glf"
     path.write_bytes(b"junk" * 999)

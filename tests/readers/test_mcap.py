@@ -245,9 +245,6 @@ def test_log_time_order(options: dict[str, bool], tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.image, images[k])
 
 
-# Cut and damaged files
-
-
 # The writer
 
 

@@ -198,31 +198,6 @@ def test_full_pings_are_told(tmp_path: Path) -> None:
 # Streams that are not whole
 
 
-@pytest.mark.parametrize("in_log", [False, True])
-def test_lost_bytes_cost_one_ping(in_log: bool, tmp_path: Path, whole: list[np.ndarray]) -> None:
-    """The next header tells where to go on, though the length of the damaged ping reaches past."""
-    data = oculus_log(PINGS) if in_log else b"".join(PINGS)
-    at = data.index(PINGS[2]) + 700
-    path = written(tmp_path / ("a.oculus" if in_log else "a.raw"), data[:at] + data[at + 300 :])
-    found, problems = read(path)
-    assert [frame.index for frame in found] == [0, 1, 3, 4, 5]
-    np.testing.assert_array_equal([frame.image for frame in found], [*whole[:2], *whole[3:]])
-    (line,) = problems
-    assert line.startswith("ping 2 at byte")
-    assert "bytes of it are there" in line
-
-
-@pytest.mark.parametrize("length", [2**32 - 17, 0, 10**6])
-def test_a_length_that_lies_costs_one_ping(
-    length: int, tmp_path: Path, whole: list[np.ndarray]
-) -> None:
-    data = bytearray(b"".join(PINGS))
-    data[2 * len(PINGS[0]) + 10 : 2 * len(PINGS[0]) + 14] = struct.pack("<I", length)
-    found, problems = read(written(tmp_path / "a.raw", bytes(data)))
-    np.testing.assert_array_equal([frame.image for frame in found], [*whole[:2], *whole[3:]])
-    assert problems
-
-
 def test_noise_between_pings_is_told(tmp_path: Path, whole: list[np.ndarray]) -> None:
     noise = np.random.default_rng(3).bytes(5000)
     data = noise[:3000] + PINGS[0] + PINGS[1] + noise + PINGS[2]
