@@ -1,4 +1,4 @@
-"""Reads bytes at any place of a file of any length, with little of it in memory at a time."""
+"""Reads bytes at any position of a file of any length, with little of it in memory at a time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _BLOCK = 2**20
 
 
 class FileBytes:
-    """A file opened for reading at any place. size: in bytes, when it was opened."""
+    """A file opened for reading at any position. size: in bytes, when it was opened."""
 
     def __init__(self, path: Path) -> None:
         """Raises OSError if the file cannot be opened."""
@@ -25,12 +25,12 @@ class FileBytes:
         return self._file.read(min(count, self.size - offset))
 
     def find(self, mark: bytes, start: int, end: int) -> int | None:
-        """The first place of `mark` at `start` or later and before `end`; None if there is none."""
+        """Where `mark` first begins, at `start` or later and before `end`; None if nowhere."""
         while start < end:
             block = self.at(start, min(_BLOCK, end - start) + len(mark) - 1)
-            place = block.find(mark)
-            if place >= 0:
-                return start + place
+            position = block.find(mark)
+            if position >= 0:
+                return start + position
             start += _BLOCK
         return None
 

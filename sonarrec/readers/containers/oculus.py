@@ -194,9 +194,9 @@ class Framing:
     length: Callable[[bytes], int | None]
     contents: Callable[[bytes], tuple[bytes, int | None]]
 
-    def length_at(self, file: FileBytes, place: int) -> int | None:
-        """The length of what begins at a place of the file; None if nothing does."""
-        return self.length(file.at(place, self.head))
+    def length_at(self, file: FileBytes, position: int) -> int | None:
+        """The length of what begins at a position of the file; None if nothing does."""
+        return self.length(file.at(position, self.head))
 
 
 def _message_length(head: bytes) -> int | None:
@@ -280,16 +280,16 @@ def framing_of(file: FileBytes, where: str) -> tuple[Framing, int]:
 
 def _find_next(file: FileBytes, framing: Framing, start: int, end: int) -> int | None:
     """Where the next message begins, at `start` or later and before `end`; None if none does."""
-    place = file.find(framing.mark, start, end)
-    while place is not None and framing.length_at(file, place) is None:
-        place = file.find(framing.mark, place + 1, end)
-    return place
+    position = file.find(framing.mark, start, end)
+    while position is not None and framing.length_at(file, position) is None:
+        position = file.find(framing.mark, position + 1, end)
+    return position
 
 
 def messages(
     file: FileBytes, framing: Framing, start: int, limit: int
 ) -> Iterator[tuple[int, int, bool]]:
-    """Yield (place, length in bytes, whether it is whole) of each message from `start` to `limit`.
+    """Yield (position, length in bytes, whether it is whole) of messages from `start` to `limit`.
     Bytes that belong to no message are yielded too; there `Framing.length_at` is None. If a message
     is not followed by another, or by the end, and another begins inside it, it has lost bytes."""
     at = start
@@ -357,7 +357,7 @@ class OculusPings(RawLog):
     def _read(
         self, diagnostics: Diagnostics, limit: int
     ) -> Iterator[tuple[int, int | None, bytes | None, str]]:
-        """Yield (place, time in ns, message, problem) of every ping; no message if it is damaged.
+        """Yield (position, time in ns, message, problem) of each ping; no message if damaged.
         limit: where in the file to stop. diagnostics: after all is read, it is told of bytes that
         belong to no message, and of pings in a format that is not read."""
         stray_bytes = stray_places = full = 0

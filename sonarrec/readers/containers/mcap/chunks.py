@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import islice
 from typing import BinaryIO
 
 import lz4.frame
@@ -284,36 +285,33 @@ def _lz4_last_block(file: BinaryIO, start: int, end: int) -> tuple[bytes, int]:
 
 
 def lz4_cut_block(block: bytes, history: bytes, size: int) -> bytes:
-    """Decode the beginning of a compressed LZ4 block, to at most `size` bytes. history: the output
-    of the blocks before; matches may refer to it. Raises DamagedError if a match refers to bytes
-    before the beginning of the history."""
+    """Decode the beginning of a compressed LZ4 block, to at most `size` bytes.
+
+    history: the output of the blocks before; matches may refer to it. Raises DamagedError if a
+    match refers to bytes before the beginning of the history.
+    """
     out, most = bytearray(history), len(history) + size
-    at = 0
+    stored = iter(block)
+
+    def length(nibble: int) -> int:
+        """A length whose first four bits are `nibble`."""
+        more = 255 if nibble == 15 else 0
+        while more == 255:
+            more = next(stored)
+            nibble += more
+        return nibble
+
     try:
         while len(out) < most:
-            token = block[at]
-            literals, at = _lz4_length(block, at + 1, token >> 4)
-            out += block[at : at + literals]
-            at += literals
-            distance = block[at] | block[at + 1] << 8
-            match, at = _lz4_length(block, at + 2, token & 15)
+            token = next(stored)
+            out += bytes(islice(stored, length(token >> 4)))
+            distance = next(stored) | next(stored) << 8
             if not 0 < distance <= len(out):
                 raise DamagedError("does not inflate (a match before the beginning)")
-            match = max(0, min(match + 4, most - len(out)))
+            match = max(0, min(length(token & 15) + 4, most - len(out)))
             start = len(out) - distance
             pattern = out[start : start + match]  # repeated if it is shorter than the match
             out += (pattern * (match // distance + 1))[:match]
-    except IndexError:  # here the block is cut
+    except StopIteration:  # here the block is cut
         pass
     return bytes(out[len(history) : most])
-
-
-def _lz4_length(block: bytes, at: int, nibble: int) -> tuple[int, int]:
-    """Read a length whose first four bits are `nibble`: (length, position after it)."""
-    length = nibble
-    more = 255 if nibble == 15 else 0
-    while more == 255:
-        more = block[at]
-        length += more
-        at += 1
-    return length, at
