@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.errors import SonarrecError, printable
+from sonarrec.errors import Diagnostics, SonarrecError, printable
 from sonarrec.evaluation import metrics, unit_sums
 from sonarrec.evaluation.changes import ByMethod, FrameChanges
 from sonarrec.evaluation.compare_settings import SettingChange, changed_settings
@@ -34,7 +34,7 @@ from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.summary import SEED, units_text
 from sonarrec.evaluation.write import PAPER_KEY
 from sonarrec.results.run_file import RunFile, read_run
-from sonarrec.truth.fits import rows_on_frames
+from sonarrec.truth.fits import tell_rows
 
 FRAMES_FREE = 2
 """So many frames may get worse, whatever the band: 2 of 24 are no trend, though they are .083."""
@@ -314,7 +314,9 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None) -> _CountedPairs:
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
     compared = [method for method in new.methods if method in old.methods]
     for name, (pair, log) in zip(names, used, strict=True):
-        notes += rows_on_frames(name, log.check.rows, log.check.between)
+        told = Diagnostics()
+        tell_rows(told, name, log.check.rows, log.check.between)
+        notes += told.notes
         for folder, of_log in zip(pair.folders, log.methods, strict=True):
             if missing := [method for method in compared if method not in of_log]:
                 notes.append(

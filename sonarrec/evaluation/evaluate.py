@@ -34,7 +34,7 @@ from sonarrec.evaluation.tables import Evaluation
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.results.same_log import CountedOnce
 from sonarrec.sonar import Sonar
-from sonarrec.truth.fits import of_other_logs, rows_on_frames
+from sonarrec.truth.fits import tell_other_logs, tell_rows
 from sonarrec.truth.table import TruthTable, read_truth
 
 
@@ -210,7 +210,9 @@ def _left_out(
             yield from log.not_whole
     if inputs.table is not None and [log.folder for log in read] != [inputs.folder]:
         names = [*(log.name for log in read), *unread]
-        yield from of_other_logs(inputs.table, names, "they are not scored")
+        told = Diagnostics()
+        tell_other_logs(told, inputs.table, names, "they are not scored")
+        yield from told.problems
 
 
 def distinct_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
@@ -239,7 +241,9 @@ def _notes(logs: Sequence[LogScore], counts: Counts) -> Iterator[str]:
         )
     for part, log in zip(counts.parts, logs, strict=True):
         assert log.check is not None
-        yield from rows_on_frames(part.name, log.check.rows, log.check.between)
+        told = Diagnostics()
+        tell_rows(told, part.name, log.check.rows, log.check.between)
+        yield from told.notes
         if missing := [method for method in counts.methods if method not in part.methods]:
             yield f"{part.name}: has no estimates of {', '.join(missing)}; this counts as no claim"
     for part in counts.parts:

@@ -13,7 +13,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TypeVar
 
-from sonarrec.errors import SonarrecError
+from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.evaluation.count import LogCounts, count_log
 from sonarrec.evaluation.match import ScoringOptions, match
 from sonarrec.results.folders import estimates_of, log_of
@@ -21,7 +21,7 @@ from sonarrec.results.read import LogResults, not_whole, read_log
 from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import Recording, TruthOf, recording
 from sonarrec.runs.cores import cores
-from sonarrec.truth.fits import misfit, notes_on_fit, without_rows
+from sonarrec.truth.fits import misfit, tell_fit, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -78,6 +78,8 @@ class TruthCheck:
 
 def check_fit(table: TruthTable, log: LogResults, truth: Truth) -> TruthCheck:
     """Check that the truth fits the log."""
+    told, proposals = Diagnostics(), "they say nothing about the results that they came from"
+    tell_fit(told, table, log, truth, "are scored", proposals)
     return TruthCheck(
         name=log.name,
         table=table.path,
@@ -87,13 +89,7 @@ def check_fit(table: TruthTable, log: LogResults, truth: Truth) -> TruthCheck:
         between=truth.between,
         frames=len(log.frame),
         fault=misfit(table, log, truth),
-        notes=notes_on_fit(
-            table,
-            log,
-            truth,
-            "are scored",
-            "they say nothing about the results that they came from",
-        ),
+        notes=told.notes,
     )
 
 

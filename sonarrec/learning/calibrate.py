@@ -23,7 +23,7 @@ from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
 from sonarrec.tables.outputs import MODEL_MARK
-from sonarrec.truth.fits import misfit, notes_on_fit, of_other_logs, rows_on_frames, without_rows
+from sonarrec.truth.fits import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -141,7 +141,7 @@ def learn(
         why = without_rows(ground_truth, len(table.at), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
     if len(paths) > 1:  # of one log a truth of several is used as it is
-        told.problem(*of_other_logs(table, names, "they teach nothing"))
+        tell_other_logs(told, table, names, "they teach nothing")
     parts = [lesson.samples for lesson in used]
     prior = None if from_scratch else built_in_model()
     model = fit(parts, prior)
@@ -205,8 +205,8 @@ def _lesson(
         told.problem(f"{unlike}; nothing is learned from {name}")
     else:
         proposals = "they teach what the program takes for true already"
-        told.note(*notes_on_fit(table, tracks, truth, "teach", proposals))
-        told.note(*rows_on_frames(name, truth.rows, truth.between))
+        tell_fit(told, table, tracks, truth, "teach", proposals)
+        tell_rows(told, name, truth.rows, truth.between)
         if truth.unprocessed:
             told.problem(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "

@@ -144,7 +144,8 @@ def check_truth(
         jumps = _jumps(rows, fan, landmarks.radius_m, max_pan_deg)
         faults += [*changes, *(jump for jump in jumps if jump.line not in changed)]
     diagnostics = Diagnostics()
-    diagnostics.note(*table.not_read_text())
+    if table.not_read:
+        diagnostics.note(table.not_read_text())
     diagnostics.problem(*log.diagnostics.problems)
     ordered = sorted(faults, key=lambda fault: fault.line)
     shown = (line, landmark, frame, x_px, y_px, visible, ordered)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from sonarrec.arrays import BoolArray, IntArray
-from sonarrec.errors import number_of
+from sonarrec.errors import Diagnostics, number_of
 from sonarrec.geometry import polar_from_plane
 from sonarrec.times import is_date
 from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, match_times, pixels_apart, share_in_image
@@ -117,95 +117,83 @@ def without_rows(path: Path, rows: int, logs: Iterable[str], consequence: str) -
     )
 
 
-def rows_on_frames(name: str, rows: int, between: int) -> list[str]:
-    """A line if the truth has no row on a log, or rows between its frames.
+def tell_rows(told: Diagnostics, name: str, truth_rows: int, between: int) -> None:
+    """Tell if the truth has no row on a log, or rows between its frames.
 
-    name: of the log. rows, between: as in Truth.
+    name: of the log. truth_rows, between: as in Truth.
     """
-    notes = []
-    if not rows:
-        notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
+    if not truth_rows:
+        told.note(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
     if between:
-        notes.append(
+        told.note(
             f"{name}: {number_of(between, 'ground-truth row')} between frames ignored, "
             "because others are nearer in time"
         )
-    return notes
 
 
-def of_other_logs(table: TruthTable, logs: Sequence[str], consequence: str) -> list[str]:
-    """A line on rows of the truth about other logs than `logs`, if there are any.
-
-    consequence: of that, a clause.
-    """
+def tell_other_logs(
+    told: Diagnostics, table: TruthTable, logs: Sequence[str], consequence: str
+) -> None:
+    """Tell of rows of the truth about other logs than `logs`. consequence: of that, a clause."""
     if table.log is None:
-        return []
+        return
     other_names = np.asarray(table.log)[~np.isin(table.log, logs)]
-    if not len(other_names):
-        return []
-    names = sorted(set(map(str, other_names)))
-    listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
-    return [
-        f"{table.path}: {len(other_names)} of {len(table.at)} rows name logs that were not given "
-        f"({listed}); {consequence}"
-    ]
+    if len(other_names):
+        names = sorted(set(map(str, other_names)))
+        listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
+        told.problem(
+            f"{table.path}: {len(other_names)} of {len(table.at)} rows name logs that were not "
+            f"given ({listed}); {consequence}"
+        )
 
 
-def notes_on_fit(
-    table: TruthTable, log: ReadLog, truth: Truth, use: str, of_proposals: str
-) -> list[str]:
-    """What a reader should know of the rows on one log, a line each.
+def tell_fit(
+    told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, use: str, of_proposals: str
+) -> None:
+    """Tell what a reader should know of the rows on one log, and signs that they are not its own.
 
     truth: as matched to the log. use: what is done with range and bearing, a verb. of_proposals:
     the consequence of rows as `truth propose` wrote them, a clause.
     """
-    rows = table.rows_of(log.name)
-    notes = table.not_read_text()
+    rows, path, name = table.rows_of(log.name), table.path, log.name
+    if table.not_read:
+        told.note(table.not_read_text())
     if proposed := np.count_nonzero(table.proposed[rows]):
-        notes.append(
-            f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {log.name} are "
-            f"unchecked proposals of `truth propose`; {of_proposals}. Clear `source` in the rows "
-            "that a person has checked"
+        told.note(
+            f"{path}: by `source`, {proposed} of {len(rows)} rows for {name} are unchecked "
+            f"proposals of `truth propose`; {of_proposals}. Clear `source` in the rows that a "
+            "person has checked"
         )
     if outside := int(np.count_nonzero(outside_image(log, truth))):
-        notes.append(
-            f"{table.path}: {outside} of {len(truth.frame_index)} positions lie outside the image "
-            f"of {log.name}; `sonarrec truth check` names them"
+        told.note(
+            f"{path}: {outside} of {len(truth.frame_index)} positions lie outside the image of "
+            f"{name}; `sonarrec truth check` names them"
         )
-    if log.fan is not None:
-        apart = int(np.sum(pixels_apart(table, rows, log.fan) > SLACK_PX))
-        if apart:
-            notes.append(
-                f"{table.path}: {number_of(apart, 'row')} for {log.name} with x_px,y_px elsewhere "
-                f"than range_m,bearing_deg, which {use}; `sonarrec truth check` tells which"
-            )
-    return [*notes, *_doubts(table, log, truth, rows)]
-
-
-def _doubts(table: TruthTable, log: ReadLog, truth: Truth, rows: IntArray) -> Iterator[str]:
-    """Signs that a truth is not what it is taken for, a line each. rows: those on the log."""
+    if log.fan is not None and (apart := np.sum(pixels_apart(table, rows, log.fan) > SLACK_PX)):
+        told.note(
+            f"{path}: {number_of(int(apart), 'row')} for {name} with x_px,y_px elsewhere than "
+            f"range_m,bearing_deg, which {use}; `sonarrec truth check` tells which"
+        )
     frames = np.unique(truth.frame_index)
     if len(frames) >= FEWEST and np.diff(frames).min() > 1:
         step = int(np.median(np.diff(frames)))
-        yield (
-            f"{table.path}: of {log.name} about one frame in {step} has a row; the frames between "
-            "are taken to hold no landmark, so that claims in them are false. Give every frame its "
-            "rows"
+        told.note(
+            f"{path}: of {name} about one frame in {step} has a row; the frames between are taken "
+            "to hold no landmark, so that claims in them are false. Give every frame its rows"
         )
     if table.timestamp_ns is not None and log.timestamp_ns is not None and len(rows):
         nearest, met, _ = match_times(log.timestamp_ns, table.timestamp_ns[rows])
-        other = int(np.count_nonzero(met & (log.frame[nearest] != table.at[rows])))
-        if other:
-            yield (
-                f"{table.path}: {other} of {len(rows)} rows for {log.name} have the timestamp_ns "
-                "of another frame than the one they name; frame counts. Drop the wrong column"
+        if other := int(np.count_nonzero(met & (log.frame[nearest] != table.at[rows]))):
+            told.note(
+                f"{path}: {other} of {len(rows)} rows for {name} have the timestamp_ns of another "
+                "frame than the one they name; frame counts. Drop the wrong column"
             )
     if log.fan is not None and table.position is not None and table.position[0] == "polar":
         bearings = np.abs(table.position[2][rows])
         widest = max(-log.fan.bearing_min_deg, log.fan.bearing_max_deg)
         if len(rows) >= FEWEST and 0 < bearings.max() <= np.radians(widest):
-            yield (
-                f"{table.path}: no bearing for {log.name} is beyond {bearings.max():.2g} deg, of "
+            told.note(
+                f"{path}: no bearing for {name} is beyond {bearings.max():.2g} deg, of "
                 f"{widest:.3g} in view; are they in radians?"
             )
 

@@ -83,10 +83,9 @@ class TruthTable:
         named = set(self.log.unique())
         return next((name for name in reversed(names) if name in named), names[0])
 
-    def not_read_text(self) -> list[str]:
-        """A line if columns are not read that may be meant as positions or `visible`."""
-        names = ", ".join(self.not_read)
-        return [f"{self.path}: columns {names} are not read"] if names else []
+    def not_read_text(self) -> str:
+        """A note on the columns that are not read."""
+        return f"{self.path}: columns {', '.join(self.not_read)} are not read"
 
     def digest_of(self, rows: IntArray) -> str:
         """A digest of the content of some rows; copies of a truth have the same."""

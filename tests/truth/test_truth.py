@@ -12,10 +12,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.errors import Diagnostics
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
 from sonarrec.results.read import read_log
-from sonarrec.truth.fits import notes_on_fit
+from sonarrec.truth.fits import tell_fit
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
 from tests.support.drawn import make_fan
@@ -366,5 +367,6 @@ def test_a_truth_that_fits_badly_is_doubted(
         timestamp_ns=frame * 10**8,
     )
     table = read_truth(path)
-    notes = notes_on_fit(table, log, match_truth(table, log), "are scored", "")
-    assert [said in note for note in notes] == [True] if said else notes == []
+    told = Diagnostics()
+    tell_fit(told, table, log, match_truth(table, log), "are scored", "")
+    assert [said in note for note in told.notes] == [True] if said else not told.notes
