@@ -150,8 +150,8 @@ def evaluate(
                 click.echo(piece, nl=False)
         elif not quiet:
             click.echo("\n".join(screens))
-            say(*(f"note: {note}" for note in notes))
-            say(f"{remote.with_server_names(str(folder))}: {', '.join(files)}")
+            lines = (f"note: {note}" for note in notes)
+            say(*lines, f"{remote.with_server_names(str(folder))}: {', '.join(files)}")
         tell(f"worse: {line}" for line in worse)
     if code := 1 if worse else PARTLY if unused else 0:
         leave(code)

@@ -24,11 +24,10 @@ from sonarrec.evaluation.intervals import (
     coin_tosses,
     differences,
 )
-from sonarrec.evaluation.log_pair import CountedPair, LogPair, count_pair
 from sonarrec.evaluation.logs import UnreadableLog, check_logs, map_logs
 from sonarrec.evaluation.match import DEFAULT, ScoringOptions
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.pairing import pair_logs
+from sonarrec.evaluation.pairing import CountedPair, LogPair, count_pair, pair_logs
 from sonarrec.evaluation.pairs import FindBeside, Pair
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.summary import SEED, units_text
@@ -305,20 +304,20 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None) -> _CountedPairs:
     if not logs:
         raise unread[0].error
     notes, misfits = check_logs([log.check for log in logs])
-    for _, log in used:
-        if set(log.ids) != set(used[0][1].ids):
-            raise other_ids(used[0][1].name, log.name)
-    names = distinct_names([(log.name, pair.new) for pair, log in used])
+    for part in after.parts:
+        if set(part.ids) != set(after.parts[0].ids):
+            raise other_ids(after.parts[0].name, part.name)
+    names = distinct_names([(pair.name, pair.new) for pair, _ in used])
     old, new = before.counts(names), after.counts(names)
     if not (old.methods and new.methods):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
     compared = [method for method in new.methods if method in old.methods]
-    for name, (pair, log) in zip(names, used, strict=True):
+    for (pair, log), *parts in zip(used, old.parts, new.parts, strict=True):
         told = Diagnostics()
-        tell_rows(told, name, log.check.rows, log.check.between)
+        tell_rows(told, parts[0].name, log.check.rows, log.check.between)
         notes += told.notes
-        for folder, of_log in zip(pair.folders, log.methods, strict=True):
-            if missing := [method for method in compared if method not in of_log]:
+        for folder, part in zip(pair.folders, parts, strict=True):
+            if missing := [method for method in compared if method not in part.methods]:
                 notes.append(
                     f"{folder}: has no estimates of {', '.join(missing)}; this counts as no claim"
                 )

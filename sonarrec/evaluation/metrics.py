@@ -21,9 +21,7 @@ from sonarrec.evaluation.unit_sums import (
     QUANTILES,
     Calibration,
     CumulativeHistogram,
-    FalseClaims,
     Rates,
-    SwitchTotals,
     UnitSums,
     calibration,
     false_claims,
@@ -73,24 +71,24 @@ def quantile(share: float) -> Callable[[CumulativeHistogram], FloatArray]:
     return lambda s: s.quantile(share)
 
 
-def false_per_minute(f: FalseClaims) -> FloatArray:
+def false_per_minute(sums: FloatArray) -> FloatArray:
     """Declared claims on no landmark: on a distractor or the bare floor."""
-    return ratio(f.nowhere, f.minutes)
+    return ratio(sums[:, 0], sums[:, 2])
 
 
-def wrong_per_minute(f: FalseClaims) -> FloatArray:
+def wrong_per_minute(sums: FloatArray) -> FloatArray:
     """Declared claims on a landmark of another ID."""
-    return ratio(f.other, f.minutes)
+    return ratio(sums[:, 1], sums[:, 2])
 
 
-def id_switches(s: SwitchTotals) -> FloatArray:
+def id_switches(sums: FloatArray) -> FloatArray:
     """Changes of the declared ID, per pass."""
-    return ratio(s.ids, s.passes)
+    return ratio(sums[:, 1], sums[:, 0])
 
 
-def track_switches(s: SwitchTotals) -> FloatArray | None:
+def track_switches(sums: FloatArray) -> FloatArray | None:
     """Changes of the track on a landmark, per pass; None for a method without tracks."""
-    return None if s.tracks is None else ratio(s.tracks, s.passes)
+    return ratio(sums[:, 2], sums[:, 0]) if sums.shape[1] > 2 else None
 
 
 def brier(c: Calibration) -> FloatArray:

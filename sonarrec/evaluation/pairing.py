@@ -1,19 +1,27 @@
-"""Pairs the old and the new results of each log, and finds the truth of each pair."""
+"""Pairs the old and the new results of each log, finds the truth of each pair, and counts it."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.evaluation.log_pair import LogPair
-from sonarrec.evaluation.logs import first_ids
-from sonarrec.evaluation.match import ScoringOptions
+from sonarrec.evaluation.changes import ByMethod, changed_frames
+from sonarrec.evaluation.count import LogCounts, count_log
+from sonarrec.evaluation.logs import (
+    TruthCheck,
+    UnreadableLog,
+    check_fit,
+    first_ids,
+    truth_table,
+)
+from sonarrec.evaluation.match import ScoringOptions, match
 from sonarrec.evaluation.pairs import (
     FindBeside,
     Pair,
@@ -22,14 +30,34 @@ from sonarrec.evaluation.pairs import (
     truth_note,
 )
 from sonarrec.results.folders import estimates_of, log_of
-from sonarrec.results.read import find_logs, read_frames, read_log
-from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.results.read import LogResults, find_logs, not_whole, read_frames, read_log
+from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import Recording, check_one_log, counted_once, recording
 from sonarrec.tables.read import read_header
+from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import HEADER
 
 Folders = tuple[Path, Path]
 """The old and the new results folder of one log."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogPair:
+    """The old and the new results of one log, to be read and counted."""
+
+    old: Path
+    new: Path
+    """Results folders."""
+    ground_truth: Path
+    name: str
+    """Name of the log, in messages and in the log column of the truth."""
+    options: ScoringOptions
+    ids: tuple[int, ...]
+    """As in `logs.LogToScore`."""
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        return self.old, self.new
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,22 +117,8 @@ def pair_logs(
     return Pairing(logs, [*notes, *told.notes, *truth_notes], [*unused, *told.problems, *without])
 
 
-def _run(folder: Path) -> RunFile:
-    return read_run(folder / "run.toml")
-
-
-def _recording_of(folder: Path) -> tuple[str, str | None] | None:
-    """SHA-256 and topic as of `Input.recording`; None also if run.toml cannot be read.
-
-    That is reported later.
-    """
-    with suppress(SonarrecError):
-        return _run(folder).input.recording
-    return None
-
-
 def _recording(folder: Path, landmarks: str | None) -> Recording:
-    run = _run(folder)
+    run = read_run(folder / "run.toml")
     if run.input.recording:
         return run.input.recording
     return recording(folder, run, len(read_log(folder, landmarks).frame_index))
@@ -116,7 +130,7 @@ def _check_comparable(pair: Folders, landmarks: str | None) -> list[str]:
     for folder in pair:
         if not (table := estimates_of(folder)).is_file():
             raise SonarrecError(f"{table}: no such file")
-    a, b = map(_run, pair)
+    a, b = (read_run(folder / "run.toml") for folder in pair)
     note = check_one_log(old, a, new, b)
     ids = [run.landmark_set(landmarks).ids for run in (a, b)]
     if ids[0] != ids[1]:
@@ -140,22 +154,27 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Folders], list[str]]:
     before, after = find_logs(old), find_logs(new)
     if len(before) == len(after) == 1:
         return [(before[0], after[0])], []
-    of_name: dict[str, list[Path]] = {}
-    of_digest: dict[tuple[str, str | None], list[Path]] = {}
+
+    def digest(folder: Path) -> tuple[str, str | None] | None:
+        with suppress(SonarrecError):  # reported later
+            return read_run(folder / "run.toml").input.recording
+        return None
+
+    of_name: dict[str, list[Path]] = defaultdict(list)
+    of_digest: dict[tuple[str, str | None], list[Path]] = defaultdict(list)
     for folder in before:
-        of_name.setdefault(log_of(folder), []).append(folder)
-        if (digest := _recording_of(folder)) is not None:
-            of_digest.setdefault(digest, []).append(folder)
+        of_name[log_of(folder)].append(folder)
+        if (known := digest(folder)) is not None:
+            of_digest[known].append(folder)
     pairs = []
     for folder in after:
-        digest = _recording_of(folder)
-        same = [] if digest is None else of_digest.get(digest, [])
+        known = digest(folder)
+        same = [] if known is None else of_digest[known]
         # Links that lead to folders of one name are paired by the names of the links.
-        named = sorted(of_name.get(log_of(folder), []), key=lambda f: f.name != folder.name)
-        chosen = next((f for f in named if f in same), None)
-        chosen = chosen or next(iter([*same, *named]), None)
-        if chosen is not None:
-            pairs.append((chosen, folder))
+        named = sorted(of_name[log_of(folder)], key=lambda f: f.name != folder.name)
+        candidates = [*(f for f in named if f in same), *same, *named]
+        if candidates:
+            pairs.append((candidates[0], folder))
     if not pairs:
         raise SonarrecError(f"{old} and {new} have no log in common, by name or by SHA-256")
     used = {folder for pair in pairs for folder in pair}
@@ -207,3 +226,64 @@ def _truths(
         others = f" (nor for {number_of(len(without) - 1, 'more log')})" if without[1:] else ""
         raise SonarrecError(f"{without[0]}{others}")
     return truths, where, without
+
+
+@dataclass(slots=True)
+class CountedPair:
+    """The counts of one LogPair."""
+
+    check: TruthCheck
+    unused: list[str]
+    """A line for each part of the results that is not compared."""
+    counts: tuple[LogCounts, LogCounts] | None = None
+    """Of the old and the new results; None where the truth does not fit the log, or once they are
+    added to those of others."""
+    changes: ByMethod = field(default_factory=dict)
+    """Frames and IDs that are counted differently."""
+
+
+def count_pair(pair: LogPair) -> CountedPair | UnreadableLog:
+    """Read the old and the new results of one log, cut them to their common frames, count them."""
+    options, unused = pair.options, []
+    try:
+        table = truth_table(pair.ground_truth)
+        old, new = (read_log(f, options.landmarks, options.sonar) for f in pair.folders)
+        common = np.intersect1d(old.frame, new.frame)
+        if not len(common):
+            raise SonarrecError(f"{pair.old} and {pair.new} have no frame in common")
+        for folder, log in ((pair.old, old), (pair.new, new)):
+            if alone := len(log.frame) - len(common):
+                frames = number_of(alone, "frame")
+                unused.append(f"{log.name}: {frames} in {folder} only; not compared")
+            unused += not_whole(log, "scored")
+        old, new = (_only(replace(log, name=pair.name), common) for log in (old, new))
+        truth = match_truth(table, new, options.tolerance_s)
+        counted = CountedPair(check_fit(table, new, truth), unused)
+        if counted.check.fault is not None:
+            return counted
+        # Each side is scored as `evaluate` scores it: pixels lie where its own geometry puts them.
+        old_truth = match_truth(table, replace(new, fan=old.fan or new.fan), options.tolerance_s)
+    except SonarrecError as fault:  # the other logs can be compared
+        return UnreadableLog(pair.name, fault)
+    before = match(old, old_truth, options.min_visible, pair.ids)
+    after = match(new, truth, options.min_visible, pair.ids)
+    counted.counts = count_log(before, rates_only=True), count_log(after, rates_only=True)
+    counted.changes = changed_frames(before, after)
+    return counted
+
+
+def _only(log: LogResults, frames: IntArray) -> LogResults:
+    """The results on the frames of these numbers."""
+    listed = np.isin(log.frame, frames)
+    on_listed = listed[log.frame_index]  # (N,) whether an estimate lies on one of them
+    names = ("method", "landmark_index", "score", "declared", "orientation", "object")
+    columns = {name: getattr(log, name)[on_listed] for name in names}
+    return replace(
+        log,
+        frame=log.frame[listed],
+        timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[listed],
+        frame_index=(np.cumsum(listed) - 1)[log.frame_index[on_listed]],
+        position=None if log.position is None else log.position[on_listed],
+        probability=None if log.probability is None else log.probability[on_listed],
+        **columns,
+    )

@@ -75,29 +75,6 @@ class CumulativeHistogram:
 
 
 @dataclass(frozen=True, slots=True)
-class FalseClaims:
-    """Declared claims that are not on a landmark of the claimed ID, (R,) each.
-
-    Only frames of known duration count.
-    """
-
-    nowhere: FloatArray
-    """On no landmark at all."""
-    other: FloatArray
-    """On a landmark of another ID."""
-    minutes: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class SwitchTotals:
-    """Sums of the `behaviour.Switches` of a method, (R,) each."""
-
-    passes: FloatArray
-    ids: FloatArray
-    tracks: FloatArray | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Calibration:
     """Estimates in BINS equal bins of the probability that they state."""
 
@@ -231,45 +208,41 @@ def _histogram_sums(
 
 
 def false_claims(counts: Counts, units: Units) -> Iterator[UnitSums]:
-    """FalseClaims of every method, per claimed ID and in all."""
+    """Declared claims of every method that are on no landmark of their ID, by ID and in all.
+
+    Columns: those on no landmark at all, those on a landmark of another ID, minutes. Only frames
+    of known duration count.
+    """
     minutes = counts.sums(units, lambda part: part.minutes)
     for method in counts.methods if counts.placed else ():
         claims = counts.sums(units, lambda part: part.false_claims.get(method))  # noqa: B023
-        if claims is None or minutes is None:
-            continue
-        for k, name in _landmarks(counts.ids):
-            kinds = claims.sum(axis=1) if k is None else claims[:, k]
-            yield _plain_sums(("strict", method, name), FalseClaims, [*kinds.T, minutes])
+        if claims is not None and minutes is not None:
+            for k, name in _landmarks(counts.ids):
+                kinds = claims.sum(axis=1) if k is None else claims[:, k]
+                yield _plain_sums(("strict", method, name), np.column_stack([kinds, minutes]))
 
 
 def _plain_sums(
-    labels: tuple[str, str, str],
-    record: Callable[..., Any],
-    columns: Sequence[FloatArray | IntArray],
+    labels: tuple[str, str, str], sums: FloatArray | IntArray, columns: int = 3
 ) -> UnitSums:
-    """Plain sums. columns: (U,) each, of the fields of `record` in order."""
-    sums = np.stack(columns, axis=1).astype(float)
-    return UnitSums(*labels, sums, lambda rows: record(*rows.T), record(*sums.sum(axis=0)[:, None]))
+    """Sums that are a record as they stand, (R, columns); further columns are not read."""
+    kept: FloatArray = np.asarray(sums, dtype=float)
+    return UnitSums(*labels, kept, lambda rows: rows[:, :columns], kept.sum(axis=0)[None, :columns])
 
 
 def switches(counts: Counts, units: Units) -> Iterator[UnitSums]:
-    """SwitchTotals of every method."""
+    """Switches of every method; columns: passes, switches of ID and, if it has tracks, of track."""
     passes = counts.passes
     unit = units.of_pass_unit[passes.unit]
     for method in counts.methods if counts.placed else ():
         found = counts.switches(method)
         # All methods have the same columns, so that tests can swap them.
-        record = SwitchTotals if found.tracks is not None else _without_tracks
         tracks = np.zeros_like(found.ids) if found.tracks is None else found.tracks
         for k, name in _landmarks(counts.ids):
             mine = (passes.landmark_index == k) | (k is None)
             weights = (None, found.ids[mine], tracks[mine])
-            columns = [np.bincount(unit[mine], w, units.count) for w in weights]
-            yield _plain_sums(("strict", method, name), record, columns)
-
-
-def _without_tracks(passes: FloatArray, ids: FloatArray, _: FloatArray) -> SwitchTotals:
-    return SwitchTotals(passes, ids)
+            sums = np.column_stack([np.bincount(unit[mine], w, units.count) for w in weights])
+            yield _plain_sums(("strict", method, name), sums, 2 if found.tracks is None else 3)
 
 
 def positions(counts: Counts, units: Units) -> Iterator[UnitSums]:

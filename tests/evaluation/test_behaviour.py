@@ -18,10 +18,9 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation.intervals import Figure
 from sonarrec.evaluation.match import seconds_of_frames
-from sonarrec.evaluation.summary import Summary, _notes, summarise, units_text
+from sonarrec.evaluation.summary import Summary, _notes, summarise
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.landmarks import load_landmarks
-from tests.evaluation.test_evaluation import write_case, write_csv
 from tests.support.claims import counts, evaluate, evaluated, matched
 
 
@@ -121,20 +120,6 @@ def test_a_log_without_duration_is_left_out_of_claims_per_minute() -> None:
     assert [note for note in summary.notes if "minute" in note] == [
         "claims per minute leave out log1: frames.csv has no timestamp_ns, or a single time"
     ]
-
-
-@pytest.mark.parametrize("tick_s", [0.25, 0.5, 1.0])
-def test_frames_of_one_time_share_it(tmp_path: Path, tick_s: float) -> None:
-    """Times in whole seconds, of four frames each, gave no claims per minute at all."""
-    frames = range(240)  # a minute, with a pause of an hour in it
-    times = [int((f * 0.25 + 3600 * (f >= 120)) // tick_s * tick_s * 1e9) for f in frames]
-    claims = [(f, "m", 3.0, 0.0, 2, 0.9, 1) for f in (5, 6, 200)]
-    out, truth = write_case(tmp_path, frames, claims, [(f, 1, 2.0, 0.0, 1) for f in range(9)])
-    write_csv(out / "frames.csv", ["frame", "timestamp_ns"], zip(frames, times, strict=True))
-    summary = evaluate(out, truth).summary
-    found = summary.figure("strict", "m", "false_claims_per_min")
-    assert found is not None
-    assert found.value == pytest.approx(3)
 
 
 @pytest.mark.parametrize(
@@ -292,12 +277,6 @@ def test_a_probability_beyond_1_is_one_line(tmp_path: Path) -> None:
     )
     assert done.exit_code == 1
     assert "line 2: p_1 must be 0 to 1, not '1.2'" in done.stderr
-
-
-def test_a_single_unit_is_singular() -> None:
-    """Tables were headed `over 1 passes`."""
-    one: Any = SimpleNamespace(count=1, kind="pass")
-    assert [units_text(one), units_text(one, 2)] == ["1 pass", "2 passes"]
 
 
 def test_a_share_below_a_hundredth_is_not_told_as_none() -> None:

@@ -239,16 +239,6 @@ def test_columns_that_may_be_meant_as_positions_are_told(tmp_path: Path, columns
     assert "the strict protocol is not scored: truth or estimates have no positions" in told
 
 
-def test_columns_beside_positions_are_told_where_visible_is_missing(tmp_path: Path) -> None:
-    """Without `visible` all of each disc is taken to be in view."""
-    results, gt = write_case(tmp_path, FRAMES, [(0, "m", 2.0, 0.0, 1, 0.9, 1)], [])
-    gt.write_text("frame,landmark,range_m,bearing_deg,Visible,Log\n0,1,2.0,0.0,0,other\n")
-    told = "gt.csv: columns Visible, Log are not read"
-    assert told in command("--ground-truth", gt, results).stdout
-    gt.write_text("frame,landmark,range_m,bearing_deg,visible,remark\n0,1,2.0,0.0,0,good\n")
-    assert "are not read" not in command("--ground-truth", gt, results).stdout
-
-
 @pytest.mark.parametrize("unit", [100.0, 0.001])
 def test_positions_outside_the_image_are_refused(tmp_path: Path, unit: float) -> None:
     """Centimetres, or kilometres."""
@@ -258,14 +248,6 @@ def test_positions_outside_the_image_are_refused(tmp_path: Path, unit: float) ->
     (line,) = command("--ground-truth", gt, results, code=1).stderr.splitlines()
     assert "none of its 12 positions lies in the image of out (1.25 to 3.75 m" in line
     assert f"the first at {2 * unit:.4g} m and 1 deg" in line
-
-
-def test_some_positions_outside_are_told(tmp_path: Path) -> None:
-    rows = [(f, 1, 2.0, 40.0 if f < 3 else 0.0, 1.0) for f in FRAMES]
-    results, gt = write_case(tmp_path, FRAMES, [(5, "m", 2.0, 0.0, 1, 0.9, 1)], rows)
-    (results / "run.toml").write_text(RUN_TOML)
-    done = command("--ground-truth", gt, results)
-    assert "3 of 12 positions lie outside the image of out" in done.stdout
 
 
 def test_one_log_whose_truth_cannot_be_its_own_does_not_stop_the_others(logs: Path) -> None:

@@ -526,20 +526,6 @@ def test_logs_may_be_called_by_numbers(tmp_path: Path) -> None:
         assert scored(one, "strict").count().fn == 18
 
 
-def test_a_pair_is_one_log(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        write_case(tmp_path / name, FRAMES, claims({5}), TRUTH)
-        (tmp_path / name / "out").rename(tmp_path / f"root_{name}")
-    root = tmp_path / "root"
-    root.mkdir()
-    for name in ("a", "b"):
-        (tmp_path / f"root_{name}").rename(root / name)
-    with pytest.raises(SonarrecError, match="holds 2 logs; give each log its own row"):
-        evaluate_logs([Pair(root, tmp_path / "a" / "gt.csv")])
-    with pytest.raises(SonarrecError, match="no pair"):
-        evaluate_logs([])
-
-
 @pytest.mark.parametrize("also", ["evaluate", "report"])
 def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: str) -> None:
     """And told with its line; its truth is not read. Results are of one log."""
@@ -567,13 +553,6 @@ def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: 
     assert done.exit_code == 2
     assert done.output.startswith(f"sonarrec: {pairs} line 2: {tmp_path / 'c' / 'out'}: no such")
     assert done.output.count("\n") == 1
-
-
-def test_a_method_missing_from_one_log_is_said(tmp_path: Path) -> None:
-    one, gt = write_case(tmp_path / "a", FRAMES, claims({5}) + claims({6}, method="n"), TRUTH)
-    two, _ = write_case(tmp_path / "b", FRAMES, claims({5}), TRUTH)
-    found = evaluate_logs([Pair(one, gt, "a"), Pair(two, gt, "b")])
-    assert "b: has no estimates of n; this counts as no claim" in found.notes
 
 
 def test_a_comparison_says_what_a_score_says_of_each_log(tmp_path: Path) -> None:

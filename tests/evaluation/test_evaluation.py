@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import shutil
 from pathlib import Path
 
 import cv2
@@ -335,45 +334,6 @@ def test_curve_equals_scikit_learn(tmp_path: Path) -> None:
         assert metrics.auc(curve.fpr[few], curve.tpr[few]) == pytest.approx(
             metrics.roc_auc_score(positive, score), abs=0.03
         )
-
-
-def test_id_without_positives_has_no_rate(tmp_path: Path) -> None:
-    found = evaluate(
-        *write_case(tmp_path, [0, 1], [(0, "m", 2.0, 0.0, 2, 0.9, 1)], [(0, 1, 2.0, 0.0, 1.0)])
-    )
-    one = scored(found, "strict")
-    assert math.isnan(one.count(1).tpr)
-    assert np.isnan(one.curve(1).tpr).all()
-    assert one.count(1).fpr == 0.5
-    assert any("ID.2 is never in view" in note for note in found.notes)
-    assert "0.0000*" in screen(found.counts)
-
-
-# --- Several logs --------------------------------------------------------------------------------
-
-
-def test_logs_are_pooled(tmp_path: Path) -> None:
-    rng = np.random.default_rng(5)
-    cases = {name: random_case(rng) for name in ("a", "b")}
-    alone, rows = [], []
-    for name, (frames, estimates, truth) in cases.items():
-        results, gt = write_case(tmp_path / name, frames, estimates, truth)
-        alone.append(evaluate(results, gt))
-        shutil.copytree(results, tmp_path / "root" / name)
-        rows += [(name, *row) for row in truth]
-    write_csv(tmp_path / "gt.csv", ("log", *TRUTH_HEADER), rows)
-    pooled = evaluate(tmp_path / "root", tmp_path / "gt.csv")
-    assert pooled.counts.logs == ("a", "b")
-    for protocol in ("paper", "strict"):
-        parts = [scored(one, protocol).declared for one in alone]
-        whole = scored(pooled, protocol).declared
-        np.testing.assert_array_equal(whole, np.concatenate(parts))
-    # One log's folder takes its own rows of the same file, without complaint.
-    one = evaluate(tmp_path / "root" / "b", tmp_path / "gt.csv")
-    np.testing.assert_array_equal(
-        scored(one, "strict").declared, scored(alone[1], "strict").declared
-    )
-    assert one.unused == ()
 
 
 # --- Other programs' tables ----------------------------------------------------------------------

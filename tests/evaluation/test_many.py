@@ -8,22 +8,20 @@ import multiprocessing
 import os
 import shutil
 import tracemalloc
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from functools import cache, partial
+from collections.abc import Callable
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.evaluation import compare as comparison
 from sonarrec.evaluation import histogram, logs, summary
-from sonarrec.evaluation.compare import compare
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.histogram import sum_by_value, values_at_ranks
 from sonarrec.evaluation.intervals import bootstrap_weights, coin_tosses
@@ -130,121 +128,49 @@ BROKEN = {
 }
 
 
-@contextmanager
-def broken(folder: Path, name: str) -> Iterator[str]:
-    """Breaks a file of some results meanwhile; how the line on it begins."""
+@pytest.mark.usefixtures("few_draws", "copied")
+@pytest.mark.parametrize(
+    ("name", "side"),
+    but_first([*((n, "") for n in BROKEN), *((n, s) for n in BROKEN for s in ("out", "new"))]),
+)
+def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: str) -> None:
+    """The first of three, of either side where two are compared: tables are as without it. If none
+    can be read it is one line. One fault is found in another process."""
+    old, new, pairs = make_sides(tmp_path / "made", 3, 50, 2)
+    words = ["evaluate", "--pairs", pairs, "-q", "-j", 2 if name == "run.toml" else 1]
+    words += ["--compare", old, new] if side else []
     text, told = BROKEN[name]
-    kept = (folder / name).rename(folder / "kept")
-    (folder / name).write_text(text, encoding="utf-8")
-    try:
-        yield f"{folder}{os.sep}{told}"
-    finally:
-        kept.rename(folder / name)
 
+    def spoil(n: int) -> str:
+        folder = pairs.parent / (side or "out") / f"log000{n}"
+        (folder / name).unlink()
+        (folder / name).write_text(text, encoding="utf-8")
+        return f"sonarrec: {folder}{os.sep}{told}"
 
-@pytest.fixture(scope="module")
-def sides(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
-    """Old and new results of three short logs, and a table of pairs."""
-    return make_sides(tmp_path_factory.mktemp("sides") / "made", 3, 50, 2)
+    def call(out: str) -> Result:
+        return CliRunner().invoke(main, [*map(str, words), "-o", str(tmp_path / out)])
 
-
-@pytest.fixture(scope="module")
-def four(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A table of pairs of four short logs."""
-    return make_logs(tmp_path_factory.mktemp("four") / "made", 4, 50, 2)
-
-
-@pytest.mark.usefixtures("few_draws", "copied")
-@pytest.mark.parametrize(
-    ("name", "jobs"),
-    but_first([("estimates.csv", "1"), ("frames.csv", "1"), ("run.toml", "1"), ("run.toml", "2")]),
-)
-def test_a_log_that_cannot_be_read_is_left_out(
-    tmp_path: Path, four: Path, name: str, jobs: str
-) -> None:
-    """The first, whose IDs' order the others would follow. Without any other it is one line. By
-    what name it cannot be read is settled before it reaches another process: one has it there."""
-    head, _, *others = four.read_text(encoding="utf-8").splitlines()
-    less = tmp_path / "pairs.csv"
-    less.write_text("\n".join([head, *others, ""]), encoding="utf-8")
-    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(less), "-j", "1"])
-    assert done.exit_code == 0, done.output
-    words = ["evaluate", "--pairs", str(four), "-j", jobs, "-o", str(tmp_path / "found")]
-    with ExitStack() as broke:
-        told = broke.enter_context(broken(four.parent / "out" / "log0000", name))
-        done = CliRunner().invoke(main, words)
-        assert done.exit_code == 3
-        assert done.stderr.startswith(f"sonarrec: {told}")
-        assert done.stderr.endswith("; log0000 is not scored\n")
-        assert done.stderr.count("\n") == 1
-        for table in ("confusion.csv", "roc.csv", "figures.csv", "per_log.csv"):
-            without = (tmp_path / "evaluation" / table).read_bytes()
-            assert (tmp_path / "found" / table).read_bytes() == without
-        shutil.rmtree(tmp_path / "found")
-        for n in (1, 2, 3):
-            broke.enter_context(broken(four.parent / "out" / f"log000{n}", name))
-        done = CliRunner().invoke(main, words)
+    line, done = spoil(0), call("found")
+    assert done.exit_code == 3, done.output
+    (error,) = [one for one in done.stderr.splitlines() if ": note: " not in one]
+    assert error.startswith(line)
+    assert error.endswith(f"; log0000 is not {'compared' if side else 'scored'}")
+    head, _, *others = pairs.read_text(encoding="utf-8").splitlines(keepends=True)
+    pairs.write_text("".join([head, *others]), encoding="utf-8")
+    for folder in (old, new):
+        shutil.rmtree(folder / "log0000")
+    assert call("without").exit_code == 0
+    tables = ("compare.csv", "changes.csv") if side else ("confusion.csv", "roc.csv", "figures.csv")
+    for table in tables:
+        assert (tmp_path / "found" / table).read_bytes() == (
+            tmp_path / "without" / table
+        ).read_bytes()
+    line, _ = spoil(1), spoil(2)
+    done = call("none")
     assert done.exit_code == 1
-    assert done.output.startswith(f"sonarrec: {told}")
+    assert done.output.startswith(line)
     assert done.output.count("\n") == 1
-    assert not (tmp_path / "found").exists()
-
-
-@cache
-def without_the_first(old: Path, new: Path, pairs: Path) -> dict[str, bytes]:
-    """What --compare writes where the first log is on neither side."""
-    out = pairs.parent / "without"
-    both = old / "log0000", new / "log0000"
-    for folder in both:
-        folder.rename(folder.parent.parent / f"{folder.parent.name}0")
-    words = ["--pairs", str(pairs), "--compare", str(old), str(new), "-o", str(out)]
-    done = CliRunner().invoke(main, ["evaluate", *words])
-    for folder in both:
-        (folder.parent.parent / f"{folder.parent.name}0").rename(folder)
-    assert done.exit_code == 0, done.output
-    return files(out)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("few_draws", "copied")
-@pytest.mark.parametrize(
-    ("name", "side", "jobs"),
-    [
-        *((name, side, "1") for name in BROKEN for side in ("out", "new")),
-        ("run.toml", "new", "2"),
-    ],
-)
-def test_a_log_that_cannot_be_read_is_not_compared(
-    tmp_path: Path, sides: tuple[Path, Path, Path], name: str, side: str, jobs: str
-) -> None:
-    """The first, on either side. Without any other it is one line."""
-    old, new, pairs = sides
-    words = ["--pairs", str(pairs), "--compare", str(old), str(new)]
-    without = without_the_first(old, new, pairs)
-    out = tmp_path / "found"
-    with ExitStack() as broke:
-        told = broke.enter_context(broken(pairs.parent / side / "log0000", name))
-        done = CliRunner().invoke(main, ["evaluate", *words, "-o", str(out), "-j", jobs, "-q"])
-        assert done.exit_code == 3, done.output
-        assert done.stderr.startswith(f"sonarrec: {told}")
-        assert done.stderr.endswith("; log0000 is not compared\n")
-        assert done.stderr.count("\n") == 1
-        for table in ("compare.csv", "changes.csv"):
-            assert (out / table).read_bytes() == without[table]
-        found, less = (
-            json.loads(text)
-            for text in ((out / "compare.json").read_bytes(), without["compare.json"])
-        )
-        assert found | {"unused": []} == less
-        page = CliRunner().invoke(main, ["report", *words, "-o", str(out / "compare.html"), "-q"])
-        assert (page.exit_code, page.stderr) == (3, done.stderr)
-        for n in (1, 2):
-            broke.enter_context(broken(pairs.parent / side / f"log000{n}", name))
-        done = CliRunner().invoke(main, ["evaluate", *words, "-j", jobs])
-    assert done.exit_code == 1
-    assert done.output.startswith(f"sonarrec: {told}")
-    assert done.output.count("\n") == 1
-    assert not (new / "evaluation").exists()
+    assert not (tmp_path / "none").exists()
 
 
 # SHA-256 of what --compare writes and prints, first recorded when it held all logs at once; since
@@ -305,24 +231,6 @@ def few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(histogram, "MOST_ROWS", 5_000)
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("few_rows")
-def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """Two logs and eleven. What was read of a log is twice that of
-    `test_memory_does_not_grow_with_the_logs`: were it kept, nine more would be 9 MB."""
-
-    old, new, table = make_sides(tmp_path / "made", 11, 1000, 2)
-    pairs = read_pairs(table)
-
-    def peak(logs: int) -> float:
-        found = []
-        peak = peak_mb(lambda: found.append(compare(old, new, pairs[:logs], jobs=1)))
-        assert len(found[0].logs) == logs
-        return peak
-
-    assert peak(11) - peak(2) < 1
-
-
 def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
     """Of another program, whose run.toml names no method."""
     truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]
@@ -336,17 +244,14 @@ def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) ->
     assert {row["log"] for row in table(files(tmp_path / "e")["passes.csv"])} == {"a", "b"}
 
 
-def test_few_small_logs_start_no_process(pairs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logs, "ProcessPoolExecutor", None)
-    assert len(evaluate_logs(read_pairs(pairs)).folders) == 12
-
-
-def test_no_more_processes_than_the_cores_it_may_use(
-    pairs: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("cores", [2, 1])
+def test_no_process_for_small_logs_nor_beyond_the_cores_it_may_use(
+    pairs: Path, monkeypatch: pytest.MonkeyPatch, cores: int
 ) -> None:
-    monkeypatch.setattr(logs, "WORTH_BYTES", 1)
-    monkeypatch.setattr(os, "cpu_count", lambda: 64)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5})
+    if cores == 1:
+        monkeypatch.setattr(logs, "WORTH_BYTES", 1)
+        monkeypatch.setattr(os, "cpu_count", lambda: 64)
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5})
     monkeypatch.setattr(logs, "ProcessPoolExecutor", None)
     assert len(evaluate_logs(read_pairs(pairs)).folders) == 12
 
