@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ from sonarrec.evaluation import metrics, unit_sums
 from sonarrec.evaluation.changes import ByMethod, FrameChanges
 from sonarrec.evaluation.compare_settings import SettingChange, changed_settings
 from sonarrec.evaluation.count import Adder, Counts
-from sonarrec.evaluation.evaluate import distinct_names, other_ids
 from sonarrec.evaluation.intervals import (
     Difference,
     Tally,
@@ -32,7 +31,7 @@ from sonarrec.evaluation.pairs import FindBeside, Pair
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.summary import SEED, units_text
 from sonarrec.evaluation.write import PAPER_KEY
-from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.results.run_file import read_run
 from sonarrec.truth.fits import tell_rows
 
 FRAMES_FREE = 2
@@ -182,10 +181,14 @@ def compare(
     """
     options.check()
     pairing = pair_logs(old, new, ground_truth, options, find_beside)
-    counted = _count_pairs(pairing.pairs, jobs)
-    notes = [*dict.fromkeys(pairing.notes), *counted.notes, *_scored_before(old, new)]
-    unused = [*dict.fromkeys([*pairing.unused, *counted.cut]), *counted.unused]
-    before, after = counted.before, counted.after
+    notes, unused = [*dict.fromkeys(pairing.notes)], [*dict.fromkeys(pairing.unused)]
+    used, before, after, changed = _count_pairs(pairing.pairs, jobs, notes, unused)
+    notes += _scored_before(old, new)
+    # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.
+    runs = (
+        (name, read_run(pair.old / "run.toml"), read_run(pair.new / "run.toml"))
+        for name, pair in zip(after.logs, used, strict=True)
+    )
     units = after.units(unit)
     scored = {(s.protocol, s.method): s for s in before.scored}
     both = [s for s in after.scored if (s.protocol, s.method) in scored]
@@ -218,9 +221,9 @@ def compare(
         frames_compared=after.frames,
         units=units_text(units),
         landmarks=after.ids,
-        settings=tuple(changed_settings(map(_runs, counted.used))),
+        settings=tuple(changed_settings(runs)),
         rates=tuple(rates),
-        frames=FrameChanges(tuple(zip(after.logs, counted.changes, strict=True)), methods),
+        frames=FrameChanges(tuple(zip(after.logs, changed, strict=True)), methods),
         passes=PassChanges(before, after, methods),
         differences=tuple(tests),
         lost=tuple(m for m in before.methods if m not in after.methods),
@@ -256,32 +259,12 @@ def _scored_before(*sides: Path) -> Iterator[str]:
                 )
 
 
-def _runs(pair: LogPair) -> tuple[str, RunFile, RunFile]:
-    """(name, old run.toml, new run.toml), not kept: those of many logs take much memory."""
-    before, after = (read_run(folder / "run.toml") for folder in pair.folders)
-    return pair.name, before, after
+def _count_pairs(
+    pairs: Sequence[LogPair], jobs: int | None, notes: list[str], unused: list[str]
+) -> tuple[list[LogPair], Counts, Counts, list[ByMethod]]:
+    """Read and count all pairs: those that can be compared, what was before, after and changed.
 
-
-@dataclass(frozen=True, slots=True)
-class _CountedPairs:
-    """The counts of all pairs that can be compared."""
-
-    used: list[LogPair]
-    before: Counts
-    after: Counts
-    """Of the same logs, frames and passes."""
-    changes: list[ByMethod]
-    """Of each log."""
-    notes: list[str]
-    cut: list[str]
-    """A line for each part of a log that is not compared."""
-    unused: list[str]
-    """A line for each log that is not compared."""
-
-
-def _count_pairs(pairs: Sequence[LogPair], jobs: int | None) -> _CountedPairs:
-    """Read and count all pairs.
-
+    Both counts are of the same logs, frames and passes. notes, unused: get further lines.
     Raises SonarrecError if none can be compared, or if they have different IDs or no method.
     """
     before, after = Adder(), Adder()
@@ -303,14 +286,9 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None) -> _CountedPairs:
             log.counts, log.changes = None, {}
     if not logs:
         raise unread[0].error
-    notes, misfits = check_logs([log.check for log in logs])
-    for part in after.parts:
-        if set(part.ids) != set(after.parts[0].ids):
-            raise other_ids(after.parts[0].name, part.name)
-    names = distinct_names([(pair.name, pair.new) for pair, _ in used])
-    old, new = before.counts(names), after.counts(names)
-    if not (old.methods and new.methods):
-        raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
+    fit_notes, misfits = check_logs([log.check for log in logs])
+    old, new = (side.counts([pair.new for pair, _ in used]) for side in (before, after))
+    notes += fit_notes
     compared = [method for method in new.methods if method in old.methods]
     for (pair, log), *parts in zip(used, old.parts, new.parts, strict=True):
         told = Diagnostics()
@@ -321,12 +299,7 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None) -> _CountedPairs:
                 notes.append(
                     f"{folder}: has no estimates of {', '.join(missing)}; this counts as no claim"
                 )
-    return _CountedPairs(
-        used=[replace(pair, name=name) for name, (pair, _) in zip(names, used, strict=True)],
-        before=old,
-        after=new,
-        changes=changes,
-        notes=notes,
-        cut=[line for log in logs for line in log.unused],
-        unused=[*(log.message("compared") for log in unread), *misfits],
-    )
+    cut = [line for log in logs for line in log.unused]
+    unused += [*dict.fromkeys(line for line in cut if line not in unused)]
+    unused += [*(log.message("compared") for log in unread), *misfits]
+    return [pair for pair, _ in used], old, new, changes

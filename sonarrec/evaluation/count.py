@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.behaviour import (
     PassOutcomes,
     Switches,
@@ -312,7 +315,23 @@ class Adder:
         self.parts.append(replace(log, values={}))
         self._units += log.units
 
-    def counts(self, names: Sequence[str]) -> Counts:
-        """The sums. names: of the logs, all different."""
-        parts = [replace(p, name=name) for p, name in zip(self.parts, names, strict=True)]
-        return Counts(parts, self._values)
+    def counts(self, folders: Sequence[Path]) -> Counts:
+        """The sums. folders: of the logs; where several have one name it is their names.
+
+        Raises SonarrecError if their IDs differ, or if none has a method.
+        """
+        for part in self.parts:
+            if set(part.ids) != set(self.parts[0].ids):
+                raise SonarrecError(
+                    f"logs {self.parts[0].name} and {part.name} were run with different landmark "
+                    "IDs and cannot be pooled; evaluate them one by one, or give --landmarks"
+                )
+        many = Counter(part.name for part in self.parts)
+        parts = [
+            part if many[part.name] == 1 else replace(part, name=str(folder))
+            for part, folder in zip(self.parts, folders, strict=True)
+        ]
+        counts = Counts(parts, self._values)
+        if not counts.methods:
+            raise SonarrecError(f"{', '.join(counts.logs)}: estimates.csv names no method to score")
+        return counts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,12 +131,7 @@ def evaluate_logs(
         raise faults[0].error
     fit_notes, misfits = check_logs([log.check for log in kept if log.check is not None])
     scored = [log for log in kept if log.check is not None and log.check.fault is None]
-    for log in scored:
-        if set(log.ids) != set(scored[0].ids):
-            raise other_ids(scored[0].name, log.name)
-    pooled = adder.counts(distinct_names([(log.name, log.folder) for log in scored]))
-    if not pooled.methods:
-        raise SonarrecError(f"{', '.join(pooled.logs)}: estimates.csv names no method to score")
+    pooled = adder.counts([log.folder for log in scored])
     notes = [*inputs.notes, *told.notes, *fit_notes, *_notes(scored, pooled)]
     unused = [
         *inputs.unused,
@@ -213,23 +207,6 @@ def _left_out(
         told = Diagnostics()
         tell_other_logs(told, inputs.table, names, "they are not scored")
         yield from told.problems
-
-
-def distinct_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
-    """A different name for each log: its name or, if others share it, its folder.
-
-    logs: (name, folder) of each.
-    """
-    many = Counter(name for name, _ in logs)
-    return [name if many[name] == 1 else str(folder) for name, folder in logs]
-
-
-def other_ids(first: str, other: str) -> SonarrecError:
-    """The error for two logs (their names) whose landmark IDs differ."""
-    return SonarrecError(
-        f"logs {first} and {other} were run with different landmark IDs and "
-        "cannot be pooled; evaluate them one by one, or give --landmarks"
-    )
 
 
 def _notes(logs: Sequence[LogScore], counts: Counts) -> Iterator[str]:

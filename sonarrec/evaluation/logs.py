@@ -117,7 +117,6 @@ class LogScore:
     folder: Path
     ground_truth: TruthOf
     name: str
-    ids: tuple[int, ...]
     recording: Recording
     check: TruthCheck | None
     """None if truth and log could not be matched; then `error` says why."""
@@ -152,7 +151,6 @@ def score_log(reading: LogToScore) -> LogScore | UnreadableLog:
         folder=reading.folder,
         ground_truth=TruthOf(reading.ground_truth, log.name, len(rows), table.digest_of(rows)),
         name=log.name,
-        ids=log.landmarks.ids,
         recording=recording(reading.folder, log.run, len(log.frame_index)),
         check=check,
         error=error,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tomli_w
 from click.testing import CliRunner
 
 from sonarrec.cli import main
@@ -20,7 +18,6 @@ from sonarrec.evaluation.intervals import Figure
 from sonarrec.evaluation.match import seconds_of_frames
 from sonarrec.evaluation.summary import Summary, _notes, summarise
 from sonarrec.evaluation.write import write_evaluation
-from sonarrec.landmarks import load_landmarks
 from tests.support.claims import counts, evaluate, evaluated, matched
 
 
@@ -215,14 +212,6 @@ def test_orientation_from_files(tmp_path: Path) -> None:
     for landmark, error in (("1", 20), ("2", 5)):
         assert value(summary, "orientation_error_median_deg", "m", landmark) == error
     assert math.isnan(value(summary, "orientation_error_median_deg", "m", "3"))
-    plain = replace(
-        load_landmarks("basin"), sectors=((1, 0, 0, 0), (1, 1, 1, 1), (1, 1, 0, 0), (0, 0, 0, 0))
-    )
-    (tmp_path / "plain.toml").write_text(tomli_w.dumps(plain.as_table()))
-    plain_set = str(tmp_path / "plain.toml")
-    summary = evaluate(tmp_path, tmp_path / "gt.csv", landmarks=plain_set).summary
-    assert value(summary, "orientation_error_median_deg", "m", "1") == 20
-    assert math.isnan(value(summary, "orientation_error_median_deg", "m", "2"))  # no orientation
 
 
 # --- Calibration ---------------------------------------------------------------------------------

@@ -510,22 +510,6 @@ def test_pairs_take_the_rows_of_their_log(tmp_path: Path) -> None:
         evaluate_logs([Pair(results, tmp_path / "both.csv")])
 
 
-def test_logs_may_be_called_by_numbers(tmp_path: Path) -> None:
-    """As by the date, with zeros in front: in a truth, and in a table of pairs."""
-    results, _ = write_case(tmp_path / "case", FRAMES, claims({5, 6}), [])
-    results.rename(tmp_path / "007")
-    rows = [("007", *row) for row in TRUTH] + [("20261124", 0, 2, 2.0, 0.0, 1.0)]
-    write_csv(tmp_path / "gt.csv", ("log", *TRUTH_HEADER), rows)
-    found = evaluate(tmp_path / "007", tmp_path / "gt.csv")
-    write_csv(
-        tmp_path / "pairs.csv", ("results", "ground_truth", "log"), [("007", "gt.csv", "007")]
-    )
-    pairs = evaluate_logs(read_pairs(tmp_path / "pairs.csv"))
-    for one in (found, pairs):
-        assert one.counts.logs == ("007",)
-        assert scored(one, "strict").count().fn == 18
-
-
 @pytest.mark.parametrize("also", ["evaluate", "report"])
 def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: str) -> None:
     """And told with its line; its truth is not read. Results are of one log."""

@@ -65,7 +65,7 @@ def counts(*logs: Matched) -> Counts:
     adder = Adder()
     for log in logs:
         adder.add(count_log(log))
-    return adder.counts([f"log{n}" for n in range(len(logs))])
+    return adder.counts([Path(f"log{n}") for n in range(len(logs))])
 
 
 def evaluated(*logs: Matched) -> Evaluation:

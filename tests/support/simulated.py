@@ -126,7 +126,7 @@ def score(folders: Sequence[Path]) -> Counts:
     adder = Adder()
     for folder in folders:
         adder.add(count_log(matched(folder)))
-    return adder.counts([str(folder) for folder in folders])
+    return adder.counts(folders)
 
 
 class HoughRival:
