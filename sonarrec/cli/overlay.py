@@ -76,7 +76,7 @@ def overlay(
       sonarrec overlay pings/ --video pings.mp4 --ground-truth gt.csv
       sonarrec overlay log.mcap results/log --images shots --frames 100:120 --method smi
     """
-    from sonarrec.overlay.overlay import Targets, write_overlay
+    from sonarrec.overlays.overlay import Targets, write_overlay
     from sonarrec.results.run_file import frame_span
 
     if foxglove_layout is not None and mcap is None:

@@ -85,7 +85,7 @@ def report(
         raise UsageError("--pairs names the truth of each log; leave out --ground-truth")
 
     from sonarrec.remote.run import RemoteFiles, inside
-    from sonarrec.report.build import write_report
+    from sonarrec.reports.build import write_report
 
     results = results or Path("sonarrec_out")
     beside = results if pairs is None else pairs.parent
@@ -100,7 +100,7 @@ def report(
         if compare is not None:
             from sonarrec.cli.evaluate import compare_sides
             from sonarrec.evaluation.pairs import read_pairs
-            from sonarrec.report.compare import write_comparison_page
+            from sonarrec.reports.compare import write_comparison_page
             from sonarrec.tables.outputs import check_output
 
             check_output(path, "comparison", [truth, pairs])

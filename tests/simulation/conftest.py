@@ -1,3 +1,3 @@
 """A browser, for the page of `sonarrec site`."""
 
-from tests.report.conftest import browser  # noqa: F401
+from tests.reports.conftest import browser  # noqa: F401

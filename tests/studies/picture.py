@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
-from sonarrec.overlay.overlay import Targets, write_overlay
+from sonarrec.overlays.overlay import Targets, write_overlay
 from sonarrec.readers import open_log
 from sonarrec.runs.one import run as run_log
 

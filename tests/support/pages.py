@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.evaluation.match import ScoringOptions
-from sonarrec.report.logs import LogToShow, ReportedLog, read_logs
+from sonarrec.reports.logs import LogToShow, ReportedLog, read_logs
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
 

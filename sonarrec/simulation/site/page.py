@@ -12,9 +12,9 @@ from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.report.page import filled
-from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
-from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
+from sonarrec.reports.page import filled
+from sonarrec.reports.pictures import LARGEST, QUALITY, as_webp, shrunk
+from sonarrec.reports.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.simulation.site.rates import Rate
 from sonarrec.simulation.site.results import ENOUGH, ContrastResults, ExampleFrame, Site, span_text
 

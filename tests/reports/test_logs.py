@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sonarrec.evaluation.judge import PROTOCOLS
-from sonarrec.report.logs import alongside, judged_sightings, tracks
-from sonarrec.report.mistakes import episodes, in_words
+from sonarrec.reports.logs import alongside, judged_sightings, tracks
+from sonarrec.reports.mistakes import episodes, in_words
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE
 from tests.support.pages import PLACED, reported, tables

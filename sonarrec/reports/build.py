@@ -14,8 +14,8 @@ from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.match import DEFAULT, Matched, ScoringOptions
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.tables import Evaluation
-from sonarrec.report import frames
-from sonarrec.report.logs import (
+from sonarrec.reports import frames
+from sonarrec.reports.logs import (
     MOST_LOGS,
     JudgedSighting,
     LogToShow,
@@ -24,11 +24,11 @@ from sonarrec.report.logs import (
     judged_sightings,
     read_logs,
 )
-from sonarrec.report.mistakes import Episode, episodes, in_words
-from sonarrec.report.outliers import Outlier, failed_logs, outliers, outliers_first
-from sonarrec.report.page import MOST_MISTAKES, render
-from sonarrec.report.pictures import Picture, PictureRequest
-from sonarrec.report.recordings import match_recordings, open_recording
+from sonarrec.reports.mistakes import Episode, episodes, in_words
+from sonarrec.reports.outliers import Outlier, failed_logs, outliers, outliers_first
+from sonarrec.reports.page import MOST_MISTAKES, render
+from sonarrec.reports.pictures import Picture, PictureRequest
+from sonarrec.reports.recordings import match_recordings, open_recording
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.sonar import Sonar
 from sonarrec.tables.outputs import check_output, write_page

@@ -12,7 +12,7 @@ from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log, log_name, names_a_log, results_name
-from sonarrec.report.logs import ReportedLog
+from sonarrec.reports.logs import ReportedLog
 from sonarrec.results.run_file import LogOptions
 from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar

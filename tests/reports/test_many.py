@@ -9,8 +9,8 @@ import pytest
 
 from sonarrec.evaluation.cells import scored_by
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.report.build import write_report
-from sonarrec.report.logs import MOST_LOGS
+from sonarrec.reports.build import write_report
+from sonarrec.reports.logs import MOST_LOGS
 from tests.support.command import sonarrec
 from tests.support.made_up import make_logs
 from tests.support.pages import tables

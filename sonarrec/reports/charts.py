@@ -12,8 +12,8 @@ from sonarrec.errors import number_of
 from sonarrec.evaluation.count import Scored
 from sonarrec.evaluation.roc import roc as evaluation_roc
 from sonarrec.evaluation.summary import FEW, Reliability
-from sonarrec.report.logs import ReportedLog, Track, alongside, true_landmark
-from sonarrec.report.svg import (
+from sonarrec.reports.logs import ReportedLog, Track, alongside, true_landmark
+from sonarrec.reports.svg import (
     MOST_POINTS,
     STYLES,
     UNIT,

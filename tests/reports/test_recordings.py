@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from sonarrec.report import frames
+from sonarrec.reports import frames
 from sonarrec.truth.table import read_truth
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import Page, held_frames, reported

@@ -14,7 +14,7 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.match import ScoringOptions
 from sonarrec.evaluation.tables import Evaluation
-from sonarrec.report.logs import follows_by_default
+from sonarrec.reports.logs import follows_by_default
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings import read_sightings

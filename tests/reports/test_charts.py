@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.evaluation.summary import Reliability
 from sonarrec.landmarks import load_landmarks
-from sonarrec.report import charts, svg
-from sonarrec.report.logs import ReportedLog, Track
+from sonarrec.reports import charts, svg
+from sonarrec.reports.logs import ReportedLog, Track
 from tests.support.browser import contrast
 
 

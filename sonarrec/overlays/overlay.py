@@ -17,8 +17,8 @@ from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, dra
 from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
-from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, LAYOUT_BEGIN, FoxgloveFile, write_layout
-from sonarrec.overlay.video import ImageFolder, VideoFile
+from sonarrec.overlays.foxglove_mcap import FAN_TOPIC, LAYOUT_BEGIN, FoxgloveFile, write_layout
+from sonarrec.overlays.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log

@@ -25,13 +25,13 @@ from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import FEW, over_units, units_text
 from sonarrec.evaluation.tables import Evaluation
-from sonarrec.report import charts
-from sonarrec.report.frames import ShownLog
-from sonarrec.report.logs import ReportedLog, Track, judged_sightings, tracks, true_landmark
-from sonarrec.report.mistakes import Episode, in_words
-from sonarrec.report.outliers import Outlier
-from sonarrec.report.pictures import Picture
-from sonarrec.report.svg import STYLES, Chart, darkened, frames_a_bar, glyph
+from sonarrec.reports import charts
+from sonarrec.reports.frames import ShownLog
+from sonarrec.reports.logs import ReportedLog, Track, judged_sightings, tracks, true_landmark
+from sonarrec.reports.mistakes import Episode, in_words
+from sonarrec.reports.outliers import Outlier
+from sonarrec.reports.pictures import Picture
+from sonarrec.reports.svg import STYLES, Chart, darkened, frames_a_bar, glyph
 from sonarrec.results.sightings import PASS_GAP, Sighting
 from sonarrec.times import date_text, is_date, time_text
 
@@ -79,7 +79,7 @@ def render(
     colours = landmark_colours(landmarks.ids).values()
     names = ", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else "")
     frames = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
-    script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
+    script = (files("sonarrec.reports") / "report.js").read_text(encoding="utf-8")
     return filled(
         "report.html",
         number=lambda value, digits: f"{value:,.{digits}f}",
@@ -356,7 +356,7 @@ def _plain(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def filled(template: str, package: str = "sonarrec.report", /, **values: Any) -> str:
+def filled(template: str, package: str = "sonarrec.reports", /, **values: Any) -> str:
     """A template of a package filled with values, as HTML. It may include those of this folder."""
     return _environment(package).get_template(template).render(values)
 
@@ -364,7 +364,7 @@ def filled(template: str, package: str = "sonarrec.report", /, **values: Any) ->
 @cache  # keeps the compiled templates
 def _environment(package: str) -> Environment:
     return Environment(
-        loader=ChoiceLoader([PackageLoader(p, ".") for p in (package, "sonarrec.report")]),
+        loader=ChoiceLoader([PackageLoader(p, ".") for p in (package, "sonarrec.reports")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -19,7 +19,7 @@ from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
-from sonarrec.overlay import detections
+from sonarrec.overlays import detections
 from sonarrec.readers.messages.foxglove import json_schema
 from sonarrec.tables.outputs import OVERLAY_LIBRARY, write_text, writing
 

@@ -15,7 +15,7 @@ from sonarrec.evaluation.compare import Comparison, PassChange
 from sonarrec.evaluation.compare_screen import outcome, settings_lines
 from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.report.page import filled
+from sonarrec.reports.page import filled
 from sonarrec.tables.outputs import write_page
 
 MOST = 10

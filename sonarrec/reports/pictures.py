@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.results import Mark, draw_frame
 from sonarrec.nouns import Estimate, Frame
-from sonarrec.report.logs import ReportedLog
+from sonarrec.reports.logs import ReportedLog
 
 LARGEST = 640  # pixels of the longer side; draw_frame lays its text out for this
 QUALITY = 80

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sonarrec.arrays import ByteImage
-from sonarrec.report import frames, pictures
+from sonarrec.reports import frames, pictures
 from tests.support.browser import chromium
 from tests.support.command import SAMPLE, sonarrec
 

@@ -16,8 +16,8 @@ from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Estimate, Frame
 from sonarrec.readers.log import Log
-from sonarrec.report.logs import ReportedLog
-from sonarrec.report.pictures import Picture, PictureRequest, as_webp, draw, ellipse, shrunk
+from sonarrec.reports.logs import ReportedLog
+from sonarrec.reports.pictures import Picture, PictureRequest, as_webp, draw, ellipse, shrunk
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.same_log import check_same_log
 from sonarrec.results.stream import read_estimates

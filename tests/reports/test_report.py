@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.judge import PROTOCOLS
-from sonarrec.report.page import settings_tables
+from sonarrec.reports.page import settings_tables
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import DECLARED, PLACED, Page, tables

@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from sonarrec.drawing.pen import disc_outline, landmark_colours
-from sonarrec.overlay.overlay import Targets, write_overlay
+from sonarrec.overlays.overlay import Targets, write_overlay
 from sonarrec.readers import open_log
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.estimates import BASIN, csv_file, moving, noise, write_results

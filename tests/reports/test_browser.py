@@ -183,8 +183,8 @@ def test_of_a_long_log_the_nearest_frame_is_shown(
     browser: Any, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With room for a few frames only, which has to be told."""
-    monkeypatch.setattr("sonarrec.report.frames.MOST_FRAMES", 9)
-    monkeypatch.setattr("sonarrec.report.frames.choose.__defaults__", (9,))
+    monkeypatch.setattr("sonarrec.reports.frames.MOST_FRAMES", 9)
+    monkeypatch.setattr("sonarrec.reports.frames.choose.__defaults__", (9,))
     page = tmp_path / "few.html"
     sonarrec("report", results, "--log", SAMPLE, "-o", page)
     look(browser, page, 1280, "light")

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sonarrec.cli import main
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate
-from sonarrec.overlay.detections import detections_message
+from sonarrec.overlays.detections import detections_message
 from tests.support.drawn import make_fan
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
@@ -136,7 +136,7 @@ def test_what_is_not_known_is_told_as_such() -> None:
     near = Estimate("x", 7, 0, 0, 0.3, -5.0, 30.0, 1, np.ones(5) / 5, 3, 0.8, True)
     quiet = Estimate("x", 8, 0, 0, 2.0, 0.0, 30.0, 1, np.ones(5) / 5, 3, 0.8, False)
     store = get_typestore(Stores.ROS2_HUMBLE)
-    from sonarrec.overlay.detections import definition
+    from sonarrec.overlays.detections import definition
 
     store.register(get_types_from_msg(definition().decode(), NAME))
     data = detections_message(FAN, 5_000_000_007, BASIN, [known, near, quiet])
