@@ -59,7 +59,28 @@ pairs = in_input(
     help="In place of RESULTS and truth: a CSV with the columns results,ground_truth[,log], a row "
     "per log. With --compare: the truth of each log.",
 )
-method = in_input("--method", help="Method of estimates.csv.  [default: framework]")
+
+
+def _one(_: click.Context, __: click.Parameter, methods: tuple[str, ...]) -> str | None:
+    if len(methods) > 1:
+        raise UsageError(f"--method: this command takes one method, not {', '.join(methods)}")
+    return methods[0] if methods else None
+
+
+_LEADING = "framework, else the first with tracks"
+method = in_input(
+    "--method",
+    multiple=True,
+    callback=_one,
+    metavar="NAME",
+    help=f"Method of estimates.csv.  [default: {_LEADING}]",
+)
+methods = in_scoring(
+    "--method methods",
+    multiple=True,
+    metavar="NAME",
+    help=f"Method of estimates.csv; repeatable. The first leads.  [default: all; first {_LEADING}]",
+)
 model = in_input(
     "--model",
     type=FILE,
@@ -102,6 +123,7 @@ _SCORING = {
         "[default: half the time between frames]",
     ),
     "landmarks": landmarks,
+    "methods": methods,
 }
 
 
@@ -112,7 +134,7 @@ def _scoring(values: dict[str, Any]) -> ScoringOptions:
     return ScoringOptions(**chosen, sonar=LogChoice(values).sonar_without_log())
 
 
-# --min-visible, --tolerance, --landmarks and the geometry, as one `scoring`: ScoringOptions.
+# What is scored, how, and in which geometry, as one `scoring`: ScoringOptions.
 scoring = as_one("scoring", _SCORING | GEOMETRY_OPTIONS, _scoring)
 
 # Settings

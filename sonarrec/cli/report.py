@@ -11,7 +11,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import end, say, tell
-from sonarrec.cli.groups import command, in_input, in_output
+from sonarrec.cli.groups import command, in_input
 from sonarrec.cli.options_log import topic_option
 from sonarrec.errors import UsageError, number_of
 
@@ -35,10 +35,6 @@ if TYPE_CHECKING:
 )
 @topic_option
 @options.scoring
-@in_output(
-    "--method",
-    help="Method whose sightings and tracks are shown.  [default: framework, or the first preset]",
-)
 @options.out(
     options.NEW_FILE_OR_URL,
     "The page.  [default: report.html in RESULTS or beside PAIRS; compare.html in NEW]",
@@ -53,7 +49,6 @@ def report(
     recordings: tuple[Path | str, ...],
     topic: str | None,
     scoring: ScoringOptions,
-    method: str | None,
     out: Path | str | None,
     cache: options.GetCache,
     quiet: bool,
@@ -75,10 +70,8 @@ def report(
       sonarrec report --pairs pairs.csv --log recordings/
       sonarrec report --compare before after --ground-truth gt.csv
     """
-    if compare is not None and (results or recordings or topic or method):
-        raise UsageError(
-            "--compare takes OLD, NEW and truth; leave out RESULTS, --log, --topic and --method"
-        )
+    if compare is not None and (results or recordings or topic):
+        raise UsageError("--compare takes OLD, NEW and truth; leave out RESULTS, --log and --topic")
     if pairs is not None and (ground_truth or results) and compare is None:
         raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
     if pairs is not None and ground_truth is not None:
@@ -116,7 +109,6 @@ def report(
                 pairs=pairs,
                 recordings=[remote.log(recording) for recording in recordings],
                 topic=topic,
-                method=method,
                 options=scoring,
             )
             unused, size = page.unused, f"{page.path.stat().st_size / 1e6:.1f} MB"

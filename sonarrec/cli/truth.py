@@ -208,7 +208,7 @@ def check(
 
 @truth.command(short_help="Propose a gt.csv from confident tracks.", cls=GroupedCommand)
 @click.argument("results", type=ANY, default=Path("sonarrec_out"))
-@in_input("--method", default="framework", help="Method whose tracks are taken.")
+@options.method
 @in_scoring(
     "--min-score",
     type=float,
@@ -224,7 +224,7 @@ def check(
 @options.out(NEW_FILE, NEW, default=Path("gt_proposed.csv"))
 @options.quiet
 def propose(
-    results: Path, method: str, min_score: float, max_gap: int, out: Path, quiet: bool
+    results: Path, method: str | None, min_score: float, max_gap: int, out: Path, quiet: bool
 ) -> None:
     """Propose a gt.csv from the confident tracks of RESULTS.
 

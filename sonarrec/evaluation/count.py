@@ -28,7 +28,7 @@ from sonarrec.evaluation.histogram import Key, Rows, Values, sum_by_unit, sum_by
 from sonarrec.evaluation.judge import PROTOCOLS, judge
 from sonarrec.evaluation.match import Matched, truth_beneath
 from sonarrec.evaluation.passes import UnitKind, find_passes
-from sonarrec.results.read import in_order
+from sonarrec.results.methods import chosen
 
 LOGS_ENOUGH = 10
 """With so many logs the unit is a log, since the passes of one log have much in common."""
@@ -206,14 +206,18 @@ class Counts:
     """The sums over all logs, which have the same IDs in the same order.
 
     parts: of each log. values: those of their scores and errors that the parts no longer hold.
+    methods: those wanted; all if none is named.
     """
 
-    def __init__(self, parts: Sequence[LogCounts], values: Values) -> None:
+    def __init__(
+        self, parts: Sequence[LogCounts], values: Values, methods: Sequence[str] = ()
+    ) -> None:
         self.parts = tuple(parts)
         self.values = values
         self.logs = tuple(part.name for part in parts)
         self.ids = parts[0].ids
-        self.methods = in_order({method for part in parts for method in part.methods})
+        there = {method for part in parts for method in part.methods}
+        self.methods = chosen(there, methods, ", ".join(self.logs))
         self.placed = all(part.placed for part in parts)
         self.protocols = PROTOCOLS if self.placed else PROTOCOLS[:1]
         self.frames = sum(part.frames for part in parts)
@@ -315,10 +319,10 @@ class Adder:
         self.parts.append(replace(log, values={}))
         self._units += log.units
 
-    def counts(self, folders: Sequence[Path]) -> Counts:
+    def counts(self, folders: Sequence[Path], methods: Sequence[str] = ()) -> Counts:
         """The sums. folders: of the logs; where several have one name it is their names.
 
-        Raises SonarrecError if their IDs differ, or if none has a method.
+        methods: as in `Counts`. Raises SonarrecError if IDs differ, or if none has a method.
         """
         for part in self.parts:
             if set(part.ids) != set(self.parts[0].ids):
@@ -331,7 +335,7 @@ class Adder:
             part if many[part.name] == 1 else replace(part, name=str(folder))
             for part, folder in zip(self.parts, folders, strict=True)
         ]
-        counts = Counts(parts, self._values)
+        counts = Counts(parts, self._values, methods)
         if not counts.methods:
             raise SonarrecError(f"{', '.join(counts.logs)}: estimates.csv names no method to score")
         return counts

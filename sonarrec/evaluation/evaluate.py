@@ -45,6 +45,7 @@ def evaluate(
     tolerance_s: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | None = None,
+    method: str | Sequence[str] = (),
     unit: UnitKind | None = None,
     jobs: int | None = 1,
 ) -> Evaluation:
@@ -73,11 +74,13 @@ def evaluate(
     claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
     0 to 1 and no false claim is free.
 
+    method: one or several to score; default: all, the framework first.
     unit: what is independent, "pass" or "log"; default: logs if there are ten or more. jobs: how
     many logs are read at once, each in its own process.
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
-    options = ScoringOptions(min_visible, tolerance_s, landmarks, sonar)
+    methods = (method,) if isinstance(method, str) else tuple(method)
+    options = ScoringOptions(min_visible, tolerance_s, landmarks, sonar, methods)
     return evaluate_logs(results, ground_truth, options, unit=unit, jobs=jobs)
 
 
@@ -131,7 +134,7 @@ def evaluate_logs(
         raise faults[0].error
     fit_notes, misfits = check_logs([log.check for log in kept if log.check is not None])
     scored = [log for log in kept if log.check is not None and log.check.fault is None]
-    pooled = adder.counts([log.folder for log in scored])
+    pooled = adder.counts([log.folder for log in scored], options.methods)
     notes = [*inputs.notes, *told.notes, *fit_notes, *_notes(scored, pooled)]
     unused = [
         *inputs.unused,

@@ -9,7 +9,8 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import UsageError
-from sonarrec.results.read import LogResults, in_order
+from sonarrec.results.methods import in_order
+from sonarrec.results.read import LogResults
 from sonarrec.sonar import Sonar
 from sonarrec.truth.match import Truth
 
@@ -36,6 +37,8 @@ class ScoringOptions:
     """Landmark set, in place of that of run.toml."""
     sonar: Sonar | None = None
     """Geometry that takes precedence over run.toml."""
+    methods: tuple[str, ...] = ()
+    """Those that are scored or shown, the leading one first; all if none is named."""
 
     def check(self) -> None:
         """Raises UsageError if an option is invalid."""
@@ -114,7 +117,7 @@ def match(log: LogResults, truth: Truth, min_visible: float, ids: tuple[int, ...
     nothing of the landmark is in view.
     """
     ids = ids if set(ids) == set(log.landmarks.ids) else log.landmarks.ids
-    methods = in_order(set(log.methods))
+    methods = in_order(log.methods)
     of_id = np.array([ids.index(i) for i in log.landmarks.ids])
     of_method = np.array([methods.index(m) for m in log.methods], dtype=int)
     n, k, seen = len(log.frame_index), len(ids), truth.visible > 0

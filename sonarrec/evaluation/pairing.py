@@ -30,7 +30,14 @@ from sonarrec.evaluation.pairs import (
     truth_note,
 )
 from sonarrec.results.folders import estimates_of, log_of
-from sonarrec.results.read import LogResults, find_logs, not_whole, read_frames, read_log
+from sonarrec.results.read import (
+    LogResults,
+    find_logs,
+    not_whole,
+    read_frames,
+    read_log,
+    rows_of,
+)
 from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import Recording, check_one_log, counted_once, recording
 from sonarrec.tables.read import read_header
@@ -275,15 +282,10 @@ def count_pair(pair: LogPair) -> CountedPair | UnreadableLog:
 def _only(log: LogResults, frames: IntArray) -> LogResults:
     """The results on the frames of these numbers."""
     listed = np.isin(log.frame, frames)
-    on_listed = listed[log.frame_index]  # (N,) whether an estimate lies on one of them
-    names = ("method", "landmark_index", "score", "declared", "orientation", "object")
-    columns = {name: getattr(log, name)[on_listed] for name in names}
+    kept = rows_of(log, listed[log.frame_index])
     return replace(
-        log,
+        kept,
         frame=log.frame[listed],
         timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[listed],
-        frame_index=(np.cumsum(listed) - 1)[log.frame_index[on_listed]],
-        position=None if log.position is None else log.position[on_listed],
-        probability=None if log.probability is None else log.probability[on_listed],
-        **columns,
+        frame_index=(np.cumsum(listed) - 1)[kept.frame_index],
     )

@@ -28,6 +28,7 @@ from sonarrec.evaluation.intervals import (
     unseen_share,
 )
 from sonarrec.evaluation.passes import UnitKind
+from sonarrec.nouns import follows
 
 _PLURAL = {"pass": "es", "log": "s"}
 FEW = 10
@@ -112,7 +113,9 @@ def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
         differences=tuple(
             difference
             for group in alike.values()
-            for a, b in combinations(group, 2)
+            for pair in combinations(group, 2)
+            # What one without tracks, the baseline, has is subtracted.
+            for a, b in [sorted(pair, key=lambda t: follows(t.method))]
             for difference in differences(a, b, weights, tosses)
         ),
         reliability=tuple(curves),

@@ -62,21 +62,20 @@ def write_report(
     recordings: Sequence[Path] = (),
     options: ScoringOptions = DEFAULT,
     topic: str | None = None,
-    method: str | None = None,
 ) -> Report:
     """Write the report on a results folder (of one log or of several) to `path`.
 
     pairs: a table that names results and truth of each log, in place of results and ground_truth.
     recordings: the logs that the results came from, or folders with such logs; without them the
-    page shows no frames. options: as in `evaluation.evaluate.evaluate_logs`. topic: the image
-    channel of an MCAP recording, if run.toml does not name it. method: whose sightings and tracks
-    are shown, as in `logs.read_logs`.
+    page shows no frames. options: as in `evaluation.evaluate.evaluate_logs`; the sightings
+    and tracks of the first of its methods are shown. topic: the image
+    channel of an MCAP recording, if run.toml does not name it.
     Raises SonarrecError where files cannot be used, read or written.
     """
     check_output(path, "report", [ground_truth, pairs, *recordings])
     rows = None if pairs is None else read_pairs(pairs)
-    chosen = _choose(results, ground_truth, rows, options, method)
-    logs, unread = _with_panels(chosen.folders, chosen.rows, chosen.evaluation, options, method)
+    chosen = _choose(results, ground_truth, rows, options)
+    logs, unread = _with_panels(chosen.folders, chosen.rows, chosen.evaluation, options)
     evaluation = chosen.evaluation
     mistakes = {}
     matched = {log.results.name: log.matched for log in logs if log.matched is not None}
@@ -114,7 +113,6 @@ def _choose(
     ground_truth: Path | None,
     rows: list[Pair] | None,
     options: ScoringOptions,
-    method: str | None,
 ) -> _ChosenLogs:
     """Read and score the logs. rows: results and truth of each, in place of the other two.
 
@@ -132,7 +130,7 @@ def _choose(
         evaluation = evaluate_logs(truth if results is None else results, ground_truth, options)
     if len(folders) <= MOST_LOGS:
         return _ChosenLogs(folders, truth, failed_logs(results), evaluation)
-    outlier_logs = outliers(folders, evaluation, results, options, method)
+    outlier_logs = outliers(folders, evaluation, results, options)
     if evaluation is None:
         return _ChosenLogs(outliers_first(folders, outlier_logs), [], outlier_logs, None)
     folders = outliers_first(evaluation.folders, outlier_logs)[:MOST_LOGS]
@@ -145,14 +143,13 @@ def _with_panels(
     rows: Sequence[Pair],
     evaluation: Evaluation | None,
     options: ScoringOptions,
-    method: str | None,
 ) -> tuple[list[ReportedLog], list[str]]:
     """The logs that have panels, and a line for each that cannot be read.
 
     rows: their truth, if it is known.
     """
     if evaluation is None:
-        return read_logs([LogToShow(folder) for folder in folders], options, method)
+        return read_logs([LogToShow(folder) for folder in folders], options)
     # The evaluation has distinct names, each recording once, and no log that cannot be read.
     scored = dict(zip(evaluation.folders, evaluation.counts.logs, strict=True))
     first: dict[Path, Pair] = {}
@@ -162,7 +159,7 @@ def _with_panels(
     truths = [*first.values()]
     tables = {file: read_truth(file) for file in {row.ground_truth for row in truths}}
     to_show = [LogToShow(row.results, tables[row.ground_truth], row.log) for row in truths]
-    logs, unread = read_logs(to_show, options, method)
+    logs, unread = read_logs(to_show, options)
     named_logs = [
         replace(log, results=replace(log.results, name=scored[log.folder])) for log in logs
     ]

@@ -186,7 +186,7 @@ def track_axis(log: ReportedLog, track: Track) -> Axis:
 
 
 def track_panels(log: ReportedLog, track: Track) -> list[TrackPanel]:
-    """Probability over time for each method (the paper's Figure 14), the single-frame one first."""
+    """Probability over time for each method (the paper's Figure 14), the leading one first."""
     panels = []
     for method in log.results.methods:
         estimates = track.estimates if method == log.tracker else alongside(log, track, method)

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.match import Matched, ScoringOptions, match, truth_beneath
 from sonarrec.nouns import follows
 from sonarrec.results.folders import log_of
-from sonarrec.results.read import LogResults, read_log
+from sonarrec.results.methods import chosen, leading
+from sonarrec.results.read import LogResults, of_methods, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.sightings import Sighting, read_sightings
 from sonarrec.truth.match import Truth, match_truth
@@ -94,16 +95,18 @@ class LogToShow:
 
 
 def read_logs(
-    logs_to_show: Sequence[LogToShow], options: ScoringOptions, method: str | None
+    logs_to_show: Sequence[LogToShow], options: ScoringOptions
 ) -> tuple[list[ReportedLog], list[str]]:
     """The first MOST_LOGS logs that can be read, and a line for each that cannot.
 
-    method: whose tracks are shown; None: the framework, or the first method with tracks.
+    Of options.methods the tracks of the first are shown; by default those of the leading method.
     Raises SonarrecError if no log can be read or a truth does not fit its log, UsageError if no log
-    has the method.
+    has such a method.
     """
     logs: list[ReportedLog] = []
     unread: list[tuple[str, SonarrecError]] = []
+    there: set[str] = set()
+    wanted = options.methods
     for one in logs_to_show:
         if len(logs) == MOST_LOGS:
             break
@@ -113,11 +116,13 @@ def read_logs(
         except SonarrecError as error:
             unread.append((one.name or log_of(one.folder), error))
             continue
+        there.update(results.methods)
+        results = of_methods(results, wanted)
         results = results if one.name is None else replace(results, name=one.name)
         truth = None
         if one.truth is not None:
             truth = match_truth(one.truth, results, options.tolerance_s)
-        tracker = method or follows_by_default(results.methods)
+        tracker = wanted[0] if wanted else leading(results.methods)
         passes = [s for s in sightings if s.method == tracker]
         logs.append(_reported_log(one.folder, results, truth, options.min_visible, tracker, passes))
     if not logs:
@@ -128,19 +133,8 @@ def read_logs(
                 f"logs {logs[0].results.name} and {log.results.name} were run with different "
                 "landmark IDs; report them one by one, or give --landmarks"
             )
-    there = dict.fromkeys(name for log in logs for name in log.results.methods)
-    if method is not None and method not in there:
-        folder = logs_to_show[0].folder
-        raise UsageError(f"{folder}: no method {method!r}; there is {', '.join(there)}")
+    chosen(there, wanted, logs_to_show[0].folder)  # raises for one that no log has
     return logs, [f"{error}; {name} is not shown" for name, error in unread]
-
-
-def follows_by_default(methods: Sequence[str]) -> str:
-    """The framework, else the first method with tracks."""
-    followers = [name for name in methods if follows(name)]
-    if "framework" in followers or not methods:
-        return "framework"
-    return (followers or list(methods))[0]
 
 
 def _reported_log(

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.errors import SonarrecError, UsageError, number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.match import ScoringOptions
 from sonarrec.evaluation.tables import Evaluation
-from sonarrec.reports.logs import follows_by_default
 from sonarrec.results.folders import log_of
+from sonarrec.results.methods import leading
 from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings import read_sightings
 from sonarrec.runs import logs_table
@@ -39,20 +39,18 @@ def outliers(
     evaluation: Evaluation | None,
     folder: Path | None,
     options: ScoringOptions,
-    method: str | None,
 ) -> list[Outlier]:
     """Logs that differ from the rest: failed and partial ones first.
 
     folder: that which holds the results; its logs.csv names the logs without results.
-    options: its landmarks and sonar replace those in run.toml. method: whose mistakes count, by
-    default as in `logs.read_logs`.
-    Raises UsageError if no scored log has the method.
+    options: its landmarks and sonar replace those in run.toml; the mistakes of the first of its
+    methods count, by default those of the leading method.
     """
     reasons: dict[str, list[str]] = {}
     folder_of = {log_of(folder): folder for folder in folders}
     if evaluation is not None:
         folder_of = dict(zip(evaluation.counts.logs, evaluation.folders, strict=True))
-        remarks = [*_unfinished(folder_of, folder), *_most_mistaken(evaluation.counts, method)]
+        remarks = [*_unfinished(folder_of, folder), *_most_mistaken(evaluation.counts)]
     else:
         sightings: dict[str, Counter[str]] = {}
         remarks = []
@@ -65,7 +63,7 @@ def outliers(
         folders_read = {name: folder_of[name] for name in sightings}
         remarks += _unfinished(folders_read, folder)
         # Without truth an unusual number of sightings tells which logs differ.
-        method = method or follows_by_default(sorted(set().union(*sightings.values())))
+        method = next(iter(options.methods), leading(set().union(*sightings.values())))
         count = [of_log[method] for of_log in sightings.values()]
         usual = float(np.median(count)) if count else 0.0
         for i in _most([abs(n - usual) for n in count]):
@@ -116,12 +114,9 @@ def _unfinished(folder_of: dict[str, Path], results: Path | None) -> Iterator[tu
             yield name, f"partial: {run.input.problems[0]}{more}"
 
 
-def _most_mistaken(counts: Counts, method: str | None) -> Iterator[tuple[str, str]]:
+def _most_mistaken(counts: Counts) -> Iterator[tuple[str, str]]:
     """(log, reason) of logs with the most mistakes, then with the most false claims."""
-    method = method or follows_by_default(counts.methods)
-    if method not in counts.methods:
-        methods = ", ".join(counts.methods)
-        raise UsageError(f"--method {method}: no log that is scored has it; there is {methods}")
+    method = counts.methods[0]
     scored = cells.scored_by(counts, method, cells.protocols(counts)[0])
     of_logs = [of_log[-1] for of_log in scored.counts_per_log()]
     mistakes = [count.fn + count.fp for count in of_logs]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,19 +26,12 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import aside_of, estimates_of, log_of, part_of
+from sonarrec.results.methods import OF_ONE_PRESET, in_order
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
 from sonarrec.tables.order import natural_order
 from sonarrec.tables.parquet import PARQUET, read_parts
 from sonarrec.tables.read import Table, cut, line_number, position_pair, read_table, read_tables
-
-METHODS = ("smi", "framework")
-"""The methods of a run of one preset, even if one of them has no estimate."""
-
-
-def in_order(methods: set[str]) -> tuple[str, ...]:
-    """The methods in order: those of METHODS, then the others by name."""
-    return (*(m for m in METHODS if m in methods), *sorted(methods - set(METHODS)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +158,8 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     expected = run.methods or ()
     if run.methods is None and run.table:  # written by an earlier version
         several = len(run.configs) > 1 or any(":" in name for name in names)
-        expected = () if several else METHODS
-    methods = list(dict.fromkeys((*expected, *names)))  # also those without any estimate
+        expected = () if several else OF_ONE_PRESET
+    methods = in_order((*expected, *names))  # also those without any estimate
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
     columns, probability = belief_names(landmark_set.ids), None
     if all(name in table for name in columns):
@@ -179,7 +172,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         fan=fan,
         frame=frame,
         timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
-        methods=tuple(methods),
+        methods=methods,
         method=renumber[table["method"].codes[listed]],
         frame_index=np.searchsorted(frame, table["frame"][listed]),
         landmark_index=landmark_set.indices(table["landmark"][listed]),
@@ -193,6 +186,28 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         finished=run.finished,
         run=run,
     )
+
+
+def rows_of(log: LogResults, kept: BoolArray) -> LogResults:
+    """The results with these estimates only. kept: (N,)."""
+    names = ("method", "frame_index", "landmark_index", "score", "declared", "orientation")
+    columns = {name: getattr(log, name)[kept] for name in (*names, "object")}
+    return replace(
+        log,
+        position=None if log.position is None else log.position[kept],
+        probability=None if log.probability is None else log.probability[kept],
+        **columns,
+    )
+
+
+def of_methods(log: LogResults, wanted: Sequence[str]) -> LogResults:
+    """The results of the wanted methods; of all if none is wanted, or if there is none of them."""
+    methods = [method for method in wanted if method in log.methods]
+    if not methods:
+        return log
+    number = np.array([methods.index(m) if m in methods else -1 for m in log.methods])
+    kept = rows_of(log, number[log.method] >= 0)
+    return replace(kept, methods=tuple(methods), method=number[kept.method])
 
 
 def read_frames(folder: Path) -> Table:

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan
 from sonarrec.results.columns import ESTIMATES_HEADER, belief_names, estimate_columns, needed
+from sonarrec.results.methods import chosen, leading
 from sonarrec.results.read import estimate_tables
 from sonarrec.tables.read import POSITION_KINDS, Table, line_number, read_tables
 
@@ -24,15 +25,15 @@ SIGMAS = ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg")
 
 
 def choose_method(path: Path, choice: str | None) -> str:
-    """The method to show: the one wanted, else the framework, else the only one there is.
+    """The method to show: the one wanted, else the leading one.
 
-    A table without rows counts as having every method. Raises UsageError if the method is missing
-    or the choice is not unique, SonarrecError if the table cannot be read.
+    A table without rows counts as having every method. Raises UsageError if the method is missing,
+    SonarrecError if the table cannot be read.
     """
     tables = read_tables(
         path, {"method": "text"}, needed(estimate_columns(())), ESTIMATES_HEADER, ROWS
     )
-    usual = choice or "framework"
+    usual = choice or leading(())
     names: set[str] = set()
     for _, table in tables:
         names |= {str(name) for name in table["method"].unique()}
@@ -40,15 +41,7 @@ def choose_method(path: Path, choice: str | None) -> str:
             return usual  # usually in the first rows
     if not names:
         return usual
-    methods = sorted(names)
-    if choice is not None:
-        raise UsageError(f"{path}: no method {choice!r}; there is {', '.join(methods)}")
-    candidates = [name for name in methods if name.startswith("framework")] or methods
-    if len(candidates) > 1:
-        raise UsageError(
-            f"{path}: choose one of the methods with --method: {', '.join(candidates)}"
-        )
-    return candidates[0]
+    return chosen(names, [choice], path)[0] if choice is not None else leading(names)
 
 
 def read_estimates(

@@ -15,6 +15,7 @@ from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_plane
 from sonarrec.nouns import follows
 from sonarrec.results.folders import estimates_of, log_of
+from sonarrec.results.methods import leading
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
 from sonarrec.truth.match import share_in_image
@@ -47,7 +48,7 @@ class ProposedTrack:
 
 
 def propose(
-    results: Path, out: Path, *, method: str, min_score: float, max_gap: int
+    results: Path, out: Path, *, method: str | None, min_score: float, max_gap: int
 ) -> tuple[list[ProposedTrack], Diagnostics]:
     """Write `out`, a new gt.csv, from the results of one log or of several.
 
@@ -56,9 +57,10 @@ def propose(
     in, linear in range and bearing. `visible` is the share of the disc in the fan image.
     Returns every track that declared an ID, and what of the results is not used.
     Raises SonarrecError if no log can be read, the results cannot be used or `out` exists,
-    UsageError on invalid numbers.
+    UsageError on invalid numbers. method: None: the leading one.
     """
-    check_follows(method)
+    if method is not None:
+        check_follows(method)
     if not 0 <= min_score <= 1:
         raise UsageError(f"--min-score {min_score:g}: a score is within 0 to 1")
     folders = find_logs(results)
@@ -80,7 +82,7 @@ def propose(
             diagnostics.problem(*not_whole(log, "used"))
             of_log: list[tuple[object, ...]] = []
             taken: dict[tuple[int, int], list[FloatArray]] = {}
-            for estimates in _tracks(folder, log, method):
+            for estimates in _tracks(folder, log, method or leading(log.methods)):
                 track, proposed = _propose(log, estimates, min_score, max_gap, taken)
                 tracks.append(track)
                 of_log += proposed
@@ -102,7 +104,7 @@ def _tracks(folder: Path, log: LogResults, method: str) -> list[IntArray]:
             f"{folder / 'run.toml'}: does not tell the sonar's geometry, which gives pixels "
             "and visible; run `sonarrec run` again"
         )
-    if method not in log.methods:
+    if method not in log.methods or not follows(method):
         tracking = ", ".join(filter(follows, log.methods))
         choose = f"choose one with --method: {tracking}" if tracking else "nor any that has tracks"
         raise UsageError(f"{path} holds no method {method}; {choose}")

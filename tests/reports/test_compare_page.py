@@ -88,7 +88,6 @@ def test_names_of_other_programs_are_text(tmp_path: Path) -> None:
     ("arguments", "says"),
     [
         (["--compare", "a", "b", "out"], "--compare takes OLD, NEW"),
-        (["--compare", "a", "b", "--method", "m"], "--compare takes OLD, NEW"),
         (["--compare", "a", "b", "--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
     ],
 )

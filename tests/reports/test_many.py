@@ -9,6 +9,7 @@ import pytest
 
 from sonarrec.evaluation.cells import scored_by
 from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.evaluation.match import ScoringOptions
 from sonarrec.reports.build import write_report
 from sonarrec.reports.logs import MOST_LOGS
 from tests.support.command import sonarrec
@@ -201,7 +202,8 @@ def test_sightings_are_those_of_the_method_shown(tmp_path: Path) -> None:
     out = plain_logs(tmp_path, estimates, [])
 
     def told(method: str | None) -> list[tuple[str, str]]:
-        write_report(tmp_path / "page.html", out, method=method)
+        options = ScoringOptions(methods=(method,) if method else ())
+        write_report(tmp_path / "page.html", out, options=options)
         stands = section((tmp_path / "page.html").read_text(encoding="utf-8"), "standing")
         return re.findall(r'(log\d)</th><td class="text wide">(.*?)</td>', stands)
 

@@ -24,7 +24,7 @@ from tests.support.pages import Page, held_frames, reported
 def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None:
     """All of a short log; each with its time, its truth and what every method says in it."""
     (log,) = held_frames(pages["full"])
-    assert (log["name"], log["unit"], log["methods"]) == ("pan", "s", ["smi", "framework"])
+    assert (log["name"], log["unit"], log["methods"]) == ("pan", "s", ["framework", "smi"])
     assert [f["frame"] for f in log["frames"]] == list(range(128))
     declared: dict[tuple[int, str], list[str]] = {}
     with (results / "estimates.csv").open(newline="") as file:

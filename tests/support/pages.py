@@ -78,6 +78,5 @@ def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
     [log], _ = read_logs(
         [LogToShow(folder, read_truth(truth or folder / "gt.csv"))],
         ScoringOptions(sonar=Sonar()),
-        method=None,
     )
     return log
