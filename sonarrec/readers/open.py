@@ -10,7 +10,7 @@ import errno
 import glob
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -36,6 +36,9 @@ from sonarrec.sonar import Sonar, load_sonar
 from sonarrec.tables.order import natural_order
 
 SONAR_FILE = "sonar.toml"
+LANDMARKS_FILE = "landmarks.toml"
+SHARED = frozenset({SONAR_FILE, LANDMARKS_FILE})
+"""Files of a sonar and a site, which serve several logs; they may lie beside a log's folder."""
 _UNPACK = {".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz", ".zst": "zstd -d", ".lz4": "lz4 -d"}
 """The command that unpacks a compressed file, by its suffix, for error messages."""
 
@@ -123,6 +126,18 @@ class Source:
         """A file that belongs to the log, such as its sonar.toml; None if there is none."""
         return companion(self.place, name, self.up_to)
 
+    def others(self, name: str, used: Path | None) -> list[Path]:
+        """The files `name` that might belong to the log, too, but for the one that is used."""
+        return [place for place in companions(self.place, name, self.up_to) if place != used]
+
+    def stranger(self, name: str) -> str:
+        """A remark on a file NAME.name beside the log that is another log's by its name, or ""."""
+        place = self.place
+        for folder in (place, place.parent) if place.is_dir() else (place.parent,):
+            for other in sorted(folder.glob(f"*.{name}")):
+                return f" ({other} is not used: by its name it is another log's)"
+        return ""
+
     def check_topic(self, topic: str | None, where: str | Path) -> None:
         """Raise UsageError if a topic is given but the log has none. where: the log as given."""
         if topic is not None and not self.reader.has_topics:
@@ -196,20 +211,30 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
 
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
-    """The file `name` that belongs to a log (a file or folder); None if there is none. Searched in
-    this order: LOG.name and then name, beside a file or inside a folder; LOG.name beside a folder;
-    both in the folders above, up to and with `up_to`. Raises OSError if a folder cannot be read."""
+    """The file `name` that belongs to a log (a file or folder); None if there is none.
+
+    Raises OSError if a folder cannot be read.
+    """
+    return next(companions(log, name, up_to), None)
+
+
+def companions(log: Path, name: str, up_to: Path | None = None) -> Iterator[Path]:
+    """The files that may be the companion, the first of which is. Searched in this order: LOG.name
+    and then name, beside a file or inside a folder; LOG.name beside a folder; both in the folders
+    above, up to and with `up_to`; one of SHARED beside a folder. Raises OSError if a folder cannot
+    be read."""
     own_name = f"{log_name(log)}.{name}"
     folder = log if log.is_dir() else log.parent
     places = [folder / own_name, folder / name]
+    parent = log.parent if log.name not in ("", "..") else log.resolve().parent
     if folder == log:
-        places.append(
-            (log.parent if log.name not in ("", "..") else log.resolve().parent) / own_name
-        )
+        places.append(parent / own_name)
     if up_to is not None and up_to.resolve() in folder.resolve().parents:
         for above in folder.resolve().relative_to(up_to.resolve()).parents:
             places += [up_to / above / own_name, up_to / above / name]
-    return next((place for place in places if _is_file(place)), None)
+    elif folder == log and name in SHARED:
+        places.append(parent / name)
+    return filter(_is_file, places)
 
 
 def _is_file(place: Path) -> bool:
@@ -230,8 +255,12 @@ def log_name(path: Path) -> str:
 
 
 def names_a_log(name: str) -> bool:
-    """Whether a file of this name is a log by itself: a known kind other than an image."""
-    return name.lower().endswith(_LOG_ENDINGS)
+    """Whether a file of this name is a log by itself: a known kind other than an image.
+
+    LICENSE.sample.aris is none: it tells of a log that lies beside it.
+    """
+    about = re.match(r"(licen[cs]e|readme|copying|notice)\b", name, re.IGNORECASE)
+    return about is None and name.lower().endswith(_LOG_ENDINGS)
 
 
 def is_log_file(path: Path) -> bool:

@@ -12,14 +12,14 @@ from sonarrec.errors import MissingError, SonarrecError, UsageError
 from sonarrec.readers.containers.bag_folder import METADATA, are_parts
 from sonarrec.readers.containers.images import names_an_image
 from sonarrec.readers.named_logs import RESULTS
-from sonarrec.readers.open import log_name, names_a_log
+from sonarrec.readers.open import SHARED, log_name, names_a_log
 from sonarrec.remote.urls import HIDDEN, Url, parse_url
 from sonarrec.tables.order import natural_order
 
 if TYPE_CHECKING:
     from sonarrec.remote.store import Item, Store
 
-COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
+COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv", "gt.csv")
 """Companions of a log: files of these names, and NAME.sonar.toml and so on."""
 
 
@@ -190,14 +190,15 @@ def _around(log: RemoteLog) -> tuple[Url, Url]:
 def _companions(log: RemoteLog, names: tuple[str, ...]) -> list[Url]:
     """Where companions of these names may be: in the log's folder and in those above.
 
-    Above a folder that is the log given, only NAME.sonar.toml and so on.
+    Above a folder that is the log given, only NAME.sonar.toml and so on, and what serves several.
     """
     folder, root = _around(log)
     own = [f"{log.name}.{name}" for name in names]
     places = [(folder, [*own, *names])]
     while folder.path.strip("/") != root.path.strip("/"):
         folder = folder.parent
-        places.append((folder, own if log.up_to is None else [*own, *names]))
+        shared = [name for name in names if name in SHARED or log.up_to is not None]
+        places.append((folder, [*own, *shared]))
     return [place.child(name) for place, inside in places for name in inside]
 
 

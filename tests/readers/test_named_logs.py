@@ -126,8 +126,10 @@ def test_a_geometry_serves_a_campaign(campaign: Path) -> None:
     (campaign / "sonar.toml").write_text(SONAR_TOML)
     (campaign / "day2" / "a.sonar.toml").write_text(SONAR_TOML.replace("20.0", "21.0"))
     told = sonarrec("run", campaign, "--recursive", "-o", "out")
-    assert "day1/a.mcap: its geometry is that of campaign/sonar.toml" in told.stderr
-    assert "day2/a.mcap: its geometry" not in told.stderr
+    by = {line.split(": ")[1]: line for line in told.stderr.splitlines() if ": geometry" in line}
+    assert "tilt 20 deg, height 0.68 m (campaign/sonar.toml)" in by["day1-a"]
+    assert "tilt 21 deg, height 0.68 m (campaign/day2/a.sonar.toml)" in by["day2-a"]
+    assert by["day2-a"].endswith("not used: campaign/sonar.toml")
     assert "7 done" in told.stdout
     assert sorted(p.name for p in Path("out").iterdir() if p.is_dir()) == [
         "day1-a", "day2-a", "dive10", "dive2", "long", "pings", "rosbag2_x",
@@ -226,6 +228,12 @@ def test_companions(tmp_path: Path) -> None:
     assert companion(folder, "gt.csv") == tmp_path / "pings.gt.csv"
     (folder / "gt.csv").touch()
     assert companion(folder, "gt.csv") == folder / "gt.csv"
+    # Beside a log's folder lies only what serves several logs.
+    (folder / "sonar.toml").unlink()
+    for name in ("sonar.toml", "landmarks.toml", "poses.csv"):
+        (tmp_path / name).touch()
+        shared = None if name == "poses.csv" else tmp_path / name
+        assert companion(folder, name) == shared
     long = image_folder(tmp_path / ("n" * 250), IMAGES)  # with .gt.csv it is no file's name
     assert companion(long, "gt.csv") is None
     (long / "gt.csv").touch()

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from functools import partial
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers.containers.recording import Recording
 from sonarrec.readers.messages.fields import DefinitionError
-from sonarrec.readers.messages.types import READABLE, Decoder, decoder_for
+from sonarrec.readers.messages.types import Decoder, decoder_for
 from sonarrec.readers.raw import RawFrame, RawLog, frame_of
+
+MOST_NAMED = 5
+"""Channels, in a message that none of them holds images."""
 
 
 def image_decoders(log: Recording) -> dict[int, Decoder]:
@@ -68,14 +72,20 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
     decoders = image_decoders(log)
     topics = sorted({log.channels[c].topic for c in decoders})
     if not topics:
-        held_channels = sorted(
+        if not log.channels:
+            deque(log.messages({}), 0)  # which tells why: chunks are looked into only now
+        held = sorted(
             f"{c.topic} ({c.schema or 'no schema'}, {c.message_encoding or 'no encoding'})"
             for c in log.channels.values()
         )
-        damage = f" ({faults[0]})" if (faults := log.diagnostics.faults) else ""
+        more = f" and {len(held) - MOST_NAMED} more" if len(held) > MOST_NAMED else ""
+        holds = f"it holds {', '.join(held[:MOST_NAMED]) or 'no channel'}{more}"
+        faults = [fault.removeprefix(f"{log.path.name}: ") for fault in log.diagnostics.faults]
+        help_ = (
+            "; `sonarrec help formats` lists the types of messages that are read" if held else ""
+        )
         raise SonarrecError(
-            f"{log.path}: no image channel; it holds "
-            f"{', '.join(held_channels) or 'no channel'}, and this reads {READABLE}{damage}"
+            f"{log.path}: no image channel; {'; '.join([*faults[:1], holds])}{help_}"
         )
     if topic is None and len(topics) > 1:
         used = {log.channels[c].topic for c in decoders if log.counts.get(c)}

@@ -186,9 +186,6 @@ MESSAGES = {
     "oculus_interfaces/Ping": MessageType(read_oculus_interfaces_ping, polar=True),
 }
 
-READABLE = f"{', '.join(MESSAGES)} (CDR, ROS 1 or JSON; foxglove also protobuf and flatbuffer)"
-"""The message types read, for error messages."""
-
 
 def message_type(schema_name: str) -> str:
     """The message type (package/Name) that a schema's name stands for. "sensor_msgs/msg/Image" and
