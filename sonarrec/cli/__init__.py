@@ -17,6 +17,7 @@ from sonarrec.cli.endings import INTERRUPTED, tell
 from sonarrec.cli.evaluate import evaluate
 from sonarrec.cli.help import help_
 from sonarrec.cli.info import info
+from sonarrec.cli.landmarks import landmarks
 from sonarrec.cli.map import map_
 from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
@@ -97,6 +98,6 @@ def main() -> None:
 
 for command in (
     *(run, status, info, evaluate, report, overlay, map_, simulate, site, calibrate),
-    *(config, truth, help_),
+    *(landmarks, config, truth, help_),
 ):
     main.add_command(command)

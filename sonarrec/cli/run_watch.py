@@ -101,6 +101,11 @@ class RunWatch(Watch):
             self._show_frame = self._bars.enter_context(bar)
             self._show_bytes = self._bars.enter_context(fetching(self.quiet, self.tasks[i].path))
 
+    def goes_by(self, i: int, line: str) -> None:
+        if not self.quiet:
+            with self._over_the_bar():
+                tell([f"{self.tasks[i].name}: {line}"])
+
     def fetching(self, i: int, arrived: int, total: int | None) -> None:  # noqa: ARG002
         if self._show_bytes is not None:
             self._show_bytes(arrived, total)

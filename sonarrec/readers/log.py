@@ -30,9 +30,10 @@ class Log:
     """A recorded log, whose Frames are streamed; each pass gives the same. A context manager.
 
     name: of its results folder. frame_count: None if unknown. stated: the geometry that file and
-    flags state. diagnostics: what is to be told about it, complete after the pass. beam_width_deg:
-    as the first frame's message or header states it; None if it does not. untimed: whether 1 Hz was
-    assumed so far, because neither frames nor geometry state times.
+    flags state. header: the same of a sonar's own file. diagnostics: what is to be told about it,
+    complete after the pass. beam_width_deg: as the first frame's message or header states it; None
+    if it does not. untimed: whether 1 Hz was assumed so far, because neither frames nor geometry
+    state times.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Log:
         self.path = source.path
         self.name = source.name
         self.stated = stated
+        self.header = raw.header_info.sonar
         self.frame_count = raw.frame_count
         self.diagnostics = raw.diagnostics
         self._source = source

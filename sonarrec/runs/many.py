@@ -46,6 +46,9 @@ class Watch:
     def started(self, i: int) -> None:
         """Task i has begun."""
 
+    def goes_by(self, i: int, line: str) -> None:
+        """What the run of task i goes by; not told by a cluster."""
+
     def frames(self, i: int, done: int, total: int | None) -> None:
         """`done` frames of task i are processed; called now and then."""
 
@@ -67,7 +70,9 @@ def run_here(tasks: list[Task], watch: Watch) -> None:
             watch.frames(i, done, total)
 
         watch.started(i)
-        watch.ended(i, run_task(task, observe, partial(watch.fetching, i)))
+        watch.ended(
+            i, run_task(task, observe, *(partial(to, i) for to in (watch.fetching, watch.goes_by)))
+        )
 
 
 def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | None = None) -> None:
@@ -84,7 +89,8 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
 
     def work(i: int, task: Task) -> None:
         tell(watch.started, i)
-        outcome = processes.run(task, partial(tell, watch.frames, i))
+        told = (partial(tell, event, i) for event in (watch.frames, watch.goes_by))
+        outcome = processes.run(task, *told)
         if outcome.status != "waiting":
             tell(watch.ended, i, outcome)
 
@@ -118,8 +124,10 @@ class Processes:
             for child in self._running:
                 Thread(target=_end, args=(child,), daemon=True).start()
 
-    def run(self, task: Task, frames: Frames | None = None) -> Outcome:
-        """Run a task; its outcome says if the process died."""
+    def run(
+        self, task: Task, frames: Frames | None = None, begun: Callable[[str], object] = str
+    ) -> Outcome:
+        """Run a task; its outcome says if the process died. begun: as of `process`."""
         start_s, limit_s = monotonic(), self._timeout_s
 
         def failed(why: str, fault: str = "") -> Outcome:
@@ -138,7 +146,7 @@ class Processes:
         if limit_s is not None:
             timer.start()
         try:
-            outcome = _listen(child, task, frames)
+            outcome = _listen(child, task, frames, begun)
         finally:
             timer.cancel()
         late = limit_s is not None and monotonic() - start_s >= limit_s
@@ -178,7 +186,9 @@ class Processes:
         return child, printed
 
 
-def _listen(child: Child, task: Task, frames: Frames | None) -> Outcome | None:
+def _listen(
+    child: Child, task: Task, frames: Frames | None, begun: Callable[[str], object]
+) -> Outcome | None:
     """Send the task and report its frames until it ends; None if the process dies before."""
     assert child.stdin is not None
     assert child.stdout is not None
@@ -186,7 +196,9 @@ def _listen(child: Child, task: Task, frames: Frames | None) -> Outcome | None:
         pickle.dump(task, child.stdin)
         child.stdin.flush()
         while not isinstance(message := pickle.load(child.stdout), Outcome):
-            if frames is not None:
+            if isinstance(message, str):
+                begun(message)
+            elif frames is not None:
                 frames(*message)
     except (EOFError, OSError, pickle.UnpicklingError):
         return None
@@ -244,7 +256,7 @@ def main() -> None:
         while (task := _next_task()) is not None:
             frames = 0
             try:
-                outcome = run_task(task, observe)
+                outcome = run_task(task, observe, begun=send)
             except MemoryError:
                 outcome = Outcome("failed", error=SonarrecError(f"{task.path}: not enough memory"))
             send(outcome)

@@ -130,13 +130,15 @@ def process(
     name: str | None = None,
     overwrite: bool = False,
     ahead: bool = False,
+    begun: Callable[[str], object] = str,
 ) -> Summary:
     """Run one log and write `out`/<name>/, by default under the log's own name.
 
     Results that would be the same are not made again, and those of another log are not replaced,
     except with overwrite.
     ahead: on two cores, see `two_cores`. What the process writes to descriptor 2 meanwhile may be
-    lost, see `decode_image`.
+    lost, see `decode_image`. begun: called before the first frame with a line on what the run goes
+    by.
     Raises SonarrecError for input or settings that cannot be used.
     """
     with prepare(Path(path), Path(out), log_options, run_options, name) as job:
@@ -157,6 +159,7 @@ def process(
             if existing.reason:
                 told.note(f"earlier results are replaced ({existing.reason})", about=job.folder)
         renamed = log_options.origin.with_server_names if log_options.origin else str
+        begun(renamed(job.basis))
         plausibility = Plausibility()
         sightings = Sightings(job.landmarks, job.fan, job.poses)
         with ResultsWriter(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -11,19 +12,21 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.config import Config
+from sonarrec.drawing.landmarks import distances, doubts
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Fan, Frame
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log, digest_of
-from sonarrec.readers.open import SONAR_FILE, Source, find_log
+from sonarrec.readers.open import Source, find_log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
 from sonarrec.results.folders import MADE, MADE_BY, check_name
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
+from sonarrec.runs.basis import basis, beams_in_words, chosen_landmarks
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,7 @@ class PreparedRun:
     landmarks: LandmarkSet
     poses: PoseTable | None
     recogniser: SideBySide
+    basis: str  # a line on what it goes by, see `basis`
     table: dict[str, Any]  # the run.toml to write
     folder: Path  # of the results
 
@@ -72,9 +76,9 @@ def prepare(
     source = find_log(path, log_options.up_to)
     digest = digest_asked(earlier, source)
     same_log = is_same_log(earlier, source, digest)
-    log_options = earlier.complete(log_options, same_log=same_log)
+    given, log_options = log_options, earlier.complete(log_options, same_log=same_log)
     log_options = _with_companions(source, log_options, again=same_log)
-    landmarks = earlier.landmark_set(run_options.landmarks)
+    landmarks, from_where = chosen_landmarks(source, run_options.landmarks, earlier)
     learned = _model(run_options, earlier)
     poses = _poses(source, log_options, earlier if same_log else read_run(None))
     with open_log(source, **log_options.arguments()) as log:
@@ -86,7 +90,7 @@ def prepare(
         fan = begin[0].fan
         configs, about_beams = with_beams(run_options.configs, log.beam_width_deg, begin)
         recogniser = SideBySide(configs, fan, landmarks, learned.model if learned else None, poses)
-        log.diagnostics.note(*about_beams)
+        log.diagnostics.note(*about_beams, *_about_landmarks(landmarks, fan, configs))
         folder = _results_of(source, out, name or log.name)
         identity = (name_as_text(log.name), *(digest or log.digest_source()))
         table = run_table(
@@ -112,7 +116,11 @@ def prepare(
         # The first frames leave the list as they are used: none is kept as long as the run.
         first = (begin.pop(0) for _ in range(len(begin)))
         seen = chain(first, frames)
-        yield PreparedRun(log, seen, frame_count, fan, landmarks, poses, recogniser, table, folder)
+        beams = beams_in_words(run_options.configs, configs, log, about_beams)
+        line = basis(log, fan, source, given, earlier, (landmarks, from_where), beams)
+        yield PreparedRun(
+            log, seen, frame_count, fan, landmarks, poses, recogniser, line, table, folder
+        )
 
 
 def digest_asked(earlier: RunFile, source: Source) -> tuple[int, str] | None:
@@ -173,13 +181,9 @@ def _results_of(log: Source, out: Path, name: str) -> Path:
 def _with_companions(source: Source, log_options: LogOptions, again: bool) -> LogOptions:
     """The options with the poses that belong to the log.
 
-    There is a note on a geometry from a folder above the log, and on poses, since nobody named
-    them. again: the run of a run.toml is repeated, so only its own poses may be used.
+    There is a note on them, since nobody named them. again: the run of a run.toml is repeated, so
+    only its own poses may be used.
     """
-    geometry = source.beside(SONAR_FILE)
-    has_own = log_options.sonar_file is not None or log_options.up_to is None
-    if not has_own and geometry != replace(source, up_to=None).beside(SONAR_FILE):
-        source.diagnostics.note(f"its geometry is that of {geometry}")
     if again or log_options.odometry is not None or log_options.odometry_topic is not None:
         return log_options
     poses = source.beside(POSES_FILE)
@@ -187,6 +191,16 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
         return log_options
     source.diagnostics.note(f"its poses are those of {poses}")
     return replace(log_options, odometry=poses)
+
+
+def _about_landmarks(landmarks: LandmarkSet, fan: Fan, configs: Sequence[Config]) -> list[str]:
+    """A note on a set that is hard to recognise in the middle of the window; none if it is not."""
+    width_deg = max(c.features.beam_width_deg for c in configs)
+    middle_m = (fan.range_min_m + fan.range_max_m) / 2
+    beam_m = middle_m * math.radians(width_deg)
+    found = doubts(landmarks, beam_m, distances(landmarks, beam_m))
+    where = f"landmark set {landmarks.name}, at {middle_m:.2g} m"
+    return [f"{where}: {'; '.join(found)} (see `sonarrec landmarks`)"] if found else []
 
 
 def _model(run_options: RunOptions, earlier: RunFile) -> ModelFile | None:

@@ -79,11 +79,14 @@ def plan_task(task: Task) -> str:
 
 
 def run_task(
-    task: Task, observe: Observe | None = None, fetching: Progress | None = None
+    task: Task,
+    observe: Observe | None = None,
+    fetching: Progress | None = None,
+    begun: Callable[[str], object] = str,
 ) -> Outcome:
     """Run a task in this process. A fault of the input becomes an outcome; a bug raises.
 
-    fetching: called as the bytes of a log on a server arrive.
+    fetching: called as the bytes of a log on a server arrive. begun: as of `process`.
     """
     start_s = monotonic()
     try:
@@ -97,6 +100,7 @@ def run_task(
                 name=task.name,
                 overwrite=task.overwrite,
                 ahead=task.ahead,
+                begun=lambda line: begun(renamed(line)),
             )
     except SonarrecError as error:
         return Outcome("failed", monotonic() - start_s, error=error)

@@ -276,7 +276,7 @@ def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:
 def test_the_same_table_gives_the_same_bytes_again(pings, name):
     table = pan_table(Path("odometry.csv"))
     told = sonarrec("run", pings, "--odometry", table, "--preset", name)
-    assert told.stderr == ""
+    assert "note: " not in told.stderr
     out = Path("sonarrec_out/pings")
     run = tomllib.loads((out / "run.toml").read_text())
     assert run["odometry"]["name"] == "odometry.csv"
@@ -288,7 +288,7 @@ def test_the_same_table_gives_the_same_bytes_again(pings, name):
     turning = pan_table(Path("other.csv"), per_second=1.01)
     other = sonarrec(*again[:-1], "other", "--odometry", turning)
     assert "other poses than other.csv" in other.stderr
-    assert sonarrec(*again, "--odometry", table).stderr == ""
+    assert "note: " not in sonarrec(*again, "--odometry", table).stderr
     for file in ("estimates.csv", "frames.csv", "run.toml"):
         assert (Path("again/pings") / file).read_bytes() == (out / file).read_bytes()
     sonarrec("run", pings, "--preset", name, "--out", "without")
@@ -417,7 +417,7 @@ def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     yaw = [p.pan_deg for p in poses(replace(load_scene("sample_pan"), frames=16))]
     log = pose_log(Path("dive.mcap"), pings, schema, told, yaw)
     by_topic = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom")
-    assert by_topic.stderr == ""
+    assert "note: " not in by_topic.stderr
     table = read_topic(log, "/odom", "log")
     np.testing.assert_allclose(np.diff(table.pose[:, 0]), np.diff(yaw), atol=1e-9)
     assert table.pose[0, 1:].tolist() == [-2.0, 1.0]

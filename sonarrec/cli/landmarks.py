@@ -1,0 +1,97 @@
+"""`sonarrec landmarks`: whether the IDs of a landmark set can be told apart."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from sonarrec.cli import options
+from sonarrec.cli.endings import say, tell
+from sonarrec.cli.groups import NEW_FILE, FiniteRange, command, file_names, in_geometry
+from sonarrec.errors import UsageError, number_of
+
+MOST_SHOWN = 12
+
+
+@command(short_help="Show a landmark set, and whether its IDs can be told apart.")
+@click.argument("landmark_set", metavar="SET", default="basin", shell_complete=file_names)
+@in_geometry(
+    "--distance distance_m",
+    metavar="M",
+    type=FiniteRange(0, 1e4),
+    default=3.0,
+    help="Distance of the discs from the sonar, m.",
+)
+@in_geometry(
+    "--beam-width beam_width_deg",
+    metavar="DEG",
+    type=FiniteRange(0, 30),
+    default=0.6,
+    help="Width of a beam between half-power points, deg; `sonarrec run` tells that of a log.",
+)
+@options.out(NEW_FILE, "Draw every disc, as drawn and as the beams show it, into this PNG.")
+@options.json()
+@options.quiet
+def landmarks(
+    landmark_set: str,
+    distance_m: float,
+    beam_width_deg: float,
+    out: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Print how far the IDs of a landmark set are apart, and what makes them hard to recognise.
+
+    SET is a TOML file or a built-in name (default: basin). Two IDs are as far apart as the share of
+    the symbol's area in which they differ, at the rotation at which they differ least: as drawn,
+    and as seen by a sonar whose beams smear the discs.
+
+    \b
+    Examples:
+      sonarrec landmarks
+      sonarrec landmarks my_set.toml --distance 8 --beam-width 1 -o my_set.png
+    """
+    from sonarrec.drawing.landmarks import distances, doubts, draw_landmarks
+    from sonarrec.drawing.pen import write_png
+    from sonarrec.landmarks import load_landmarks
+    from sonarrec.tables.outputs import check_output
+
+    chosen = load_landmarks(landmark_set)
+    if out is not None:
+        if out.suffix.lower() != ".png":
+            raise UsageError(f"--out {out}: the name must end in .png")
+        check_output(out, "picture", [landmark_set])
+    beam_m = distance_m * math.radians(beam_width_deg)
+    found = distances(chosen, beam_m)
+    warnings = doubts(chosen, beam_m, found)
+    if out is not None:
+        write_png(out, draw_landmarks(chosen, beam_m))
+    if as_json:
+        document = {
+            "landmarks": chosen.as_table(),
+            "beam_m": beam_m,
+            "distances": [asdict(distance) for distance in found],
+            "warnings": warnings,
+        }
+        click.echo(json.dumps(document, indent=2))
+    elif not quiet:
+        beams = f"beams {1000 * beam_m:.0f} mm wide ({beam_width_deg:g} deg)"
+        size = f"{number_of(len(chosen.ids), 'ID')}, discs of {2 * chosen.radius_m:g} m"
+        say(
+            f"{chosen.name}: {size}",
+            f"  at {distance_m:g} m, with {beams}",
+            *(["  IDs          as drawn   as seen"] if found else []),
+            *(
+                f"  {f'{d.ids[0]} and {d.ids[1]}':<12} {d.drawn:>8.2f}  {d.seen:>8.2f}"
+                for d in found[:MOST_SHOWN]
+            ),
+        )
+        if len(found) > MOST_SHOWN:
+            say(f"  these are the nearest; {len(found) - MOST_SHOWN} more pairs with --json")
+        if out is not None:
+            say(f"{out}: drawn")
+    tell([], [f"{landmark_set}: {warning}" for warning in warnings])

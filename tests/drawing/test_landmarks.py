@@ -1,0 +1,91 @@
+"""`sonarrec landmarks`: how far IDs are apart, and what makes a set hard to recognise."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise, product
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+import tomli_w
+
+from sonarrec.drawing.landmarks import distances
+from sonarrec.landmarks import landmarks_from_table, load_landmarks
+from tests.support.command import SAMPLE, sonarrec
+
+BASIN = load_landmarks("basin").as_table()
+
+
+def ids(*sectors: tuple[int, ...]) -> dict[str, Any]:
+    rows = [{"id": n + 1, "sectors": list(row)} for n, row in enumerate(sectors)]
+    return BASIN | {"landmark": rows}
+
+
+def test_as_drawn_it_is_the_share_of_the_sectors() -> None:
+    """Against the definition, over every rotation by whole sectors."""
+    rows = [(1, 0, 0, 0, 0, 0), (1, 1, 0, 1, 0, 0), (1, 1, 1, 1, 1, 0), (1, 0, 1, 0, 1, 0)]
+    found = distances(landmarks_from_table(ids(*rows), "here"), 0.0)
+    assert len(found) == 6
+    for distance in found:
+        one, other = (rows[number - 1] for number in distance.ids)
+        least = min(
+            sum(a != b for a, b in zip(one, other[n:] + other[:n], strict=True)) for n in range(6)
+        )
+        assert distance.drawn == pytest.approx(least / 6)
+        assert distance.seen == pytest.approx(distance.drawn, abs=0.04)
+
+
+def test_wide_beams_bring_ids_together() -> None:
+    basin = load_landmarks("basin")
+    by_beam = [{d.ids: d.seen for d in distances(basin, m)} for m in (0.0, 0.02, 0.08, 0.3)]
+    for before, after in pairwise(by_beam):
+        assert all(after[pair] < before[pair] for pair in before)
+    assert max(by_beam[-1].values()) < 0.2
+
+
+FAULTY = {
+    "a filled disc": ids((1, 0, 0, 0), (1, 1, 1, 1)),
+    "a blank disc": ids((1, 0, 0, 0), (0, 0, 0, 0)),
+    "IDs 1 and 2 differ in less than an eighth": ids((1,) * 3 + (0,) * 9, (1,) * 4 + (0,) * 8),
+    "no ring to speak of": BASIN | {"ring": [0.99, 1.0]},
+    "5 mm wide, is too thin for beams": BASIN | {"ring": [0.97, 1.0]},
+}
+
+
+@pytest.mark.parametrize("warning", FAULTY)
+def test_a_set_that_is_hard_to_recognise_is_told(warning: str, tmp_path: Path) -> None:
+    """By the command, and by a run in one note."""
+    file = tmp_path / "set.toml"
+    file.write_text(tomli_w.dumps(FAULTY[warning]))
+    told = sonarrec("landmarks", file, "--distance", "2.5", "--beam-width", "0.5")
+    assert warning in told.stderr
+    assert told.stderr.count("note: ") == 1
+    run = ["run", SAMPLE, "--frames", ":1", "--landmarks", file, "-o", tmp_path / "out"]
+    told = sonarrec(*run, "--set", "features.beam_width_deg=0.5")
+    (note,) = [line for line in told.stderr.splitlines() if "landmark set" in line]
+    assert warning in note
+
+
+def test_the_built_in_set_is_drawn(tmp_path: Path) -> None:
+    picture = tmp_path / "basin.png"
+    told = sonarrec("landmarks", "-o", picture)
+    assert told.stderr == ""
+    assert "  1 and 3          0.25" in told.stdout
+    drawn = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
+    # The discs as drawn lie in the upper half: half their symbol is bright where the set says so.
+    for k, quarter in product(range(4), range(4)):
+        down, right = (-1, -1, 1, 1)[quarter], (1, -1, -1, 1)[quarter]
+        x, y = 190 * k + 15 + 80 + 30 * right, 30 + 80 + 30 * down
+        assert (drawn[y, x] > 128) == load_landmarks("basin").sectors[k][quarter]
+    document = json.loads(sonarrec("landmarks", "basin", "--json").stdout)
+    assert document["warnings"] == []
+    assert {tuple(d["ids"]) for d in document["distances"]} >= {(1, 2), (3, 4)}
+
+
+def test_a_picture_does_not_go_over_the_set(tmp_path: Path) -> None:
+    file = tmp_path / "set.png"
+    file.write_text(tomli_w.dumps(BASIN))
+    assert "this command reads it" in sonarrec("landmarks", file, "-o", file, code=2).stderr
+    assert "must end in .png" in sonarrec("landmarks", "-o", tmp_path / "x.jpg", code=2).stderr

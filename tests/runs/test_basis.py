@@ -1,0 +1,121 @@
+"""`sonarrec run` says what it goes by, and takes what lies beside the log."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.support.command import SAMPLE, sonarrec
+
+SHORT = ("--set", "continuity.particles=100", "-o", "out")
+SIX = """
+frames = 8
+[landmark_set]
+name = "six"
+radius_m = 0.16
+ring = [0.8, 1.0]
+symbol = [0.0, 0.62]
+[motion]
+pan_min_deg = -2.0
+pan_max_deg = 2.0
+pan_start_deg = -2.0
+"""
+
+
+def lines(stderr: str) -> list[str]:
+    return [line for line in stderr.splitlines() if ": geometry " in line]
+
+
+@pytest.fixture
+def pings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("dives/pings").mkdir(parents=True)
+    for n in range(2):
+        shutil.copy(SAMPLE / f"{n:06d}.png", "dives/pings")
+    return Path("dives/pings")
+
+
+def test_each_value_is_named_with_its_origin(pings: Path) -> None:
+    shutil.copy(SAMPLE / "sonar.toml", pings)
+    (told,) = lines(sonarrec("run", pings, *SHORT, "--tilt-deg", "22").stderr)
+    assert told == (
+        "sonarrec: pings: geometry 1.25 to 3.75 m, 28.8 deg wide (dives/pings/sonar.toml), "
+        "tilt 22 deg (option), height 0.68 m (dives/pings/sonar.toml); "
+        "landmarks basin (built in); beams 0.4 deg wide (usual for this view)"
+    )
+    again = ("--config", "out/pings/run.toml", "-o", "again")
+    (told,) = lines(sonarrec("run", pings, *again).stderr)
+    assert "tilt 22 deg, height 0.68 m (out/pings/run.toml); landmarks basin (out/" in told
+    assert told.endswith("beams 0.4 deg wide (setting)")
+    text = (pings / "sonar.toml").read_text().replace("height_m = 0.68\n", "flip = true\n")
+    (pings / "sonar.toml").write_text(text)
+    (told,) = lines(sonarrec("run", pings, *SHORT).stderr)
+    assert "flip (dives/pings/sonar.toml)" in told
+    assert "(as the first frames show)" in told or "(assumed)" in told
+    assert sonarrec("run", pings, *SHORT, "--overwrite", "-q").stderr == ""
+
+
+def test_a_geometry_beside_a_folder_serves_the_log_in_it(pings: Path) -> None:
+    """Before, it was not found, and the error did not say that it lies there."""
+    shutil.copy(SAMPLE / "sonar.toml", "dives/sonar.toml")
+    (told,) = lines(sonarrec("run", pings, *SHORT).stderr)
+    assert "(dives/sonar.toml)" in told
+    shutil.copy(SAMPLE / "sonar.toml", pings)
+    (told,) = lines(
+        sonarrec("run", pings, *SHORT, "--overwrite", "--sonar", "dives/sonar.toml").stderr
+    )
+    assert told.endswith("; not used: dives/pings/sonar.toml")
+
+
+def test_a_geometry_of_another_name_is_named(pings: Path) -> None:
+    shutil.copy(SAMPLE / "sonar.toml", "dives/other.sonar.toml")
+    told = sonarrec("run", pings, *SHORT, code=1).stderr.splitlines()[0]
+    assert "dives/other.sonar.toml is not used: by its name it is another log's" in told
+
+
+@pytest.mark.usefixtures("pings")
+@pytest.mark.parametrize("out", ["log", "log.mcap"])
+def test_a_scene_s_own_landmarks_need_not_be_named(out: str) -> None:
+    """Before, the set that lies beside the log was not taken: 'no landmark declared'."""
+    rows = [[int(n <= k) for n in range(8)] for k in range(6)]
+    text = "".join(
+        f"[[landmark_set.landmark]]\nid = {10 + k}\nsectors = {row}\n" for k, row in enumerate(rows)
+    )
+    placed = "[[landmark]]\nid = 13\nground_m = 2.0\nazimuth_deg = 0.0\norientation_deg = 40.0\n"
+    Path("mine.toml").write_text(SIX + text + placed)
+    form = ["--format", "mcap"] if out.endswith(".mcap") else []
+    sonarrec("simulate", "--scene", "mine.toml", "-o", out, *form)
+    (told,) = lines(sonarrec("run", out, "-o", "out").stderr)
+    file = "log/landmarks.toml" if out == "log" else "log.landmarks.toml"
+    assert f"landmarks six ({file})" in told
+    run = tomllib.loads(Path("out/log/run.toml").read_text())
+    assert [one["id"] for one in run["landmarks"]["landmark"]] == [10, 11, 12, 13, 14, 15]
+    sonarrec("evaluate", "out/log", "-q")
+    with Path("out/log/evaluation/confusion.csv").open(newline="") as file_:
+        rates = {row["landmark"]: row["tpr"] for row in csv.DictReader(file_)}
+    assert "13" in rates
+    (told,) = lines(sonarrec("run", out, "-o", "other", "--landmarks", "basin").stderr)
+    assert "landmarks basin (option, basin)" in told
+    assert told.endswith(f"; not used: {file}")
+
+
+def test_each_of_several_logs_says_it(pings: Path) -> None:
+    shutil.copy(SAMPLE / "sonar.toml", "dives")
+    shutil.copytree(pings, "dives/more")
+    told = sonarrec("run", "dives", "--recursive", "-j", "2", *SHORT).stderr
+    assert sorted(line.split(": ")[1] for line in lines(told)) == ["more", "pings"]
+
+
+def test_a_licence_beside_a_log_is_no_log(pings: Path) -> None:
+    """Before, `run data/vendor` failed for LICENSE.sample.aris."""
+    shutil.copy(SAMPLE / "sonar.toml", pings)
+    shutil.copy(SAMPLE.with_suffix(".mcap"), "dives")
+    for name in ("LICENSE.dive.mcap", "readme-dive.aris"):
+        (Path("dives") / name).write_text("a text\n")
+    told = sonarrec("run", "dives", "--dry-run", "--tilt-deg", "20", code=1)
+    assert "LICENSE" not in told.output
+    assert "readme" not in told.output
