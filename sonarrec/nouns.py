@@ -75,9 +75,20 @@ class Fan:
 Clock = Literal["log", "publish", "header"]
 """Which of the times in Stamps names a frame."""
 ColourMap = Literal[
-    "luminance", "hot", "inferno", "jet", "magma", "ocean", "parula", "plasma", "turbo", "viridis"
-]
-"""The colours in which a picture of the sonar was drawn; luminance: grey, or none of the others."""
+    "luminance",
+    "hot", "hot_r", "hot_bgr",
+    "inferno", "inferno_r", "inferno_bgr",
+    "jet", "jet_r", "jet_bgr",
+    "magma", "magma_r", "magma_bgr",
+    "ocean", "ocean_r", "ocean_bgr",
+    "parula", "parula_r", "parula_bgr",
+    "plasma", "plasma_r", "plasma_bgr",
+    "rainbow", "rainbow_r", "rainbow_bgr",
+    "turbo", "turbo_r", "turbo_bgr",
+    "viridis", "viridis_r", "viridis_bgr",
+]  # fmt: skip
+"""The colours in which a picture of the sonar was drawn; luminance: grey, or none of the others.
+_r: from the map's end to its beginning, _bgr: with red and blue exchanged."""
 
 
 @dataclass(frozen=True, slots=True)

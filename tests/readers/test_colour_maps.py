@@ -14,7 +14,14 @@ import pytest
 
 from sonarrec.nouns import ColourMap
 from sonarrec.readers import open_log
-from sonarrec.readers.decode.colour import LUMINANCE, MAPS, find_map, is_coloured, map_levels
+from sonarrec.readers.decode.colour import (
+    BASE_MAPS,
+    LUMINANCE,
+    MAPS,
+    find_map,
+    is_coloured,
+    map_levels,
+)
 from tests.support.command import sonarrec
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
@@ -29,25 +36,28 @@ def test_the_maps_that_may_be_stated_are_those_there_are() -> None:
     assert get_args(ColourMap) == (LUMINANCE, *MAPS)
 
 
-@pytest.mark.parametrize("name", MAPS)
+@pytest.mark.parametrize("name", BASE_MAPS)
 def test_levels_come_back(name: str) -> None:
     """The table of colours has steps of 4, of which viridis takes one for a level or two."""
     levels = np.tile(np.arange(24, 256, dtype=np.uint8), (2, 1))  # black is black in any map
-    back = map_levels(cv2.applyColorMap(levels, MAPS[name]), name).astype(int)
+    back = map_levels(cv2.applyColorMap(levels, BASE_MAPS[name]), name).astype(int)
     assert np.abs(back - levels).max() <= 4
 
 
 @pytest.mark.parametrize("quality", [None, 80])
-@pytest.mark.parametrize("name", MAPS)
+@pytest.mark.parametrize("name", BASE_MAPS)
 def test_the_map_is_found(name: str, quality: int | None) -> None:
     """Also in a JPEG, which shares colours between pixels."""
     grey = picture()
-    drawn = cv2.applyColorMap(grey, MAPS[name])
+    drawn = cv2.applyColorMap(grey, BASE_MAPS[name])
     drawn[grey == 0] = 0  # outside of the fan
     if quality is not None:
         data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         drawn = cv2.imdecode(data, cv2.IMREAD_COLOR)
     assert is_coloured(drawn)
+    if quality and name == "rainbow":  # it begins as the reverse of hot and of jet
+        assert find_map([drawn]) is None
+        return
     assert find_map([drawn]) == name
     off = np.abs(map_levels(drawn, name).astype(int) - grey)[grey >= 24]
     assert np.median(off) <= (2 if quality is None else 6)
@@ -59,6 +69,52 @@ def test_the_maps_are_those_of_matplotlib(name: str) -> None:
     drawn = np.round(255 * colours).astype(np.uint8)
     assert find_map([drawn]) == name
     assert np.median(np.abs(map_levels(drawn, name).astype(int) - picture())) <= 2
+
+
+@pytest.mark.parametrize("name", BASE_MAPS)
+def test_reversed_maps_and_exchanged_channels_are_found(name: str) -> None:
+    """Jet with red and blue exchanged is jet from its end to its beginning."""
+    grey = picture()
+    reverse = cv2.applyColorMap(255 - grey, BASE_MAPS[name])
+    exchanged = np.ascontiguousarray(cv2.applyColorMap(grey, BASE_MAPS[name])[:, :, ::-1])
+    for drawn, end in ((reverse, "_r"), (exchanged, "_r" if name == "jet" else "_bgr")):
+        assert find_map([drawn]) == name + end
+        off = np.abs(map_levels(drawn, name + end).astype(int) - grey)[drawn.max(axis=2) >= 24]
+        assert np.median(off) <= 2
+
+
+@pytest.mark.parametrize("table", ["afmhot", "autumn", "Blues_r", "GnBu_r", "winter", "gist_ncar"])
+def test_a_map_must_cover_the_colours(table: str) -> None:
+    """Each was taken for ocean, hot or jet, some of them reversed."""
+    colours = mpl.colormaps[table](picture())[:, :, 2::-1]
+    assert find_map([np.round(255 * colours).astype(np.uint8)]) is None
+
+
+@pytest.mark.parametrize("top", [(255, 100, 100), (255, 80, 180), (200, 60, 140)])
+def test_viewers_blue_and_purple_are_no_map(top: tuple[int, int, int]) -> None:
+    """Linear ramps, which were taken for turbo, magma and inferno; also in a JPEG."""
+    ramp = (np.arange(256)[:, None, None] * np.array(top) / 255).astype(np.uint8)
+    drawn = cv2.applyColorMap(picture(), ramp)
+    data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+    assert find_map([drawn]) is None
+    assert find_map([cv2.imdecode(data, cv2.IMREAD_COLOR)]) is None
+
+
+def test_grey_frames_and_coloured_ones_in_one_log(tmp_path: Path) -> None:
+    log = in_colour(tmp_path, cv2.COLORMAP_JET)
+    paths = sorted(log.glob("*.png"))
+    for k in (0, 1, 2, 3, 9):
+        grey = cv2.imread(str(SAMPLE / paths[k].name), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(paths[k]), cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    with open_log(log) as drawn, open_log(SAMPLE) as plain:
+        for one, other in zip(drawn, plain, strict=False):
+            assert np.abs(one.image.astype(int) - other.image)[other.image >= 24].max() <= 4
+        notes = drawn.diagnostics.notes
+    assert notes == [
+        f"{log}: colours begin at {paths[4].name} after grey frames, and are read as levels of the "
+        "colour map jet; --colour-map states another",
+        f"{log}: {paths[9].name} is grey among frames in colour, and is read as grey",
+    ]
 
 
 def test_grey_pictures_and_strange_colours_have_no_map() -> None:

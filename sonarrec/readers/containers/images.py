@@ -13,9 +13,9 @@ import numpy as np
 from sonarrec.errors import Diagnostics
 from sonarrec.nouns import IMAGE_SUFFIXES
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
+from sonarrec.readers.guess.name_order import in_order
 from sonarrec.readers.guess.times import name_without_time, times_in_names
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
-from sonarrec.tables.order import natural_order
 from sonarrec.times import date_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -51,10 +51,11 @@ def _contents(file: Path) -> np.ndarray:
 
 
 class ImagePaths(Sequence[Path]):
-    """Images in natural order, kept as text: a list of a Path each takes five times as much."""
+    """Images in the order of their names, kept as text: a list of a Path each takes five times as
+    much. doubt: why the order is a guess; None if it is certain."""
 
     def __init__(self, paths: Iterable[Path]) -> None:
-        self._texts = sorted(map(str, paths), key=natural_order)
+        self._texts, self.doubt = in_order(map(str, paths))
 
     @overload
     def __getitem__(self, index: int) -> Path: ...
@@ -90,7 +91,7 @@ def _not_as_numbered(files: Sequence[Path]) -> tuple[int, str] | None:
 
 
 class ImageFiles(RawLog):
-    """One image file a frame, in natural order of the names.
+    """One image file a frame, in the order of the names.
 
     Times in the names, as `times_in_names` finds them, are the frames' times.
     """
@@ -124,6 +125,13 @@ class ImageFiles(RawLog):
             return (
                 f"{self.files[stray].name} has no time in its name, so those in the "
                 "names of the other images are not used; if it is no frame, move it elsewhere"
+            )
+        if self.files.doubt is not None:
+            return (
+                f"the order of its {len(stems)} images, from {self.files[0].name} to "
+                f"{self.files[-1].name}, is a guess by the numbers in their names: "
+                f"{self.files.doubt}; if it is wrong, name them by one counter (000000, 000001, "
+                "...)"
             )
         if (uncounted := _not_as_numbered(self.files)) is not None:
             index, name = uncounted

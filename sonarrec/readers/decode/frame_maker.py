@@ -13,7 +13,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.nouns import Fan
-from sonarrec.readers.decode.colour import LUMINANCE, find_map, is_coloured
+from sonarrec.readers.decode.colour import BASE_MAPS, LUMINANCE, find_map, is_coloured, is_grey
 from sonarrec.readers.decode.grey import (
     GreyScale,
     dim_level,
@@ -71,6 +71,7 @@ class FrameMaker:
         self._to_fan: PolarToFan | None = None
         self._order: BeamOrder | None = None  # of polar samples; None before it is found
         self.colour_map: str = stated.colour_map or LUMINANCE
+        self._in_colour = self._noted_grey = False  # whether a frame was
         self._amplitudes = set[np.dtype[Any]]()  # types of integers that hold them
         self._noted_against = self._noted_cut = False
         self._skipped = 0  # pings that show too little of the fan
@@ -80,7 +81,7 @@ class FrameMaker:
         cannot be used, SonarrecError if the geometry does not fit the log."""
         if raw.pixels is None:
             raise UnusableError(str(raw.problem))
-        pixels = single_channel(raw.pixels, self.colour_map)
+        pixels = single_channel(raw.pixels, self._map_of(raw))
         scale = self._scales.get(pixels.dtype)
         if scale is None:
             of_ping = raw.sonar is not None and pixels.dtype.kind == "f"
@@ -105,11 +106,8 @@ class FrameMaker:
             raw.pixels for raw in first if raw.pixels is not None and _in_colour(raw.pixels)
         ]
         if self._stated.colour_map is None and in_colour:
-            self.colour_map = find_map(in_colour) or LUMINANCE
-            known = self.colour_map != LUMINANCE
-            how = f"read as levels of the colour map {self.colour_map}"
-            how = how if known else "of no known colour map, and read by their luminance"
-            self._note(f"colours {how}; --colour-map states another")
+            self._in_colour = True
+            self._find_map(in_colour)
         if self._stated.pixel_scale is None:
             self._find_amplitudes(first)
         pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]
@@ -129,6 +127,32 @@ class FrameMaker:
             self.fan = replace(self.fan, height_m=height_from_images(images, self.fan))
         if self._to_fan is not None:
             self._to_fan.forget()  # a run makes no more fan images
+
+    def _find_map(self, pictures: Sequence[np.ndarray], since: str = "") -> None:
+        """Find the colour map of pictures; a note names it. since: the frame, if not the first."""
+        self.colour_map = find_map(pictures) or LUMINANCE
+        how = f"read as levels of the colour map {self.colour_map}"
+        if self.colour_map == LUMINANCE:
+            how = "of no known colour map, and read by their luminance"
+        elif self.colour_map not in BASE_MAPS:
+            how += ", for else most of the picture would be of strong echoes or in no known map"
+        self._note(f"colours {since}{how}; --colour-map states another")
+
+    def _map_of(self, raw: RawFrame) -> str:
+        """The colour map of a frame: that of the log, but grey frames among coloured ones are grey.
+        If the first frames were grey, the first coloured one tells it."""
+        pixels = raw.pixels
+        if self._stated.colour_map or pixels is None or pixels.ndim < 3 or pixels.shape[2] < 3:
+            return self.colour_map
+        if pixels.dtype == np.uint8 and self.colour_map != LUMINANCE and is_grey(pixels):
+            if not self._noted_grey:
+                self._note(f"{raw.name} is grey among frames in colour, and is read as grey")
+            self._noted_grey = True
+            return LUMINANCE
+        if not self._in_colour and _in_colour(pixels):
+            self._in_colour = True
+            self._find_map([pixels], f"begin at {raw.name} after grey frames, and are ")
+        return self.colour_map
 
     def _find_amplitudes(self, first: Sequence[RawFrame]) -> None:
         """Find the integer types that hold amplitudes; notes name them, and images that are dim."""

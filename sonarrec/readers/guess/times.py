@@ -23,7 +23,7 @@ _FRACTION = (
 )
 # From 2004 to 2033. Counters of ten digits begin at 1000000000.
 _SINCE_1970 = re.compile(rf"(?<![0-9])(?P<since_1970>1[1-9][0-9]{{8}}){_FRACTION}(?![0-9])")
-_DATE = re.compile(
+DATE = re.compile(
     r"(?<![0-9])(?P<year>20[0-9]{2})(?P<dash>[-_.]?)(?P<month>[0-9]{2})(?P=dash)(?P<day>[0-9]{2})"
     r"(?:[-_.T ]{0,2}| at )"
     r"(?P<hour>[0-9]{2}|(?<=[-_T ])[0-9](?=[-_.:]))(?P<colon>[-_.:]|h(?=[0-9]{2}m)|)"
@@ -47,13 +47,13 @@ def times_in_names(stems: Iterable[str]) -> IntArray | None:
     if all(map(_NANOSECONDS.match, stems)):
         return np.array(stems, np.int64) if max(stems) < str(2**63) else None
     # Names may hold both: when the recording began, and when the image was taken.
-    found = (_rising_times(form, stems) for form in (_DATE, _SINCE_1970))
+    found = (_rising_times(form, stems) for form in (DATE, _SINCE_1970))
     return next((times for times in found if times is not None), None)
 
 
 def name_without_time(stems: Sequence[str]) -> int | None:
     """Index of the first name without a time, where most others seem to hold one; else None."""
-    for form in (_DATE, _SINCE_1970):
+    for form in (DATE, _SINCE_1970):
         is_held = [form.search(stem) is not None for stem in stems]
         if len(is_held) > sum(is_held) > len(is_held) / 2:
             return is_held.index(False)
@@ -64,7 +64,7 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     """(n,) the one time in ns that each name holds in this form; None if some do not, or if they
     do not rise as those of pings do."""
     alike: tuple[str, int] | None = None
-    seconds, fractions = list[int](), list[int]()
+    seconds, fractions = list[int](), list[str]()
     for stem in stems:
         found = [match.groupdict(default="") for match in form.finditer(stem)]
         if len(found) != 1:
@@ -83,8 +83,12 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
             except ValueError:  # a 13th month
                 return None
             seconds.append(int(moment.timestamp()))
-        fractions.append(int(f"{of_name['fraction'] or of_name['in_full']:0<9}"))
-    whole, parts = np.array(seconds, np.int64), np.array(fractions, np.int64)
+        fractions.append(of_name["fraction"] or of_name["in_full"])
+    longest = max(map(len, fractions))
+    if counts_behind_point([*zip(map(str, seconds), fractions, strict=True)]):
+        fractions = [text.zfill(-(-longest // 3) * 3) for text in fractions]
+    whole = np.array(seconds, np.int64)
+    parts = np.array([int(f"{text:0<9}") for text in fractions], np.int64)
     if alike is not None and _fraction_counts(whole, parts, *alike):
         parts = np.zeros_like(parts)
     steps = np.diff(times := whole * 10**9 + parts)
@@ -94,7 +98,35 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     # hundreds.
     within_a_minute = np.ptp(whole // 60) == 0 and whole[0] % 86400 < 3600
     counts = len(whole) > 1 and within_a_minute and np.ptp(whole) == len(whole) - 1
-    return None if form is _DATE and not parts.any() and counts else times
+    return None if form is DATE and not parts.any() and counts else times
+
+
+def counts_behind_point(numbers: Sequence[tuple[str, str]]) -> bool | None:
+    """Whether digits behind a point count thousandths, millionths or billionths without leading
+    zeros (1.5: one second and 5 us), instead of being decimals; None if that does not show.
+
+    numbers: digits before and behind the point, of each name. Decimals are cut at their last digit
+    above 0, or all have one length; a count never begins with 0.
+    """
+    parts = [part for _, part in numbers]
+    lengths = set(map(len, parts))
+    if lengths == {0, 3}:  # 1,000
+        return None
+    if 0 in lengths or len(lengths) == 1:
+        return False
+    is_decimal, is_count = (any(len(p) > 1 and p[end] == "0" for p in parts) for end in (0, -1))
+    if is_decimal != is_count:
+        return is_count
+    if is_decimal or len(parts) < 3:
+        return None
+    # Frames follow each other evenly in one of the two ways.
+    unit = 10.0 ** (-3 * -(-max(map(len, parts)) // 3))
+    whole = np.array([float(number) for number, _ in numbers])
+    uneven = []
+    for behind in ([float(f"0.{p}") for p in parts], [int(p) * unit for p in parts]):
+        steps = np.diff(np.sort(whole - whole[0] + behind))
+        uneven.append(float(steps.std() / max(steps.mean(), 1e-9)))
+    return None if max(uneven) < 3 * min(uneven) else uneven[1] < uneven[0]
 
 
 def _fraction_counts(seconds: IntArray, fractions: IntArray, sign: str, digits: int) -> bool:
