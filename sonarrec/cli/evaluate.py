@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -22,13 +22,17 @@ if TYPE_CHECKING:
     from sonarrec.remote.run import RemoteFiles
 
 
-@command(short_help="Score results against ground truth, or compare two.")
-@click.argument("results", type=options.ANY_OR_URL, required=False)
+@command(short_help="Score results against ground truth, or compare them.")
+@click.argument("results", type=options.ANY_OR_URL, nargs=-1)
 @options.ground_truth(
     "gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.", kind=options.FILE_OR_URL
 )
 @options.pairs
-@options.compare("what got better or worse from OLD to NEW, frame by frame.")
+@options.compare(
+    "What got better or worse from OLD to NEW, frame by frame; RESULTS are then further ones to "
+    "compare with OLD."
+)
+@options.baseline
 @in_scoring(
     "--fail-on-regression band",
     type=FiniteRange(0, 1),
@@ -65,10 +69,11 @@ if TYPE_CHECKING:
 @options.cache
 @options.quiet
 def evaluate(
-    results: Path | str | None,
+    results: tuple[Path | str, ...],
     ground_truth: Path | str | None,
     pairs: Path | None,
     compare: tuple[Path | str, Path | str] | None,
+    baseline: bool,
     band: float | None,
     unit: Any,
     jobs: int | None,
@@ -93,12 +98,13 @@ def evaluate(
       sonarrec evaluate sonarrec_out/pan
       sonarrec evaluate --ground-truth gt.csv sonarrec_out/log_7 --min-visible 0.5
       sonarrec evaluate --pairs pairs.csv --details
+      sonarrec evaluate --compare before after
       sonarrec evaluate --ground-truth gt.csv --compare before after --fail-on-regression 0.02
     """
     if pairs is not None and (ground_truth or results):
         raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
-    if compare is not None and results is not None:
-        raise UsageError("--compare takes OLD and NEW; leave out RESULTS")
+    if compare is None and results[1:]:
+        raise UsageError("several RESULTS need --compare; a folder that holds several logs is one")
     if compare is not None and (details or det):
         raise UsageError("--details and --det are not available with --compare")
     if band is not None and compare is None:
@@ -106,10 +112,9 @@ def evaluate(
     from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.remote.run import RemoteFiles, inside
 
-    results = results or Path("sonarrec_out")
-    beside = results if pairs is None else pairs.parent
-    out = out or inside(beside if compare is None else compare[1], "evaluation")
-    worse: Sequence[str] = ()
+    folder_of_logs = results[0] if results else Path("sonarrec_out")
+    beside = folder_of_logs if pairs is None else pairs.parent
+    worse: list[str] = []
     with ExitStack() as stack:  # outputs are uploaded as it closes, so leave() comes after it
         remote = RemoteFiles(stack, cache)
         truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
@@ -117,19 +122,26 @@ def evaluate(
             from sonarrec.evaluation.compare_screen import screen
             from sonarrec.evaluation.compare_write import comparison_json, write_comparison
 
-            compared = compare_sides(compare, truth, scoring, remote, unit, jobs)
-            folder = remote.output(out)
-            files: Sequence[str] = write_comparison(folder, compared)
-            notes, unused = compared.notes, (*remote.unused, *compared.unused)
-            worse = [] if band is None else compared.regressions(band)
-            document: Iterable[str] = comparison_json(compared)
-            screens = [] if quiet or as_json else [screen(compared)]
+            old, *news = (*compare, *results)
+            found, written = [], []
+            for n, new in enumerate(news, 1):
+                one = compare_sides(old, new, truth, scoring, remote, unit, jobs, baseline)
+                place = inside(out, f"{n}-{Path(str(new)).name}") if out and news[1:] else out
+                folder = remote.output(place or inside(new, "evaluation"))
+                written.append((folder, write_comparison(folder, one)))
+                worse += [] if band is None else one.regressions(band)
+                found.append(one)
+            notes = tuple(dict.fromkeys(note for one in found for note in one.notes))
+            left_out = (line for one in found for line in one.unused)
+            unused = tuple(dict.fromkeys((*remote.unused, *left_out)))
+            document: Iterable[str] = comparison_json(*found)
+            screens = [] if quiet or as_json else [screen(found)]
         else:
             from sonarrec.evaluation import tabulate, write
             from sonarrec.evaluation.evaluate import evaluate_logs
 
             scored = evaluate_logs(  # pairs name the results too
-                truth if isinstance(truth, list) else remote.results(results),
+                truth if isinstance(truth, list) else remote.results(folder_of_logs),
                 None if isinstance(truth, list) else truth,
                 scoring,
                 unit=unit,
@@ -139,8 +151,8 @@ def evaluate(
             there = remote.with_server_names
             notes, unused = tuple(map(there, scored.notes)), tuple(map(there, scored.unused))
             scored = replace(scored, notes=notes, unused=unused)
-            folder = remote.output(out)
-            files = write.write_evaluation(folder, scored, det)
+            folder = remote.output(out or inside(beside, "evaluation"))
+            written = [(folder, write.write_evaluation(folder, scored, det))]
             unused = (*remote.unused, *unused)
             document = [write.json_text(write.as_json(scored))] if as_json else []
             screens = [tabulate.screen(scored.counts), tabulate.summary_screen(scored, details)]
@@ -151,19 +163,22 @@ def evaluate(
         elif not quiet:
             click.echo("\n".join(screens))
             lines = (f"note: {note}" for note in notes)
-            say(*lines, f"{remote.with_server_names(str(folder))}: {', '.join(files)}")
+            there = remote.with_server_names
+            say(*lines, *(f"{there(str(folder))}: {', '.join(files)}" for folder, files in written))
         tell(f"worse: {line}" for line in worse)
     if code := 1 if worse else PARTLY if unused else 0:
         leave(code)
 
 
 def compare_sides(
-    sides: tuple[Path | str, Path | str],
+    old: Path | str,
+    new: Path | str,
     truth: Path | list[Pair] | None,
     scoring: ScoringOptions,
     remote: RemoteFiles,
     unit: Any = None,
     jobs: int | None = None,
+    baseline: bool = False,
 ) -> Comparison:
     """Compare two results, local or on servers, as `evaluation.compare.compare`.
 
@@ -171,8 +186,16 @@ def compare_sides(
     """
     from sonarrec.evaluation.compare import compare
 
-    old, new = map(remote.results, sides)
-    result = compare(old, new, truth, scoring, unit=unit, jobs=jobs, find_beside=remote.beside)
+    result = compare(
+        remote.results(old),
+        remote.results(new),
+        truth,
+        scoring,
+        baseline=baseline,
+        unit=unit,
+        jobs=jobs,
+        find_beside=remote.beside,
+    )
     there = remote.with_server_names
     return replace(
         result,

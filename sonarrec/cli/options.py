@@ -100,9 +100,16 @@ def ground_truth(text: str, required: bool = False, kind: click.Path = FILE) -> 
     return in_input("--ground-truth", type=kind, required=required, help=text)
 
 
+baseline = in_scoring(
+    "--baseline",
+    is_flag=True,
+    help="With --compare: also compare the methods without tracks, such as smi.",
+)
+
+
 def compare(text: str) -> Decorator:
     """--compare OLD NEW. text: what is made of the two."""
-    kind, text = (ANY_OR_URL, ANY_OR_URL), f"In place of RESULTS: {text}"
+    kind = ANY_OR_URL, ANY_OR_URL
     words: dict[str, Any] = {"metavar": "OLD NEW", "shell_complete": file_names, "help": text}
     return in_input("--compare", type=kind, **words)
 

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 @click.argument("results", type=options.ANY_OR_URL, required=False)
 @options.ground_truth("gt.csv; without it nothing is scored.", kind=options.FILE_OR_URL)
 @options.compare(
-    "a page on what got better or worse from OLD to NEW. Truth is given, or found beside each log."
+    "In place of RESULTS: a page on what got better or worse from OLD to NEW. Truth is given, or "
+    "found beside each log."
 )
 @options.pairs
 @in_input(
@@ -98,7 +99,7 @@ def report(
 
             check_output(path, "comparison", [truth, pairs])
             known = truth if pairs is None else read_pairs(pairs)
-            comparison = compare_sides(compare, known, scoring, remote)
+            comparison = compare_sides(*compare, known, scoring, remote)
             write_comparison_page(path, comparison)
             unused, line = comparison.unused, f"{path}: {path.stat().st_size / 1e6:.2f} MB"
         else:

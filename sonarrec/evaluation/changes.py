@@ -71,10 +71,12 @@ class FrameChanges:
                 for row in changes.get((protocol, method), NONE):
                     yield _change(protocol, method, log, row)
 
-    def verdicts(self) -> dict[str, int]:
-        """How many changes are better, worse and other."""
+    def verdicts(self, protocol: str | None = None) -> dict[str, int]:
+        """How many changes are better, worse and other; under one protocol if given."""
         counts: Counter[int] = Counter()
         for of in self.methods:
+            if protocol not in (None, of[0]):
+                continue
             for _, changes in self.logs:
                 counts.update(np.sign(_more_errors(changes.get(of, NONE))).tolist())
         return {name: counts[sign] for name, sign in VERDICTS.items()}

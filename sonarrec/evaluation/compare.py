@@ -31,6 +31,8 @@ from sonarrec.evaluation.pairs import FindBeside, Pair
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.summary import SEED, units_text
 from sonarrec.evaluation.write import PAPER_KEY
+from sonarrec.nouns import follows
+from sonarrec.results.methods import chosen
 from sonarrec.results.run_file import read_run
 from sonarrec.truth.fits import tell_rows
 
@@ -137,6 +139,11 @@ class Comparison:
     unused: tuple[str, ...]
     """Input that could not be used, one line each."""
 
+    @property
+    def methods(self) -> tuple[tuple[str, str], ...]:
+        """(protocol, method) of those in both results, the leading method first."""
+        return self.frames.methods
+
     def regressions(self, band: float) -> list[str]:
         """A line for each rate that got worse by more than `band`, and for each missing method or
         protocol."""
@@ -163,6 +170,7 @@ def compare(
     ground_truth: Path | Sequence[Pair] | None = None,
     options: ScoringOptions = DEFAULT,
     *,
+    baseline: bool = False,
     unit: UnitKind | None = None,
     jobs: int | None = None,
     find_beside: FindBeside | None = None,
@@ -174,8 +182,9 @@ def compare(
 
     old, new: their logs are paired by name or SHA-256; if each holds one log, these are paired.
     ground_truth: one table for all logs, or pairs that name a truth per log; None: the truth
-    beside each log. unit: as in `summary.summarise`. jobs, find_beside: as in
-    `evaluate.evaluate_logs`.
+    beside each log. baseline: whether methods without tracks, which changes of stages 2 and 3 leave
+    as they were, are compared too, if none is named in options. unit: as in `summary.summarise`.
+    jobs, find_beside: as in `evaluate.evaluate_logs`.
     Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
     read.
     """
@@ -183,6 +192,8 @@ def compare(
     pairing = pair_logs(old, new, ground_truth, options, find_beside)
     notes, unused = [*dict.fromkeys(pairing.notes)], [*dict.fromkeys(pairing.unused)]
     used, before, after, changed = _count_pairs(pairing.pairs, jobs, notes, unused)
+    methods = _compared_methods(before, after, options.methods, baseline)
+    notes += _incomplete(used, before, after, methods)
     notes += _scored_before(old, new)
     # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.
     runs = (
@@ -191,7 +202,12 @@ def compare(
     )
     units = after.units(unit)
     scored = {(s.protocol, s.method): s for s in before.scored}
-    both = [s for s in after.scored if (s.protocol, s.method) in scored]
+    both = [
+        s
+        for method in methods
+        for s in after.scored
+        if s.method == method and (s.protocol, s.method) in scored
+    ]
     if not both:
         has = (f"{side} has {', '.join(p.methods)}" for side, p in ((old, before), (new, after)))
         raise SonarrecError(
@@ -213,7 +229,7 @@ def compare(
             a, b = (metrics.tally(unit_sums.rates, rate) for rate in (was, now))
             rates += _rate_changes(a, b, now.exact.counts[0])
             tests += differences(a, b, weights, tosses)
-    methods = tuple((s.protocol, s.method) for s in both)
+    compared = tuple((s.protocol, s.method) for s in both)
     return Comparison(
         old=str(old),
         new=str(new),
@@ -223,15 +239,37 @@ def compare(
         landmarks=after.ids,
         settings=tuple(changed_settings(runs)),
         rates=tuple(rates),
-        frames=FrameChanges(tuple(zip(after.logs, changed, strict=True)), methods),
-        passes=PassChanges(before, after, methods),
+        frames=FrameChanges(tuple(zip(after.logs, changed, strict=True)), compared),
+        passes=PassChanges(before, after, compared),
         differences=tuple(tests),
-        lost=tuple(m for m in before.methods if m not in after.methods),
-        gained=tuple(m for m in after.methods if m not in before.methods),
+        lost=tuple(m for m in methods if m not in after.methods),
+        gained=tuple(m for m in methods if m not in before.methods),
         unplaced=before.placed and not after.placed,
         notes=tuple(map(printable, notes)),
         unused=tuple(map(printable, unused)),
     )
+
+
+def _compared_methods(
+    before: Counts, after: Counts, wanted: Sequence[str], baseline: bool
+) -> tuple[str, ...]:
+    """The methods to compare, also those of one side only; the arguments are those of `compare`."""
+    there = chosen({*before.methods, *after.methods}, wanted, ", ".join(after.logs))
+    tracking = tuple(filter(follows, there))
+    if wanted or baseline or not {*tracking} & {*before.methods} & {*after.methods}:
+        return there
+    return tracking
+
+
+def _incomplete(
+    pairs: Sequence[LogPair], before: Counts, after: Counts, methods: Sequence[str]
+) -> Iterator[str]:
+    """A note on each log that lacks one of the methods of its side."""
+    for pair, *parts in zip(pairs, before.parts, after.parts, strict=True):
+        for folder, part, side in zip(pair.folders, parts, (before, after), strict=True):
+            lacks = [m for m in methods if m in side.methods and m not in part.methods]
+            if lacks:
+                yield f"{folder}: has no estimates of {', '.join(lacks)}; this counts as no claim"
 
 
 def _rate_changes(old: Tally, new: Tally, counts: FloatArray) -> Iterator[RateChange]:
@@ -289,16 +327,10 @@ def _count_pairs(
     fit_notes, misfits = check_logs([log.check for log in logs])
     old, new = (side.counts([pair.new for pair, _ in used]) for side in (before, after))
     notes += fit_notes
-    compared = [method for method in new.methods if method in old.methods]
-    for (pair, log), *parts in zip(used, old.parts, new.parts, strict=True):
+    for (_, log), part in zip(used, old.parts, strict=True):
         told = Diagnostics()
-        tell_rows(told, parts[0].name, log.check.rows, log.check.between)
+        tell_rows(told, part.name, log.check.rows, log.check.between)
         notes += told.notes
-        for folder, part in zip(pair.folders, parts, strict=True):
-            if missing := [method for method in compared if method not in part.methods]:
-                notes.append(
-                    f"{folder}: has no estimates of {', '.join(missing)}; this counts as no claim"
-                )
     cut = [line for log in logs for line in log.unused]
     unused += [*dict.fromkeys(line for line in cut if line not in unused)]
     unused += [*(log.message("compared") for log in unread), *misfits]

@@ -2,63 +2,54 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from sonarrec.errors import number_of, printable
-from sonarrec.evaluation.compare import Comparison, rate_text
-from sonarrec.evaluation.metrics import BY_NAME
+from sonarrec.evaluation.compare import Comparison
+from sonarrec.evaluation.verdict import rate_table, verdict
 
 MOST_LINES = 12
+MOST_RUNS = 6
 """Settings, and runs of changed frames, that are listed; the files have all."""
 
 
-def screen(comparison: Comparison) -> str:
-    """Changed settings, rates in total with tests, and the longest runs of changed frames."""
-    lines = [*settings_lines(comparison), *_rate_lines(comparison)]
-    lines += [f"{method}: only in the old results" for method in comparison.lost]
-    lines += [f"{method}: only in the new results" for method in comparison.gained]
-    verdicts = comparison.frames.verdicts()
-    lines.append(
-        f"frames and IDs, of each method and protocol: {verdicts['better']} better, "
-        f"{verdicts['worse']} worse, {verdicts['other']} otherwise changed"
-    )
-    lines += _frame_lines(comparison)
+def screen(found: Sequence[Comparison]) -> str:
+    """A verdict on each new result, their rates in one table, then what changed.
+
+    Changes of frames are those under the stricter protocol; changes.csv has those of both.
+    """
+    lines = [verdict(one) for one in found]
+    table = rate_table(found)
+    widths = [max(map(len, column)) + 2 for column in zip(*table, strict=True)]
+    lines += ["", *("".join(map(str.ljust, row, widths)).rstrip() for row in table), ""]
+    for one in found:
+        if found[1:]:
+            lines.append(f"{one.new}:")
+        lines += settings_lines(one)
+        lines += [f"{method}: only in the old results" for method in one.lost]
+        lines += [f"{method}: only in the new results" for method in one.gained]
+        lines += _frame_lines(one, MOST_RUNS if not found[1:] else 1)
     return "\n".join(map(printable, lines))
 
 
-def _rate_lines(comparison: Comparison) -> Iterable[str]:
-    """A line per method and protocol, and one that says why there are no p-values."""
-    whole = (d for d in comparison.differences if d.landmark_text == "total")
-    tests = {(d.protocol, d.b, d.name): d for d in whole}
-    totals: dict[str, list[str]] = {}
-    no_test = ""
-    for r in comparison.rates:
-        if r.landmark_text == "total":
-            text = f"{BY_NAME[r.rate].label} {rate_text(r.old)}"
-            if rate_text(r.new) != rate_text(r.old):
-                test = tests[r.protocol, r.method, r.rate]
-                text += f" -> {rate_text(r.new)}"
-                text += "" if math.isnan(test.p) else f" (p = {test.p:.2g})"
-                no_test = test.note.removesuffix(": no test") if math.isnan(test.p) else no_test
-            totals.setdefault(f"{r.method}, {r.protocol}", []).append(text)
-    yield from (f"{name}: {', '.join(texts)}" for name, texts in totals.items())
-    if no_test:
-        yield f"no p-values: {no_test}"
-
-
-def _frame_lines(comparison: Comparison) -> Iterable[str]:
-    """A line per run of changed frames."""
-    runs, count = comparison.frames.runs(MOST_LINES)
+def _frame_lines(comparison: Comparison, most: int) -> Iterable[str]:
+    """How many frames and IDs have changed, and a line for each of the longest runs."""
+    protocol = comparison.methods[-1][0]
+    counts = comparison.frames.verdicts(protocol)
+    yield (
+        f"frames and IDs, protocol {protocol}: {counts['better']} better, {counts['worse']} worse, "
+        f"{counts['other']} otherwise changed"
+    )
+    runs, count = comparison.frames.runs(most, protocol)
+    several = len({method for _, method in comparison.methods}) > 1
     for run in runs:
         first, last = run.first, run.last_frame
         span = f"frame {first.frame}" if run.count == 1 else f"frames {first.frame}-{last}"
-        yield (
-            f"  {first.verdict}: {first.log} {span}, {first.method}, {first.protocol}, "
-            f"ID.{first.landmark}: {outcome(first.old)} -> {outcome(first.new)}"
-        )
-    if count > MOST_LINES:
-        yield f"  and {number_of(count - MOST_LINES, 'more run')}; changes.csv has all"
+        method = f", {first.method}" * several
+        change = f"{outcome(first.old)} -> {outcome(first.new)}"
+        yield f"  {first.verdict}: {first.log} {span}{method}, ID.{first.landmark}: {change}"
+    if count > most:
+        yield f"  and {number_of(count - most, 'more run')}; changes.csv has all"
 
 
 def settings_lines(comparison: Comparison) -> Iterable[str]:

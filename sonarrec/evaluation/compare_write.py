@@ -9,6 +9,7 @@ from pathlib import Path
 from textwrap import indent
 
 from sonarrec.evaluation.compare import Comparison
+from sonarrec.evaluation.verdict import verdict
 from sonarrec.evaluation.write import as_record, finite_or_none, json_text, write_table
 from sonarrec.tables.outputs import (
     check_no_recording,
@@ -52,12 +53,23 @@ def write_comparison(folder: Path, comparison: Comparison) -> tuple[str, ...]:
     return ("compare.csv", "changes.csv", "compare.json")
 
 
-def comparison_json(comparison: Comparison) -> Iterator[str]:
+def comparison_json(*found: Comparison) -> Iterator[str]:
+    """compare.json piece by piece; a list of them if there are several."""
+    for n, one in enumerate(found):
+        if found[1:]:
+            yield "," if n else "["
+        yield from _comparison_json(one)
+    if found[1:]:
+        yield "]\n"
+
+
+def _comparison_json(comparison: Comparison) -> Iterator[str]:
     """compare.json piece by piece: what was compared and how it was made, rates, tests, passes;
     0/0 is null."""
     document = {
         "old": comparison.old,
         "new": comparison.new,
+        "verdict": verdict(comparison),
         "logs": list(comparison.logs),
         "frames": comparison.frames_compared,
         "landmarks": list(comparison.landmarks),

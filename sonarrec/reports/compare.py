@@ -15,13 +15,12 @@ from sonarrec.evaluation.compare import Comparison, PassChange
 from sonarrec.evaluation.compare_screen import outcome, settings_lines
 from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
+from sonarrec.evaluation.verdict import SIGNIFICANT, verdict
 from sonarrec.reports.page import filled
 from sonarrec.tables.outputs import write_page
 
 MOST = 10
 """So many passes and runs of frames that got better are shown, and as many that got worse."""
-SIGNIFICANT = 0.05
-"""Differences with a lower p are marked better or worse."""
 View = dict[str, Any]
 """Values of the template that belong together, by name."""
 
@@ -40,6 +39,7 @@ def write_comparison_page(path: Path, comparison: Comparison) -> None:
         version=__version__,
         old=name_as_text(comparison.old),
         new=name_as_text(comparison.new),
+        verdict=name_as_text(verdict(comparison)),
         found=comparison,
         level=f"{LEVEL:.0%}",
         least=MIN_UNITS,

@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +12,10 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.compare import compare
-from sonarrec.evaluation.compare_screen import _rate_lines
+from sonarrec.evaluation.compare import RateChange, compare
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.evaluation.verdict import change_text, verdict
 from tests.evaluation.test_evaluation import (
     ESTIMATE_HEADER,
     TRUTH_HEADER,
@@ -56,11 +54,19 @@ def sides(tmp_path: Path) -> tuple[Path, Path, Path]:
 def test_what_got_better_and_worse(sides: tuple[Path, Path, Path]) -> None:
     old, new, truth = sides
     done = command("--ground-truth", truth, "--compare", old, new)
-    assert "m, strict: TPR 1.0000 -> 0.5000, FPR 0.0143 -> 0.0000, AUC" in done.output
-    assert "no p-values: cases in 1 of the 6 units needed" in done.output
-    assert "of each method and protocol: 4 better, 20 worse, 0 otherwise" in done.output
-    assert "worse: out frames 15-24, m, strict, ID.1: TP -> FN" in done.output
-    assert "better: out frames 30-31, m, strict, ID.2: FP -> TN" in done.output
+    rates = "TPR 1.0000 -> 0.5000, FPR 0.0143 -> 0.0000"
+    assert done.output.splitlines()[:5] == [
+        f"{new} is worse than {old}: {rates} (m, strict); 1 of 1 pass with "
+        "fewer frames right; 1 pass: too few to test",
+        "",
+        "   paper TPR         paper FPR         strict TPR        strict FPR",
+        "m  1.0000 -> 0.5000  0.0143 -> 0.0000  1.0000 -> 0.5000  0.0143 -> 0.0000",
+        "",
+    ]
+    assert "protocol strict: 2 better, 10 worse, 0 otherwise" in done.output
+    assert "worse: out frames 15-24, ID.1: TP -> FN" in done.output
+    assert "better: out frames 30-31, ID.2: FP -> TN" in done.output
+    assert done.output.count("frames 15-24") == 1
     with (new / "evaluation" / "changes.csv").open() as file:
         rows = [r for r in csv.DictReader(file) if r["protocol"] == "strict"]
     assert {int(r["frame"]) for r in rows if r["change"] == "worse"} == set(range(15, 25))
@@ -75,12 +81,70 @@ def test_what_got_better_and_worse(sides: tuple[Path, Path, Path]) -> None:
 
 
 def test_no_change_is_printed_of_a_rate_whose_digits_are_the_same() -> None:
-    """It was `AUC 1.0000 -> 1.0000`."""
-    rate: Any = SimpleNamespace(
-        protocol="strict", method="m", landmark_text="total", rate="auc", old=0.99998, new=0.99997
+    """It was `TPR 1.0000 -> 1.0000`."""
+    assert change_text(RateChange("strict", "m", "total", "tpr", 0.99998, 0.99997, 9)) == "1.0000"
+
+
+def test_a_verdict_tells_passes_and_whether_it_may_be_chance(tmp_path: Path) -> None:
+    """Of eight passes: by the sign-flip test five that change are p = 2/32, six p = 2/64."""
+    starts = range(0, 320, 40)
+    truth = [(s + f, 1, 2.0, 0.0, 1.0) for s in starts for f in range(10)]
+    whole = {f for f, *_ in truth}
+    old, gt = write_case(tmp_path / "old", range(320), claims(whole), truth)
+
+    def told(lost: int, halved: int = 0) -> str:
+        kept = {f for f in whole if f >= 40 * lost and (f >= 40 * (lost + halved) or f % 40 < 5)}
+        new, _ = write_case(tmp_path / f"new{lost}", range(320), claims(kept), truth)
+        return verdict(compare(old, new, gt)).partition("is ")[2]
+
+    rates = "TPR 1.0000 -> 0.3750, FPR 0.0000 (m, strict)"
+    assert told(5) == (
+        f"worse than {old}: {rates}; 5 of 8 passes lost; p = 0.062 over 8 passes, so it may be "
+        "chance"
     )
-    compared: Any = SimpleNamespace(rates=[rate], differences=[])
-    assert list(_rate_lines(compared)) == ["m, strict: AUC 1.0000"]
+    assert told(4, 2).endswith(
+        "4 of 8 passes lost; 2 of 8 passes with fewer frames right; p = 0.031 over 8 passes"
+    )
+    new, _ = write_case(tmp_path / "f", range(320), claims(whole, whole), truth)
+    missed, _ = write_case(tmp_path / "m", range(320), claims(whole - {*range(9)}), truth)
+    assert "is neither better nor worse than" in verdict(compare(missed, new, gt))
+    assert told(0) == f"as good as {old}: TPR 1.0000, FPR 0.0000 (m, strict)"
+
+
+def test_the_baseline_is_compared_on_request(tmp_path: Path) -> None:
+    """It fails no build while the framework is as it was."""
+    sides = []
+    for name, right in (("old", set(range(5, 20))), ("new", {5})):
+        both = claims({5, 6}, method="framework") + claims(right, method="smi")
+        sides.append(write_case(tmp_path / name, FRAMES, both, TRUTH)[0])
+    gt = tmp_path / "old" / "gt.csv"
+    arguments = ["--ground-truth", gt, "--fail-on-regression", "0.02", "--compare", *sides]
+    assert "smi" not in command(*arguments).stdout
+    done = command(*arguments, "--baseline", code=1)
+    assert [line.split()[0] for line in done.stdout.splitlines()[3:5]] == ["framework", "smi"]
+    assert done.stdout.startswith(f"{sides[1]} is as good as {sides[0]}")
+    assert "worse: smi, strict" in done.stderr
+    assert "(smi, strict)" in command(*arguments, "--method", "smi", code=1).stdout
+    told = command(*arguments, "--method", "nobody", code=2).stderr
+    assert told.endswith("no method 'nobody'; there is framework, smi\n")
+
+
+def test_further_results_are_compared_with_the_old_ones(sides: tuple[Path, Path, Path]) -> None:
+    """A verdict on each, and one table; the files of each lie with its results, or apart in OUT."""
+    old, new, truth = sides
+    done = command("--ground-truth", truth, "--compare", old, new, old)
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith(f"{new} is worse than {old}: ")
+    assert lines[1].startswith(f"{old} is as good as {old}: TPR 1.0000, FPR 0.0143 (m, strict)")
+    assert [line.split()[:3] for line in lines[4:6]] == [
+        [f"{new},", "m", "1.0000"], [f"{old},", "m", "1.0000"],
+    ]  # fmt: skip
+    out = old.parent / "both"
+    arguments = ["--ground-truth", truth, "--compare", old, new, old, "-o", out, "--json"]
+    found = json.loads(command(*arguments).stdout)
+    assert [one["new"] for one in found] == [str(new), str(old)]
+    assert sorted(path.name for path in out.iterdir()) == ["1-out", "2-out"]
+    assert json.loads((out / "1-out" / "compare.json").read_text()) == found[0]
 
 
 def test_fails_on_regression_only(sides: tuple[Path, Path, Path]) -> None:
@@ -195,7 +259,7 @@ def test_only_common_frames_are_compared(tmp_path: Path) -> None:
     new, _ = write_case(tmp_path / "new", range(15), claims(set(range(5, 15))), TRUTH)
     done = command("--ground-truth", truth, "--compare", old, new, code=3)
     assert "25 frames in" in done.stderr
-    assert "0 better, 0 worse" in done.stdout
+    assert "is as good as" in done.stdout
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -253,10 +317,12 @@ def test_what_the_runs_were_made_with_differently(sides: tuple[Path, Path, Path]
     made(old)
     made(new)
     arguments = ["--ground-truth", truth, "--compare", old, new]
-    assert command(*arguments).stdout.startswith("settings, version and landmark set: the same\n")
+    assert command(*arguments).stdout.splitlines()[5] == (
+        "settings, version and landmark set: the same"
+    )
     made(new, version="2", declare=0.9, name="big", radius=0.2)
     lines = command(*arguments).stdout.splitlines()
-    assert lines[:4] == [
+    assert lines[5:9] == [
         "program.version: 1 -> 2",
         "features.declare: 0.75 -> 0.9",
         "landmarks.name: basin -> big",
@@ -329,7 +395,7 @@ def test_without_a_sha256_frames_go_together_by_number_and_it_is_said(
     output = command(*arguments, "--landmarks", "basin").stdout
     assert f"note: {old}: no SHA-256 of the log in run.toml; frames are matched by number" in output
     assert f"note: {old}: no run.toml, so its settings are not known" in output
-    assert "the same" not in output
+    assert "set: the same" not in output
 
 
 def several(folder: Path, digests: dict[str, str], right: dict[str, set[int]]) -> Path:
@@ -355,7 +421,7 @@ def test_several_logs_each_with_a_truth_of_its_own(tmp_path: Path) -> None:
     rows = [(f"old/results/{name}", f"{name}.csv") for name in ("x", "y")]
     write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
     done = command("--pairs", tmp_path / "pairs.csv", "--compare", old, new)
-    assert "frames and IDs, of each method and protocol: 2 better, 2 worse" in done.stdout
+    assert "frames and IDs, protocol strict: 1 better, 1 worse" in done.stdout
     assert "which counts once" in done.stdout
     told = json.loads((new / "evaluation" / "compare.json").read_text())
     assert len(told["logs"]) == 2
@@ -399,10 +465,7 @@ def test_links_to_folders_of_one_name_go_together_by_their_own(tmp_path: Path) -
     write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
     sides = ["--compare", tmp_path / "old", tmp_path / "new"]
     done = command("--pairs", tmp_path / "pairs.csv", *sides)
-    assert (
-        "frames and IDs, of each method and protocol: 2 better, 0 worse, 0 otherwise changed"
-        in done.stdout
-    )
+    assert "protocol strict: 1 better, 0 worse, 0 otherwise changed" in done.stdout
 
 
 def test_other_new_results_of_a_recording_are_not_compared(tmp_path: Path) -> None:
@@ -453,7 +516,7 @@ def test_pairs_that_name_no_truth_at_all(tmp_path: Path) -> None:
     [
         (["--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
         (["--ground-truth", "p.csv", "--fail-on-regression", "0.1"], "--compare"),
-        (["--ground-truth", "p.csv", "out", "--compare", "a", "b"], "leave out RESULTS"),
+        (["--ground-truth", "p.csv", "out", "other"], "several RESULTS need --compare"),
         (["--compare", "a", "b", "--det"], "not available with --compare"),
         (["--compare", "a", "b", "--details"], "not available with --compare"),
     ],

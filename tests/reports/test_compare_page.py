@@ -46,6 +46,10 @@ def test_the_page_tells_what_the_comparison_found(sides: tuple[Path, Path, Path]
     tests = {
         d.name: d for d in found.differences if (d.protocol, d.landmark_text) == ("strict", "total")
     }
+    assert f"{new} is worse than {old}" in page.text
+    assert (
+        "TPR 0.8750 -> 0.6250, FPR 0.0007 -> 0.0000 (m, strict); 1 of 8 passes gained" in page.text
+    )
     rows = {row[0]: row for row in page.tables["m, protocol strict"][1:]}
     assert rows["TPR"][1:3] == ["0.875", "0.625"]  # 140 and 100 of 160 frames
     assert rows["TPR"][4] == f"{tests['tpr'].p:.2g}"
