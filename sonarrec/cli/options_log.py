@@ -16,7 +16,7 @@ from sonarrec.nouns import Clock, ColourMap
 if TYPE_CHECKING:
     from sonarrec.results.run_file import LogOptions
 
-_NUMBERS = {
+GEOMETRY_TEXTS = {
     "range_min_m": "Slant range of the window's near end, m.",
     "range_max_m": "Slant range of the window's far end, m.",
     "field_of_view_deg": "Horizontal field of view, deg.",
@@ -36,7 +36,7 @@ GEOMETRY_OPTIONS = {
     ),
     **{
         key: in_geometry(f"--{key.replace('_', '-')} {key}", type=float, help=text)
-        for key, text in _NUMBERS.items()
+        for key, text in GEOMETRY_TEXTS.items()
     },
     "apex_px": in_geometry(
         "--apex-px", type=float, nargs=2, metavar="COLUMN ROW", help="Apex of a fan image, pixels."

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 MOST_SHOWN = 10
 """If a call has more logs, their passes are not printed."""
+MOST_ROWS = 100
+"""Of the table of what was found in each log."""
 
 
 @dataclass
@@ -163,6 +165,8 @@ class RunWatch(Watch):
         for i, outcome in sorted(self._outcomes.items()):
             counts[_in_words(outcome)].append(self.tasks[i].path)
         failed = counts["failed"]
+        if len(self.tasks) > 1 and not self.quiet and not self.json:
+            say("", *self._found())
         if len(self.tasks) == 1 or (self.quiet and not failed):
             return
         line = ", ".join(f"{len(paths)} {how}" for how, paths in counts.items() if paths)
@@ -172,6 +176,23 @@ class RunWatch(Watch):
         elif failed:
             line += f": {', '.join(failed)}"
         click.echo(printable(line), err=bool(failed) or self.json)
+
+    def _found(self) -> Iterator[str]:
+        """A row for each log: what was found in it."""
+        width = max(3, *(len(task.name) for task in self.tasks[:MOST_ROWS]))
+        yield f"{'log':<{width}}  {'frames':>7}  {'notes':>5}  frames with a landmark declared"
+        for i, outcome in sorted(self._outcomes.items())[:MOST_ROWS]:
+            summary, name = outcome.summary, f"{self.tasks[i].name:<{width}}"
+            if summary is None:
+                yield f"{name}  {'-':>7}  {'-':>5}  failed"
+                continue
+            notes = "-" if summary.up_to_date else str(len(summary.notes))
+            seen = [f"ID.{one}: {count}" for one, count in sorted(summary.landmarks.items())]
+            lost = f"; {summary.unusable} unusable" if summary.unusable else ""
+            found = ", ".join(seen) or "none"
+            yield f"{name}  {summary.frames:>7}  {notes:>5}  {found}{lost}"
+        if len(self._outcomes) > MOST_ROWS:
+            yield f"{len(self._outcomes) - MOST_ROWS} more in {NAME}"
 
     def _report_outdated(self) -> None:
         """Print a note on pages and folders in OUT that were made from results replaced now."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
@@ -40,7 +40,8 @@ class Summary:
     be. problems: a line for each thing that could not be used. notes: other lines for the user.
     candidates: over all frames. passes: how many sightings.csv has of each method that
     follows objects. sightings: of each of these the MOST_SIGHTINGS declared in the most frames, in
-    order of first sight. up_to_date: these very results were there, so nothing was done.
+    order of first sight. landmarks: frames in which the first of these methods declared each ID,
+    summed over its passes. up_to_date: these very results were there, so nothing was done.
     """
 
     folder: Path
@@ -51,6 +52,7 @@ class Summary:
     notes: list[str]
     passes: dict[str, int]
     sightings: list[Sighting]
+    landmarks: dict[int, int]
     up_to_date: bool = False
 
 
@@ -252,18 +254,22 @@ def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibil
         note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
 
 
-def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list[Sighting]]:
-    """`passes` and `sightings` of a Summary; methods: those that follow objects."""
-    passes = dict.fromkeys(methods, 0)
+def _longest(
+    folder: Path, methods: Sequence[str]
+) -> tuple[dict[str, int], list[Sighting], dict[int, int]]:
+    """`passes`, `sightings` and `landmarks` of a Summary; methods: those that follow objects."""
+    passes, landmarks = dict.fromkeys(methods, 0), Counter[int]()
 
     def of_method(method: str) -> Iterator[Sighting]:
         for sighting in sightings_in(folder / "sightings.csv"):
             if sighting.method == method:
                 passes[method] += 1
+                if method == methods[0]:
+                    landmarks[sighting.landmark] += sighting.frames_declared
                 yield sighting
 
     sightings: list[Sighting] = []
     for method in methods:
         longest = nlargest(MOST_SIGHTINGS, of_method(method), key=lambda s: s.frames_declared)
         sightings += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
-    return passes, sightings
+    return passes, sightings, dict(landmarks)

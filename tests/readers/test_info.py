@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
+import tomllib
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,11 +18,12 @@ from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.cli.info import lines
+from sonarrec.cli.info_lines import lines
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.hard_logs import HardLog
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
 
@@ -253,3 +257,51 @@ def test_for_programs(tmp_path: Path) -> None:
     assert not found.has_no_frame
     assert all(line == line.rstrip() for line in lines(found))
     assert json.loads(json.dumps(asdict(found)))["images"][0]["usable"] == 20
+
+
+def test_a_geometry_is_written_with_what_is_missing_marked(tmp_path: Path) -> None:
+    log, file = tmp_path / "log", tmp_path / "sonar.toml"
+    log.mkdir()
+    for n in range(4):
+        shutil.copy(SAMPLE / f"{n:06d}.png", log)
+    told = sonarrec("info", log, "--range-max-m", "3.75", "--write-sonar", file).stderr
+    assert "complete range_min_m, tilt_deg, height_m" in told
+    text = file.read_text()
+    stated = tomllib.loads(text)["sonar"]
+    true = tomllib.loads((SAMPLE / "sonar.toml").read_text())["sonar"]
+    assert stated["range_max_m"] == 3.75
+    assert stated["field_of_view_deg"] == pytest.approx(true["field_of_view_deg"], abs=0.3)
+    assert not {"range_min_m", "tilt_deg", "height_m"} & set(stated)
+    # As marked it is completed, and then serves.
+    for key in ("range_min_m", "tilt_deg"):
+        line = re.search(rf"^# {key} =  # missing.*$", text, re.MULTILINE)
+        assert line is not None
+        text = text.replace(line[0], f"{key} = {true[key]}")
+    file.write_text(text)
+    assert "lacks" not in sonarrec("info", log, "--quick").stdout  # it lies beside the folder
+    own = sonarrec("info", SAMPLE, "--quick", "--write-sonar", SAMPLE / "sonar.toml", code=2)
+    assert "is not overwritten" in own.stderr
+    of_log = tmp_path / "whole.toml"
+    assert "nothing is missing" in sonarrec("info", SAMPLE, "--write-sonar", of_log).stderr
+    assert tomllib.loads(of_log.read_text())["sonar"] == true
+
+
+def test_what_the_log_states_ping_by_ping_is_written_as_a_comment(tmp_path: Path) -> None:
+    """Stated in a file it would overrule pings of other windows."""
+    log, file = tmp_path / "log.mcap", tmp_path / "new.toml"
+    schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
+    words = f"simulate --scene sample_polar --frames 2 --format mcap --schema {schema}"
+    sonarrec(*words.split(), "-o", log)
+    sonarrec("info", log, "--write-sonar", file)
+    stated = tomllib.loads(file.read_text())["sonar"]
+    assert set(stated) == {"tilt_deg", "height_m", "frame_rate_hz", "beam_order"}
+    assert "# range_max_m = " in file.read_text()
+
+
+def test_the_cause_leads_the_message_of_a_damaged_log(tmp_path: Path) -> None:
+    """Before, it stood behind 600 characters of the types that are read."""
+    whole = (SAMPLE.parent / "pan.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[:3000])
+    told = sonarrec("run", tmp_path / "cut.mcap", code=1).stderr
+    assert "cut.mcap: no image channel; cut short or damaged at byte" in told
+    assert len(told) < 250 + len(str(tmp_path))

@@ -1,0 +1,210 @@
+"""What `sonarrec info` prints of a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sonarrec.errors import number_of
+from sonarrec.times import date_text, is_date
+
+if TYPE_CHECKING:
+    from sonarrec.readers.info import Container, Images, LogInfo
+    from sonarrec.runs.radii import RadiusTrials
+
+
+def lines(info: LogInfo) -> list[str]:
+    """A log described in lines of text."""
+    size = f"{info.size_bytes / 1e6:.1f} MB" if info.size_bytes >= 1e5 else f"{info.size_bytes} B"
+    kind = number_of(info.files, "image") if info.kind == "images" else info.kind
+    out = [f"{info.path}: {kind}, {size}"]
+    if info.container is None:
+        for images in info.images:
+            out += _recorded(images.start_ns, images.end_ns)
+    else:
+        out += _container_lines(info.container)
+        container = info.container
+        if not container.footer:
+            whole = "no: cut short or damaged"
+        elif info.faults:
+            whole = "no: damaged"
+        elif container.library == "SQLite":  # which has neither footer nor checksums
+            sight = "yes: nothing is missing", "nothing is missing at first sight"
+            whole = sight[not info.checked]
+        elif not info.checked or not info.images:
+            whole = "it has a footer; checksums not compared"
+        else:
+            whole = "yes: footer and checksums"
+        out += _entry("whole", [whole])
+    out += _entry(
+        "faults", [fault.removeprefix(f"{Path(info.path).name}: ") for fault in info.faults]
+    )
+    for images in info.images:
+        out += _images_lines(images)
+    if not info.images:
+        out += _entry("images", ["none: no channel holds messages that are read"])
+    return out
+
+
+def _entry(name: str, texts: list[str]) -> list[str]:
+    """Lines under one heading."""
+    return [f"  {name if n == 0 else '':<10}{text}" for n, text in enumerate(texts)]
+
+
+def _container_lines(container: Container) -> list[str]:
+    out = _recorded(container.start_ns, container.end_ns)
+    writer = ", ".join(text for text in (container.profile, container.library) if text)
+    out += _entry("writer", [writer] if writer else [])
+    chunks = ", ".join(f"{count} {name}" for name, count in container.chunks.items())
+    out += _entry("chunks", [chunks or "none"])
+    rows = []
+    for channel in container.channels:
+        rate = ""
+        start, end = container.start_ns, container.end_ns
+        if start is not None and end is not None:
+            more = channel.messages - 1
+            rate = f"{more / (end - start) * 1e9:.4g} Hz" if end > start and more > 0 else ""
+        rows.append(
+            [
+                channel.topic,
+                channel.schema or "no schema",
+                channel.message_encoding or "no encoding",
+                number_of(channel.messages, "message"),
+                rate,
+                "images" if channel.images else "",
+            ]
+        )
+    return out + (_entry("channels", _columns(rows)) if rows else [])
+
+
+def _recorded(start_ns: int | None, end_ns: int | None) -> list[str]:
+    if start_ns is None or end_ns is None:
+        return []
+    clock = f"clock at {start_ns / 1e9:.3f} s"
+    start = f"{date_text(start_ns)} UTC" if is_date(start_ns) else clock
+    return _entry("recorded", [f"{start}, {(end_ns - start_ns) / 1e9:.1f} s long"])
+
+
+def _columns(rows: list[list[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def _images_lines(images: Images) -> list[str]:
+    out = ["", f"  {images.topic}"] if images.topic is not None else []
+    if images.usable is None:
+        text = f"{'?' if images.frames is None else images.frames}, not checked"
+    else:
+        once = ", once the geometry is complete" if images.lacks else ""
+        text = f"{images.usable} of {images.frames} can be used{once}"
+    out += _entry("frames", [text])
+    if images.rows is not None:
+        text = f"{images.columns} x {images.rows}, {images.pixels}, {images.layout}"
+        if images.rate_hz is not None:
+            text += f", {images.rate_hz:.4g} Hz"
+        elif "frame_rate_hz" in images.geometry:
+            text += f", {images.geometry['frame_rate_hz']:g} Hz as stated"
+        out += _entry("images", [text])
+    header = {key: value for key, value in images.header.items() if value is not None}
+    sonar = [str(header.pop("sonar"))] if "sonar" in header else []
+    cells = [f"{k} = {v}" if isinstance(v, str) else f"{k} = {v:.6g}" for k, v in header.items()]
+    rows = [", ".join(cells[i : i + 3]) for i in range(0, len(cells), 3)]
+    out += _entry("header", sonar + rows)
+    out += _entry("geometry", _geometry_lines(images))
+    out += _entry("outline", _outline_lines(images))
+    out += _entry("notes", images.notes)
+    return out + _entry("problems", images.problems)
+
+
+def _geometry_lines(images: Images) -> list[str]:
+    from sonarrec.sonar import Sonar
+
+    geometry = Sonar(**images.geometry)
+    parts = []
+    if geometry.range_min_m is not None and geometry.range_max_m is not None:
+        parts.append(f"{geometry.range_min_m:.4g} to {geometry.range_max_m:.4g} m")
+    if geometry.bearings_deg is not None:
+        low, high = min(geometry.bearings_deg), max(geometry.bearings_deg)
+        parts.append(f"{len(geometry.bearings_deg)} beams from {low:.4g} to {high:.4g} deg")
+    elif geometry.field_of_view_deg is not None:
+        parts.append(f"{geometry.field_of_view_deg:g} deg")
+    if geometry.tilt_deg is not None:
+        parts.append(f"tilt {geometry.tilt_deg:g} deg")
+    if geometry.height_m is not None:
+        parts.append(f"height {geometry.height_m:g} m")
+    out = [", ".join(parts), *_origin_lines(images)]
+    if images.lacks:
+        flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
+        out.append(f"lacks {', '.join(images.lacks)}")
+        out.append(f"give {flags}, or put a sonar.toml beside the log, or into it if a folder:")
+        out.append("`sonarrec help geometry` has one to copy")
+    return [text for text in out if text]
+
+
+def _outline_lines(images: Images) -> list[str]:
+    """The fan in the images, if something of the geometry that it tells is not stated."""
+    found = images.outline
+    if found is None or not set(images.lacks) - {"tilt_deg"}:
+        return []
+    lines = [
+        f"the images show a fan of {found.view_deg:.1f} deg with "
+        f"apex_px = [{found.apex_column:.1f}, {found.apex_row:.1f}]",
+        f"and {found.ends}",
+    ]
+    if found.far_px is None:
+        return lines
+    near = None if found.near_px is None else found.near_px / found.far_px
+    less = ", or less if it is dark or cut off there"
+    range_max_m = images.geometry.get("range_max_m")
+    if range_max_m is None:
+        lines.append(f"metres_per_pixel is range_max_m / {found.far_px:.1f}")
+        if near is not None:
+            lines.append(f"range_min_m is about {near:.3f} of range_max_m{less}")
+    else:
+        lines.append(f"metres_per_pixel is {range_max_m / found.far_px:.4g}")
+        if near is not None:
+            lines.append(f"range_min_m is about {near * range_max_m:.3g}{less}")
+    return lines
+
+
+def _origin_lines(images: Images) -> list[str]:
+    """The keys of the geometry by origin, a line each."""
+    names = {"flag": "by flag", "message": "from the messages", "default": "by default"}
+    names |= {"header": "from the headers", "found": "found from the pings", "assumed": "assumed"}
+    lines: dict[str, list[str]] = {}
+    for key, origin in images.origins.items():
+        value = f" = {images.layout}" if key == "layout" and origin == "default" else ""
+        value = f" = {images.geometry[key]}" if origin in ("found", "assumed") else value
+        lines.setdefault(names.get(origin, f"from {origin}"), []).append(key + value)
+    for key, value in images.assumed.items():
+        numbers = value if isinstance(value, list) else [value]
+        text = ", ".join(f"{number:.4g}" for number in numbers)
+        text = f"[{text}]" if isinstance(value, list) else text
+        lines.setdefault(names["default"], []).append(f"{key} = {text}")
+    return [f"{origin}: {', '.join(keys)}" for origin, keys in lines.items()]
+
+
+def radii_lines(trials: RadiusTrials) -> list[str]:
+    """In how many frames landmarks are declared, by radius."""
+    rows = [["radius_m", "frames", "of which with"]]
+    for trial in trials.trials:
+        stated = trial.radius_m == trials.stated_m
+        if stated or trial.frames_declared:
+            ids = ", ".join(f"ID.{one}: {count}" for one, count in trial.ids.items())
+            remark = "  (stated)" if stated else ""
+            rows.append([f"{trial.radius_m:.3g}", str(trial.frames_declared), ids + remark])
+    low, high = trials.trials[0].radius_m, trials.trials[-1].radius_m
+    texts = [
+        f"frames of {trials.frames} with a landmark declared ({low:.3g} to {high:.3g} m tried; "
+        "not listed: 0)",
+        *_columns(rows),
+    ]
+    if trials.better is not None:
+        texts.append(
+            f"about {trials.better.radius_m:.3g} m fits better than the {trials.stated_m:g} m "
+            "stated: check radius_m and the range window"
+        )
+    return _entry("radii", texts)
