@@ -28,6 +28,7 @@ frame_rate_hz = 4.0         # where frames carry no time; optional
 """
 
 BeamOrder = Literal["range-major", "beam-major"]
+RangeOrder = Literal["near_first", "far_first"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,7 @@ class Sonar:
     bearings_deg: tuple[Finite, ...] | None = None  # one per beam, where not evenly spaced
     ranges_m: tuple[Finite, ...] | None = None  # one per bin, at its middle, likewise
     beam_order: BeamOrder | None = None  # of a polar image: a row per range bin, or per beam
+    range_order: RangeOrder | None = None  # of its rows, or of a beam's samples; None: near first
     flip: bool | None = None  # left and right are exchanged
     colour_map: ColourMap | None = None  # of pictures in false colour
     pixel_scale: Literal["linear", "log", "db"] | None = None  # this and the next two:

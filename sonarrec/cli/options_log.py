@@ -55,6 +55,12 @@ _PIXELS = {
         help="Polar samples: all beams of one range first, or all ranges of one beam.  "
         "[default: found from the first ping]",
     ),
+    "range_order": in_pixels(
+        "--range-order",
+        type=click.Choice(["near_first", "far_first"]),
+        help="Rows of polar images: the nearest range on top, or the farthest.  "
+        "[default: near_first]",
+    ),
     "flip": in_pixels(
         "--flip/--no-flip", default=None, help="Exchange left and right, if a driver did."
     ),

@@ -282,7 +282,11 @@ def _images(
     layout = geometry.pop("layout")
     polar = raw.polar or layout == "polar"
     height_stated = log.sonar.height_m is not None
-    doubts = [] if lacks else plausibility.contradictions(height_stated=height_stated)
+    doubts = (
+        []
+        if lacks
+        else plausibility.contradictions(height_stated=height_stated, rows_stated=log.rows_stated)
+    )
     assumed: dict[str, Any] = {}
     if not lacks and log.fan is not None:
         fan = log.fan

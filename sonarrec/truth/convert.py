@@ -319,6 +319,8 @@ def _polar_pixels(
         x, y, sizes = y, x, {size[::-1] for size in sizes}
     bins = round(log.fan.window_m / log.fan.metres_per_pixel)
     beams = min(sizes)[0] if sonar.bearings_deg is None else len(sonar.bearings_deg)
+    if sonar.range_order == "far_first":
+        y = bins - 1 - y
     if sizes != {(beams, bins)}:
         raise _wrong_size(source, drawn, f"{beams} beams x {bins} ranges")
     geometry = sonar.complete(str(source))

@@ -173,7 +173,7 @@ def test_a_log_in_jet_is_recognised_as_its_grey_one(tmp_path: Path) -> None:
 def test_what_is_stated_wins(tmp_path: Path) -> None:
     log = in_colour(tmp_path, cv2.COLORMAP_JET)
     told = sonarrec("run", log, "--colour-map", "luminance", "--frames", "0:4", "-o", tmp_path)
-    assert "colour" not in told.stderr
+    assert "colours" not in told.stderr
     with (log / "sonar.toml").open("a") as file:
         file.write('\ncolour_map = "viridis"\n')
     sonarrec("run", log, "--frames", "0:4", "-o", tmp_path / "again")

@@ -53,6 +53,29 @@ def polar_frame(pixels: np.ndarray) -> Frame:
     return Frame(0, 0, pixels, polar.fan, polar=polar)
 
 
+def test_far_range_on_top(tmp_path: Path) -> None:
+    """A window that begins in the water: stated or asked for, and then read as it is."""
+    for name, step in (("near", 1), ("far", -1)):
+        (folder := tmp_path / name).mkdir()
+        shutil.copy(SAMPLE / "polar" / "sonar.toml", folder)
+        for path in sorted((SAMPLE / "polar").glob("*.png"))[:6]:
+            image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            image[:50] = 0
+            cv2.imwrite(str(folder / path.name), image[::step])
+    told = {name: describe(tmp_path / name).images[0].notes for name in ("near", "far")}
+    assert told["near"] == []
+    (note,) = told["far"]
+    assert "are far ranges on top, --range-order far_first?" in note
+    with (
+        open_log(tmp_path / "near") as near,
+        open_log(tmp_path / "far", sonar=Sonar(range_order="far_first")) as far,
+    ):
+        for one, other in zip(near, far, strict=True):
+            assert np.array_equal(one.pixels, other.pixels)
+        assert far.sonar.range_order == "far_first"
+    assert describe(tmp_path / "far", sonar=Sonar(range_order="far_first")).images[0].notes == []
+
+
 def floor(fan: Fan) -> np.ndarray:
     """A fan image of bare floor, black outside of the fan."""
     empty, seen = draw_on_floor(fan, 2.5, 0, 0.01, lambda x, y: 0 * (x + y))

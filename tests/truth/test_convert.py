@@ -723,6 +723,8 @@ UNEVEN = (-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14)
         {"bearings_deg": UNEVEN[::-1]},
         {"ranges_m": tuple(1.25 + 2.5 * ((n + 0.5) / 200) ** 1.3 for n in range(200))},
         {"beam_order": "beam-major"},
+        {"range_order": "far_first"},
+        {"range_order": "far_first", "beam_order": "beam-major"},
     ],
 )
 def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[str, Any]) -> None:

@@ -192,6 +192,8 @@ class FrameMaker:
         polar = self.sonar.layout == "polar"
         if polar and self.sonar.beam_order == "beam-major":
             image = np.ascontiguousarray(image.T)
+        if polar:
+            image = self._near_first(image)
         if self._shape is None:
             geometry = self.sonar.complete(self._where)
             view, bearings = self.sonar.field_of_view_deg, geometry.bearings_deg
@@ -217,6 +219,11 @@ class FrameMaker:
             return image
         return np.ascontiguousarray(image[:, ::-1])
 
+    def _near_first(self, image: ByteImage) -> ByteImage:
+        """A polar image with its nearest row on top."""
+        is_far_first = self._stated.range_order == "far_first"
+        return np.ascontiguousarray(image[::-1]) if is_far_first else image
+
     def _ping(self, image: ByteImage, ping: PingGeometry) -> ByteImage:
         """The polar image of a frame that states its geometry."""
         if self._shape is not None:
@@ -226,6 +233,7 @@ class FrameMaker:
             order = "beam-major" if looks_beam_major(image) else "range-major"
         if order == "beam-major":
             image = np.ascontiguousarray(image.reshape(image.shape[::-1]).T)
+        image = self._near_first(image)
         # Evenly spaced bins do not state their number.
         before, shape = self._to_fan_of or (None, (0, 0))
         if before is None or shape != image.shape or not same_view(ping, before, shape[0]):

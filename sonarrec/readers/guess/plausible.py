@@ -35,6 +35,7 @@ _CUT = 0.2  # share of the stated fan that lies outside of the picture
 _NARROWING = 0.1  # by how much each side of a fan narrows, in widths of the picture
 _STRAIGHT = 0.02  # standard deviation of an edge from a line, in widths of the picture
 _AS_BRIGHT = 0.9  # of the floor's grey level; what is brighter cannot be water
+_BLACK = 2.0  # grey level of water before a floor, in the median; below it nothing is shown
 _NEAR = 0.1  # least share of the range window nearer than the stated floor, for a check
 
 
@@ -70,16 +71,18 @@ class Plausibility:
         for once: ask when all frames were added."""
         return None if self._sum is None or self._polar else find_outline(self._picture())
 
-    def contradictions(self, *, height_stated: bool = True) -> list[str]:
+    def contradictions(self, *, height_stated: bool = True, rows_stated: bool = True) -> list[str]:
         """A line for each contradiction of the stated geometry, with the keys to look at.
         height_stated: whether the fan's height is stated, or was estimated from these very
-        images."""
+        images. rows_stated: whether it is known which row of polar images is the nearest."""
         if self._sum is None or self._fan is None:
             return []
         picture = self._picture()
         if self._polar:
             polar_picture = picture
             shape = _polar_outline(polar_picture)
+            if not (shape or rows_stated):
+                shape = _upside_down(polar_picture, self._fan)
         else:
             polar_picture = as_polar(picture, self._fan)
             shape = _fan_outline(picture, self._fan, self.outline)
@@ -213,6 +216,21 @@ def _polar_outline(picture: FloatArray) -> list[str]:
         if max(away) < _STRAIGHT * _BEAMS and min(comes_in) > _NARROWING * _BEAMS * 0.4:
             return ["read as polar, the picture has the outline of a fan (--layout fan)"]
     return []
+
+
+def _upside_down(picture: FloatArray, fan: Fan) -> list[str]:
+    """A line if the nearest rows are as bright as a floor and the farthest ones black, as is the
+    water before a floor."""
+    _, rings = levels_by_range(picture, fan)
+    count = round(_NEAR * len(rings))
+    near, far = float(np.median(rings[:count])), float(rings[-count:].max())
+    if far > _BLACK or near < max(0.5 * float(np.quantile(rings, 0.75)), BACKGROUND):
+        return []
+    return [
+        "its first rows, taken for the nearest, are as bright as a floor, and its last ones black "
+        "as the water before one (are far ranges on top, --range-order far_first? near_first if "
+        "not)"
+    ]
 
 
 def _floor(picture: FloatArray, fan: Fan) -> list[str]:
