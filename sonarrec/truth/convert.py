@@ -30,6 +30,10 @@ from sonarrec.truth.table import HEADER, write_truth
 _PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECASE)
 _LAST_NUMBER = re.compile(r"(?<![0-9])(?<![0-9]\.)[0-9]{1,18}$")
 """In an image's name; not the fraction of a time in seconds."""
+_OF_ROBOFLOW = re.compile(r"(.+?)(?:_(?:png|jpe?g|bmp|tiff?))?\.rf\.[0-9A-Za-z]{7,}")
+_OF_LABEL_STUDIO = re.compile(r"(?=[0-9]*[a-f])[0-9a-f]{8}-(.+)")
+"""Stems as these tools export them, with a hash in which may be digits."""
+_HASH = re.compile(r"(?<![0-9A-Za-z])(?=[0-9]*[a-f])[0-9a-f]{7,}$")
 _BY_NUMBER = "frames by the number that ends every image name"
 _BY_ORDER = "frames by the natural order of the images listed; give --log where it has more"
 _FEW = 5  # most names in a message
@@ -100,7 +104,7 @@ def convert(
     name, found = read_annotations(source, format_name)
     told = Diagnostics()
     for what, count in found.unused.items():
-        told.problem(f"{what}: {number_of(count, 'shape')} without one centre passed over")
+        told.problem(f"{what}: {number_of(count, 'shape')} passed over")
     by_label = Counter(s.label for s in found.shapes)
     ids = _landmark_ids(by_label, labels or {}, landmarks, told)
     key, frames, rule = _frame_numbers(source, found, first_frame, log.names if log else ())
@@ -240,6 +244,9 @@ def _frames_of_images(
     paths = {name: _path(name, log_names) for name in images}
     files, stems = _once(log_names), _once([Path(name).stem for name in log_names])
     found = {name: files.get(path.name, stems.get(path.stem)) for name, path in paths.items()}
+    if log_names and not any(n is not None for n in found.values()):
+        paths = _without_hashes(paths)
+        found = {name: stems.get(path.stem) for name, path in paths.items()}
     in_log: FrameNumbers = {name: n for name, n in found.items() if n is not None}
     if in_log:
         return "frame", in_log, "frames by image name in the log"
@@ -248,6 +255,7 @@ def _frames_of_images(
             f"no image of the log is called as one that was annotated: {images[0]!r} and so on "
             f"here, {log_names[0]!r} there; give the log that was annotated"
         )
+    paths = _without_hashes(paths)
     order = sorted(paths, key=lambda name: natural_order(paths[name]))
     in_order = [paths[name].stem for name in order]
     times = times_in_names(in_order)
@@ -259,9 +267,19 @@ def _frames_of_images(
         raise SonarrecError(f"image name {latest} is no time in ns: it must lie below 2^63")
     ends = {name: _LAST_NUMBER.search(path.stem) for name, path in paths.items()}
     numbers: FrameNumbers = {name: int(end[0]) for name, end in ends.items() if end}
-    if len(numbers) == len(ends):
+    if len(numbers) == len(ends) and not any(_HASH.search(path.stem) for path in paths.values()):
         return "frame", numbers, _BY_NUMBER
     return "frame", {name: n for n, name in enumerate(order)}, _BY_ORDER
+
+
+def _without_hashes(paths: Mapping[str, Path]) -> Mapping[str, Path]:
+    """The images' paths as they were before Roboflow or Label Studio put a hash into every name."""
+    for form in (_OF_ROBOFLOW, _OF_LABEL_STUDIO):
+        found = {name: form.fullmatch(path.stem) for name, path in paths.items()}
+        plain = {name: paths[name].with_stem(match[1]) for name, match in found.items() if match}
+        if plain and len(plain) == len(paths):
+            return plain
+    return paths
 
 
 def _path(name: str, log_names: Sequence[str]) -> Path:

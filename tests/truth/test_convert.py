@@ -172,7 +172,7 @@ def test_cvat_shapes_without_one_centre_are_counted_and_the_others_used(tmp_path
     (tmp_path / "gt.csv").unlink()
     report = convert(source, tmp_path / "gt.csv", BASIN)
     assert report.diagnostics.problems == [
-        f"{kind}: 2 shapes without one centre passed over"
+        f"{kind}: 2 shapes passed over"
         for kind in ("several points", "polyline", "cuboid", "skeleton")
     ]
 
@@ -207,7 +207,7 @@ def test_entity_bombs_are_refused_before_they_go_off(tmp_path: Path) -> None:
         (track('<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/>'), "line 6: 'a' is no coordinate"),
         (
             track('<points frame="0" points="1,2;3,4"/>'),
-            "nothing can be used: several points: 1 shape without one centre passed over",
+            "nothing can be used: several points: 1 shape passed over",
         ),
         (track('<polygon frame="0" points="1,2;3,4"/>'), "line 6: 2 points, which is no polygon"),
         (
@@ -282,6 +282,23 @@ def test_bad_coco_is_one_line(tmp_path: Path, annotation: dict[str, object], sai
 
 
 @pytest.mark.parametrize(
+    "wrong",
+    [
+        {"bbox": []},
+        {"bbox": [0, 0, 0, 0]},
+        {"bbox": None},
+        {"bbox": [1, 2, 3]},
+        {"bbox": [1, 2, 3, 4], "image_id": 99},
+        {"bbox": [1, 2, 3, 4], "category_id": None},
+    ],
+)
+def test_one_bad_annotation_of_coco_costs_itself(tmp_path: Path, wrong: dict[str, object]) -> None:
+    right = {"image_id": 7, "category_id": 1, "bbox": [10, 20, 4, 6]}
+    source = coco(tmp_path, [right | wrong, right], ["a_0.png"])
+    assert converted(tmp_path, source, code=3) == [(0, 1, 11.5, 22.5, 1.0)]
+
+
+@pytest.mark.parametrize(
     ("key", "value", "said"),
     [
         (
@@ -336,6 +353,20 @@ def test_mot_of_cvat_names_classes_and_counts_boxes_from_zero(tmp_path: Path) ->
     text = "1,1,0,0,5,3,1,2,1.0\n1,2,9,9,5,3,1,1,1.0\n"
     source = mot(tmp_path, text)
     assert converted(tmp_path, source, "--map", "tyre=none") == [(0, 4, 2, 1, 1.0)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1,4,1,1,5,3\n2,4,2,1,5,3\n",
+        "1 4 1 1 5 3 1 -1 -1 -1\n2 4 2 1 5 3 1 -1 -1 -1\n",
+        "frame,id,bb_left,bb_top,bb_width,bb_height,conf,x,y,z\n1,4,1,1,5,3,1,-1,-1,-1\n"
+        "2,4,2,1,5,3,1,-1,-1,-1\n",
+        "Frame\tID\tx\ty\tw\th\n1\t4\t1\t1\t5\t3\n2\t4\t2\t1\t5\t3\n",
+    ],
+)
+def test_dialects_of_mot(tmp_path: Path, text: str) -> None:
+    assert converted(tmp_path, mot(tmp_path, text)) == [(0, 4, 2, 1, 1.0), (1, 4, 3, 1, 1.0)]
 
 
 @pytest.mark.parametrize(
@@ -537,6 +568,25 @@ def test_frames_by_the_number_that_ends_the_name(tmp_path: Path) -> None:
     assert frames_of(tmp_path, ["x1_0012.png", "x1_0003.jpg"]) == [3, 12]
 
 
+HASHES = ("bee0e8fc28627c80a1ab1e7389701a07", "ca782d9ec0835cb56a667163a7be9435")
+
+
+@pytest.mark.parametrize("form", ["{}_png.rf.{}.jpg", "data/{1:.8}-{0}.png", "{1:.8}-{0}.png"])
+def test_the_hashes_of_other_tools_are_no_numbers(tmp_path: Path, form: str) -> None:
+    """Roboflow's at the end, Label Studio's at the beginning; with the log and without it."""
+    names = [form.format(f"frame{k}", text) for k, text in zip((3, 5), HASHES, strict=True)]
+    source = coco(tmp_path, [BBOX | {"image_id": 7}, BBOX | {"image_id": 8}], names)
+    assert [row[0] for row in converted(tmp_path, source)] == [3, 5]
+    log = image_folder(tmp_path / "log", frames(6, 80, 100))
+    (tmp_path / "gt.csv").unlink()
+    assert [row[0] for row in converted(tmp_path, source, "--log", log)] == [3, 5]
+
+
+def test_the_end_of_a_hash_is_not_taken_for_a_frame(tmp_path: Path) -> None:
+    source = coco(tmp_path, [BBOX | {"image_id": 8}], ["a7.png", "ca782d9.png"])
+    assert [row[0] for row in converted(tmp_path, source)] == [1]
+
+
 def test_digits_that_are_no_number_of_a_frame(tmp_path: Path) -> None:
     """Of a space and a query as web tools write them, and of a fraction of a second."""
     names = ["img%2012.png", "a/img%203.jpg", "../b%2F7.png?c=%2F5", "/files/?d=a%2F9.png"]
@@ -564,8 +614,8 @@ SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"  # 128
 
 
 def test_frames_beyond_the_log_are_told(tmp_path: Path) -> None:
-    """Of hashes that export tools put into names the last digits were frame numbers, unsaid."""
-    for names, count in (["x127.png", "y3.png"], 0), (["34_png.rf.c998812.jpg", "x127.png"], 1):
+    """Numbers that no frame has."""
+    for names, count in (["x127.png", "y3.png"], 0), (["x998812.jpg", "x127.png"], 1):
         annotations = [BBOX | {"image_id": 7 + n} for n in range(2)]
         images = coco(tmp_path, annotations, names, (191, 256))
         done = run(images, "--log", SAMPLE, "--out", tmp_path / f"{count}.csv")

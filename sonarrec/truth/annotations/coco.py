@@ -32,13 +32,14 @@ def matches(path: Path, text: str) -> bool:
 
 
 def read(path: Path) -> Annotations:
-    """Read a COCO document. Raises SonarrecError on anything not understood.
+    """Read a COCO document. Raises SonarrecError if its lists are not understood; annotations that
+    are not, or name no image, are counted, and the first is told.
 
     The centre of an object is that of its only labelled keypoint, else of its polygon, else of its
     box. Crowds, which stand for many objects, are passed over.
     """
     document = read_json(path)
-    found = Annotations()
+    found, wrong = Annotations(), ""
     try:
         names = _names(document, "images", "file_name")
         labels = _names(document, "categories", "name")
@@ -48,15 +49,20 @@ def read(path: Path) -> Annotations:
                     found.sizes[names[image["id"]]] = whole(image["width"]), whole(image["height"])
         found.images.extend(names.values())
         for number, annotation in enumerate(listed(document, "annotations")):
-            with _place(f"annotations[{number}]"):
+            try:
                 name = _named(names, annotation, "image_id", "images")
                 label = _named(labels, annotation, "category_id", "categories")
-                if annotation.get("iscrowd"):
-                    found.unused["crowd"] += 1
-                elif (centre := _centre(annotation)) is None:
-                    found.unused["annotation left empty"] += 1
-                else:
-                    found.shapes.append(Shape(name, label, *centre))
+                centre = None if annotation.get("iscrowd") else _centre(annotation)
+            except ValueError as error:
+                wrong = wrong or f"not as COCO describes it (annotations[{number}]: {error})"
+                found.unused[wrong] += 1
+                continue
+            if annotation.get("iscrowd"):
+                found.unused["crowd"] += 1
+            elif centre is None:
+                found.unused["annotation left empty"] += 1
+            else:
+                found.shapes.append(Shape(name, label, *centre))
     except ValueError as error:
         raise SonarrecError(f"{path}: not as COCO describes it ({error})") from None
     return found
@@ -111,6 +117,8 @@ def _centre(annotation: dict[str, Any]) -> tuple[float, float, float | None] | N
         flat = coordinates(outline, len(outline) // 2 * 2, "a polygon")
         x, y = centre_of_area(list(zip(flat[0::2], flat[1::2], strict=True)))
     else:
+        if annotation.get("bbox") == []:
+            return None
         left, top, width, height = coordinates(stated(annotation, "bbox"), 4, "bbox")
         if not (left or top or width or height):  # as is written where there is none
             return None
