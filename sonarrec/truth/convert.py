@@ -272,7 +272,7 @@ def _frames_of_images(
     return "frame", {name: n for n, name in enumerate(order)}, _BY_ORDER
 
 
-def _without_hashes(paths: Mapping[str, Path]) -> Mapping[str, Path]:
+def _without_hashes(paths: dict[str, Path]) -> dict[str, Path]:
     """The images' paths as they were before Roboflow or Label Studio put a hash into every name."""
     for form in (_OF_ROBOFLOW, _OF_LABEL_STUDIO):
         found = {name: form.fullmatch(path.stem) for name, path in paths.items()}
