@@ -380,15 +380,30 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
         path, equals, value = text.partition("=")
         section, dot, key = path.strip().partition(".")
         if not equals or not dot:
-            raise UsageError(f"--set {brief(text)}: expected stage.key=value")
+            meant = _meant(path.strip())
+            raise UsageError(f"--set {brief(text)}: expected stage.key=value{meant}")
         try:
             parsed = parse_toml(f"value = {value}", "--set")["value"]
         except SonarrecError:
             parsed = _plain(value)
+        kind = SECTIONS.get(section)
+        if meant := "" if kind and key in types_of(kind) else _meant(key):
+            raise UsageError(f"--set {brief(text)}: no setting {brief(path.strip())}{meant}")
         config = from_table(
             Config, {section: {key: parsed}}, "--set", over=config, error=UsageError
         )
     return config
+
+
+def setting_names() -> list[str]:
+    """Every setting as --set names it: "features.declare"."""
+    return [f"{section}.{f.name}" for section, kind in SECTIONS.items() for f in fields(kind)]
+
+
+def _meant(key: str) -> str:
+    """A question whether a setting of this key, in any section, is meant; "" if there is none."""
+    same = [name for name in setting_names() if name.partition(".")[2] == key]
+    return f"; did you mean {' or '.join(same)}?" if same else ""
 
 
 def _plain(value: str) -> float | str:

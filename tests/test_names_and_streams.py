@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -54,6 +54,63 @@ def test_a_shell_completes_the_names_of_files() -> None:
     for line in re.split(r"[|\n]", PATHS):
         *words, begun = line.split()
         assert [item.type for item in shell.get_completions(words, begun)] == ["file"], line
+
+
+@pytest.mark.parametrize(
+    ("line", "completed"),
+    [
+        ("help land", ["landmarks"]),
+        ("run --preset off", ["offline"]),
+        ("run --preset default,pa", ["default,paper"]),
+        ("run --set features.decl", ["features.declare="]),
+        ("landmarks bas", ["basin"]),
+        ("run --landmarks bas", ["basin"]),
+    ],
+)
+def test_a_shell_completes_names_of_ours(line: str, completed: list[str]) -> None:
+    shell = BashComplete(main, {}, "sonarrec", "_SONARREC_COMPLETE")
+    *words, begun = line.split()
+    found = [item.value for item in shell.get_completions(words, begun) if item.type == "plain"]
+    assert found == completed
+
+
+def on_a_terminal(folder: Path, *words: str, **environment: str) -> bytes:
+    """What a command shows on a terminal, which this makes one of."""
+    ours, theirs = os.openpty()
+    subprocess.run(
+        [sys.executable, "-m", "sonarrec", *words],
+        cwd=folder,
+        env=os.environ | {"TERM": "xterm", "PAGER": "cat"} | environment,
+        stdin=subprocess.DEVNULL,
+        stdout=theirs,
+        stderr=theirs,
+        timeout=60,
+    )
+    os.set_blocking(ours, False)
+    shown = b""
+    with suppress(BlockingIOError):
+        while block := os.read(ours, 4096):
+            shown += block
+    for end in (ours, theirs):
+        os.close(end)
+    return shown
+
+
+def test_colour_only_where_it_is_wanted(tmp_path: Path) -> None:
+    plain = b"sonarrec: none.mcap: no such file or folder"
+    words = ("info", "none.mcap")
+    assert sonarrec(tmp_path, *words).stderr.strip() == plain
+    assert on_a_terminal(tmp_path, *words, NO_COLOR="1").strip() == plain
+    coloured = on_a_terminal(tmp_path, *words, NO_COLOR="")
+    assert b"\x1b[31msonarrec:\x1b[0m none.mcap" in coloured
+
+
+def test_a_page_on_a_terminal_has_no_marks_of_headings(tmp_path: Path) -> None:
+    page = (ROOT / "sonarrec" / "help" / "landmarks.md").read_bytes()
+    shown = on_a_terminal(tmp_path, "help", "landmarks", NO_COLOR="1").replace(b"\r\n", b"\n")
+    assert b"# bright ring" in shown  # of a file that is shown
+    assert shown.strip() == re.sub(rb"^#+ ", b"", page, flags=re.MULTILINE).strip()
+    assert sonarrec(tmp_path, "help", "landmarks").stdout == page
 
 
 @pytest.fixture

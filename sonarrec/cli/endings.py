@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -23,15 +24,31 @@ def say(*lines: str) -> None:
     click.echo("\n".join(map(printable, lines)))
 
 
+def _coloured(text: str, colour: str) -> str:
+    """The text in a colour, which only a terminal shows (see no-color.org)."""
+    return text if os.environ.get("NO_COLOR") else click.style(text, fg=colour)
+
+
+def headed(text: str) -> str:
+    """A heading as a terminal shows it."""
+    return text if os.environ.get("NO_COLOR") else click.style(text, bold=True)
+
+
+def inform(line: str) -> None:
+    """Print a line on stderr that is neither note nor problem. If stderr fails, ignore it."""
+    with suppress(OSError):
+        click.echo(f"sonarrec: {printable(line)}", err=True)
+
+
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
     """Print notes, then problems, on stderr, each on its own line. If stderr fails, ignore it."""
     with suppress(OSError):
         for note in notes:
-            click.echo(f"sonarrec: note: {printable(note)}", err=True)
+            click.echo(f"{_coloured('sonarrec: note:', 'yellow')} {printable(note)}", err=True)
         for problem in problems:
             # A problem may end with an example of several lines.
             lines = "\n".join(map(printable, problem.split("\n")))
-            click.echo(f"sonarrec: {lines}", err=True)
+            click.echo(f"{_coloured('sonarrec:', 'red')} {lines}", err=True)
 
 
 def end(problems: Collection[object]) -> None:

@@ -54,7 +54,9 @@ if TYPE_CHECKING:
     "figures.  [default: the number of cores; 1 for a few small logs]",
 )
 @in_output(
-    "-v --details", is_flag=True, help="Print the figures of both protocols, per ID and per log."
+    "-v --verbose --details details",
+    is_flag=True,
+    help="Print the figures of both protocols, per ID and per log.",
 )
 @in_output("--det", is_flag=True, help="Also draw det.png, the detection error trade-off.")
 @in_output(

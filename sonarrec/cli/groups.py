@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial, wraps
 from itertools import pairwise
 from pathlib import Path
@@ -40,6 +40,7 @@ FOLDER = _Local(file_okay=False, path_type=Path)
 ANY = _Local(path_type=Path)
 
 
+FIRST = "Most used"
 GROUPS = (
     *("Input", "Into a recording", "Scoring", "Learning", "Settings"),
     *("Geometry", "Pixels", "Many logs", "Output"),
@@ -59,6 +60,11 @@ class GroupedOption(click.Option):
 class GroupedCommand(click.Command):
     """A command whose --help shows its options in groups and names its help page."""
 
+    def __init__(self, *arguments: Any, first: Collection[str] = (), **options: Any) -> None:
+        """first: options that --help shows before all groups, by one of their names."""
+        super().__init__(*arguments, **options)
+        self.first = first
+
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Raise UsageError for an empty argument, which as a path would mean the current folder."""
         for before, word in pairwise([ctx.info_name, *args]):
@@ -68,11 +74,12 @@ class GroupedCommand(click.Command):
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        rows: dict[str, list[tuple[str, str]]] = {group: [] for group in (*GROUPS, "Other")}
+        rows: dict[str, list[tuple[str, str]]] = {g: [] for g in (FIRST, *GROUPS, "Other")}
         for parameter in self.get_params(ctx):
             row = parameter.get_help_record(ctx)
             if row is not None and isinstance(parameter, click.Option):
-                rows[getattr(parameter, "group", "Other")].append(row)
+                is_first = not set(parameter.opts).isdisjoint(self.first)
+                rows[FIRST if is_first else getattr(parameter, "group", "Other")].append(row)
         for group, records in rows.items():
             if records:
                 with formatter.section(group):
@@ -85,6 +92,25 @@ class GroupedCommand(click.Command):
 def file_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """`shell_complete` for a text that may be a path."""
     return [CompletionItem(incomplete, type="file")]
+
+
+Names = Callable[[], Iterable[str]]
+Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+
+def names_of(names: Names, *, files: bool = False) -> Complete:
+    """`shell_complete` for one of some names, which are asked for when a shell completes.
+
+    Of a list with commas the last is completed. files: or a path.
+    """
+
+    def complete(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        before, comma, begun = incomplete.rpartition(",")
+        found = [name for name in names() if name.startswith(begun)]
+        items = [CompletionItem(f"{before}{comma}{name}") for name in found]
+        return items + ([CompletionItem(incomplete, type="file")] if files else [])
+
+    return complete
 
 
 command = partial(click.command, cls=GroupedCommand)

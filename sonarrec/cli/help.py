@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from importlib.resources import files
 
 import click
 
-from sonarrec.cli.groups import command
+from sonarrec.cli.endings import headed
+from sonarrec.cli.groups import command, names_of
 from sonarrec.errors import UsageError
+
+
+def _topics() -> list[str]:
+    names = (page.name for page in files("sonarrec").joinpath("help").iterdir())
+    return sorted(name.removesuffix(".md") for name in names if name.endswith(".md"))
 
 
 def pages() -> dict[str, str]:
@@ -23,7 +31,7 @@ def pages() -> dict[str, str]:
 
 
 @command("help", short_help="Show the manual: a page per topic.")
-@click.argument("topic", required=False)
+@click.argument("topic", required=False, shell_complete=names_of(_topics))
 def help_(topic: str | None) -> None:
     """Show the page of the manual on TOPIC; without TOPIC list the pages.
 
@@ -42,4 +50,7 @@ def help_(topic: str | None) -> None:
     elif topic not in by_name:
         raise UsageError(f"help {topic}: there is no such page; the pages are {', '.join(by_name)}")
     else:
-        click.echo_via_pager(by_name[topic].rstrip("\n"))  # plain where stdout is no terminal
+        text = by_name[topic].rstrip("\n")
+        if sys.stdout.isatty():
+            text = re.sub(r"^#+ (.*)", lambda heading: headed(heading[1]), text, flags=re.MULTILINE)
+        click.echo_via_pager(text)  # plain where stdout is no terminal

@@ -13,7 +13,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.bars import fetching, progress
-from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, leave, say, tell
+from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, leave, say, tell
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
 from sonarrec.cli.info_lines import lines, radii_lines
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
@@ -212,7 +212,8 @@ def _show(
 
                     missing = write_sonar_toml(write_sonar, log_info)
                     lacks = f"complete {', '.join(missing)}" if missing else "nothing is missing"
-                    tell([f"{write_sonar}: written; {lacks}"] if not quiet else [])
+                    if not quiet:
+                        inform(f"{write_sonar}: written; {lacks}")
                 if preview is not None or try_radii:
                     source = find_log(path, reading["up_to"])
                     landmark_set, _ = chosen_landmarks(source, landmarks, read_run(None))

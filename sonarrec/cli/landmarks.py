@@ -11,14 +11,16 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import say, tell
-from sonarrec.cli.groups import NEW_FILE, FiniteRange, command, file_names, in_geometry
+from sonarrec.cli.groups import NEW_FILE, FiniteRange, command, in_geometry
 from sonarrec.errors import UsageError, number_of
 
 MOST_SHOWN = 12
 
 
 @command(short_help="Show a landmark set, and whether its IDs can be told apart.")
-@click.argument("landmark_set", metavar="SET", default="basin", shell_complete=file_names)
+@click.argument(
+    "landmark_set", metavar="SET", default="basin", shell_complete=options.landmark_sets
+)
 @in_geometry(
     "--distance distance_m",
     metavar="M",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from sonarrec.cli.groups import (
     in_output,
     in_scoring,
     in_settings,
+    names_of,
 )
 from sonarrec.cli.options_log import GEOMETRY_OPTIONS, LogChoice
 from sonarrec.errors import UsageError
@@ -47,11 +48,31 @@ ANY_OR_URL = _OrUrl(path_type=Path)
 
 # Results and truth
 
+
+def _landmark_sets() -> list[str]:
+    from sonarrec.landmarks import BUILT_IN
+
+    return sorted(file.stem for file in BUILT_IN.glob("*.toml"))
+
+
+def _presets() -> Iterable[str]:
+    from sonarrec.config import PRESETS
+
+    return PRESETS
+
+
+def _settings() -> list[str]:
+    from sonarrec.config import setting_names
+
+    return [f"{name}=" for name in setting_names()]
+
+
+landmark_sets = names_of(_landmark_sets, files=True)
 landmarks = in_input(
     "--landmarks",
-    shell_complete=file_names,
+    shell_complete=landmark_sets,
     help="Landmark set: a built-in name or a TOML file.  "
-    "[default: that of run.toml if one is read, else basin]",
+    "[default: that of run.toml if one is read, else landmarks.toml beside the log, else basin]",
 )
 pairs = in_input(
     "--pairs",
@@ -150,6 +171,7 @@ _SETTINGS = {
     "preset": in_settings(
         "--preset",
         metavar="NAME[,NAME]",
+        shell_complete=names_of(_presets),
         help="default (frame by frame), offline (results are revised by what the log shows later) "
         "or paper (every rule as published). `sonarrec run` takes several.",
     ),
@@ -162,6 +184,7 @@ _SETTINGS = {
         "--set assignments",
         multiple=True,
         metavar="STAGE.KEY=VALUE",
+        shell_complete=names_of(_settings),
         help="Change one setting; repeatable. `sonarrec config` prints them all.",
     ),
     "seed": in_settings(

@@ -20,6 +20,11 @@ from sonarrec.errors import UsageError, number_of
 @log_options(pixels=False)
 @options.landmarks
 @options.ground_truth("gt.csv, drawn dashed.")
+@options.out(
+    ANY,
+    "What to write, by its ending: NAME.mcap as --mcap, NAME.mp4 as --video, else a folder as "
+    "--images.",
+)
 @in_output(
     "--mcap",
     type=ANY,
@@ -47,6 +52,7 @@ def overlay(
     log_choice: LogChoice,
     landmarks: str | None,
     ground_truth: Path | None,
+    out: Path | None,
     mcap: Path | None,
     foxglove_layout: Path | None,
     video: Path | None,
@@ -72,18 +78,24 @@ def overlay(
 
     \b
     Examples:
-      sonarrec overlay sample_data/pan.mcap --mcap overlay.mcap
-      sonarrec overlay pings/ --video pings.mp4 --ground-truth gt.csv
+      sonarrec overlay sample_data/pan.mcap -o overlay.mcap
+      sonarrec overlay pings/ -o pings.mp4 --ground-truth gt.csv
       sonarrec overlay log.mcap results/log --images shots --frames 100:120 --method smi
     """
     from sonarrec.overlays.overlay import Targets, write_overlay
     from sonarrec.results.run_file import frame_span
 
+    targets = {"--mcap": mcap, "--video": video, "--images": images}
+    if out is not None:
+        kind = {".mcap": "--mcap", ".mp4": "--video"}.get(out.suffix.lower(), "--images")
+        if targets[kind] is not None:
+            raise UsageError(f"--out {out} and {kind}: give one of the two")
+        targets[kind] = out
+        mcap, video, images = targets.values()
     if foxglove_layout is not None and mcap is None:
         raise UsageError("--foxglove-layout needs --mcap")
-    targets = {"--mcap": mcap, "--video": video, "--images": images}
     if not any(targets.values()):
-        raise UsageError("nothing to write: give --mcap OUT, --video OUT.mp4 or --images DIR")
+        raise UsageError("nothing to write: give -o OUT.mcap, -o OUT.mp4 or -o DIR")
     with progress(quiet) as step:
         report = write_overlay(
             log,

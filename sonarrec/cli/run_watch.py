@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.bars import fetching, progress_of_frames, progress_of_logs
-from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, say, tell
+from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, say, tell
 from sonarrec.errors import MissingError, SonarrecError, number_of, printable
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import PROGRAM
@@ -106,7 +106,7 @@ class RunWatch(Watch):
     def goes_by(self, i: int, line: str) -> None:
         if not self.quiet:
             with self._over_the_bar():
-                tell([f"{self.tasks[i].name}: {line}"])
+                inform(f"{self.tasks[i].name}: {line}")
 
     def fetching(self, i: int, arrived: int, total: int | None) -> None:  # noqa: ARG002
         if self._show_bytes is not None:
@@ -142,7 +142,7 @@ class RunWatch(Watch):
                     text = f"{number_of(summary.candidates, 'candidate')}, {passes}"
                     text = f"{number_of(summary.frames, 'frame')}, {text}"
                 how = f"{_in_words(outcome)}, {text}, {outcome.seconds:.1f} s"
-                tell([f"{task.path}{self._prefix(i)}: {how}"])
+                inform(f"{task.path}{self._prefix(i)}: {how}")
             self._print_ended()
 
     @property

@@ -45,7 +45,8 @@ from sonarrec.errors import UsageError, number_of
 @in_output(
     "--format image_format",
     type=click.Choice(["png", "mcap"]),
-    help="A folder of images, or one MCAP file; with --background images.  [default: png]",
+    help="A folder of images, or one MCAP file; with --background images.  "
+    "[default: mcap if OUT ends in .mcap, else png]",
 )
 @in_output(
     "--schema",
@@ -88,8 +89,8 @@ def simulate(
     \b
     Examples:
       sonarrec simulate --scene paper -o paper_log
-      sonarrec simulate --scene my_scene.toml --frames 200 --format mcap -o log.mcap
-      sonarrec simulate --scene sample_polar --format mcap -o pings.mcap \\
+      sonarrec simulate --scene my_scene.toml --frames 200 -o log.mcap
+      sonarrec simulate --scene sample_polar -o pings.mcap \\
         --schema marine_acoustic_msgs/msg/ProjectedSonarImage
       sonarrec simulate --background dive.mcap --tilt-deg 20 --contrast 6 -o dive_6db
       sonarrec simulate --background dive.mcap --contrast 0,3,6,10 -o series
@@ -105,6 +106,8 @@ def simulate(
         if value is not None:
             flag = f"--{name.replace('_', '-')}"
             raise UsageError(f"{flag} is for --background LOG; a scene has its own")
+    if image_format is None and out.suffix == ".mcap":
+        image_format = "mcap"
     if image_format != "mcap" and (schema or compression):
         raise UsageError("--schema and --compression are for --format mcap")
     from dataclasses import replace

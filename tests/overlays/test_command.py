@@ -49,6 +49,17 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def test_out_is_written_by_its_ending(work: Path) -> None:
+    assert work.is_dir()
+    for name, option in (("a.mcap", "--mcap"), ("a.mp4", "--video"), ("shots", "--images")):
+        sonarrec("overlay", "log", "-o", name)
+        sonarrec("overlay", "log", option, f"by_option_{name}")
+        by_option = Path(f"by_option_{name}")
+        assert Path(name).is_dir() == by_option.is_dir() == (name == "shots")
+    assert Path("a.mcap").read_bytes() == Path("by_option_a.mcap").read_bytes()
+    sonarrec("overlay", "log", "-o", "b.mcap", "--mcap", "c.mcap", code=2)
+
+
 def test_the_command(work: Path) -> None:
     (work / "log" / "sonar.toml").unlink()  # run.toml tells the geometry
     told = sonarrec("overlay", "log", "--mcap", "o.mcap", "--video", "o.mp4", "--images", "shots")
@@ -140,7 +151,7 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "fault"),
     [
-        ("", 2, "nothing to write: give --mcap OUT"),
+        ("", 2, "nothing to write: give -o OUT.mcap"),
         ("--video o.gif", 2, "o.gif: a video is written as NAME.mp4"),
         ("--video paper.csv/o.mp4", 2, "paper.csv/o.mp4: paper.csv is not a folder"),
         ("--mcap paper.csv/o.mcap", 2, "paper.csv/o.mcap: paper.csv is not a folder"),

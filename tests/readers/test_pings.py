@@ -596,7 +596,7 @@ def test_run_with_the_flags(tmp_path: Path) -> None:
     assert fault.count("\n") == 1
     told = sonarrec("run", log, *out, "--tilt-deg", "20", "--time", "header", code=3).stderr
     # Beams drawn 1.2 deg apart look as wide as they are.
-    beams, *others = told.splitlines()
+    _, beams, *others = told.splitlines()
     assert "beams are taken to be" in beams
     assert others == [
         "sonarrec: message 3 of /a: its window, 6 to 6.94 m, shows less than half of the "
