@@ -1,7 +1,8 @@
 """Intervals and tests that treat units, never frames, as independent.
 
-A figure is a function of sums over units (`Tally`). Its interval comes from the cluster bootstrap,
-which draws units with replacement. The p-value of a difference comes from the paired sign-flip
+A figure is a function of sums over units (`Tally`). The interval of a rate comes from how much it
+varies between units (`rate_interval`), that of any other figure from the cluster bootstrap, which
+draws units with replacement. The p-value of a difference comes from the paired sign-flip
 test, which swaps two methods in random units. Both are a matrix product: weights of the units times
 their sums. No library does this for such figures.
 """
@@ -9,8 +10,8 @@ their sums. No library does this for such figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 
 import numpy as np
@@ -23,6 +24,10 @@ DRAWS = 1000
 FLIPS = 4095
 MIN_UNITS = 6
 """With fewer units no test can reach p = .05, since it has only 2 ** n outcomes."""
+INDEPENDENT = 5
+"""Independent cases in a unit, at most: so many have long units whose cases are correlated by .2.
+Few units show less spread than there is, above all where the rate is near 0 or 1: without a bound
+95 % intervals of a TPR of .95 held it in 86 % of simulated sets of 8 units."""
 SAME = 1e-6
 """Figures with a smaller relative difference count as equal, since sums have 32 bits."""
 
@@ -44,6 +49,8 @@ class Tally:
     """(U, C) what each unit adds."""
     figures: Callable[[FloatArray], FloatArray]
     """Turns (R, C) summed rows into (R, figures)."""
+    shares: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    """Of the figures that are rates: (U,) numerator and denominator in each unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +143,25 @@ def unseen_share(units: int) -> float:
     return float(1 - (1 - LEVEL) ** (1 / units))
 
 
+def rate_interval(part: FloatArray, whole: FloatArray) -> tuple[float, float]:
+    """(low, high) at LEVEL of a rate, from its numerator and denominator in each unit, (U,).
+
+    Wilson's interval, with Student's quantile and the effective number of cases: that of a binomial
+    rate which varies as much as this one does between units, at most INDEPENDENT per unit.
+    """
+    part, whole = part[whole > 0].astype(float), whole[whole > 0].astype(float)
+    units, total = len(whole), float(whole.sum())
+    rate = float(part.sum()) / total
+    variance = units / (units - 1) * float(np.square(part - rate * whole).sum()) / total**2
+    cases = min(total, INDEPENDENT * units)
+    if variance > 0:
+        cases = min(cases, rate * (1 - rate) / variance)
+    widening = _student(NormalDist().inv_cdf((1 + LEVEL) / 2), units - 1) ** 2 / cases
+    middle = (rate + widening / 2) / (1 + widening)
+    half = math.sqrt(widening * (rate * (1 - rate) + widening / 4)) / (1 + widening)
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
 def _student(z: float, freedom: int) -> float:
     """Student's quantile from the normal one (Abramowitz and Stegun 26.7.5); 1e-3 from 5 up."""
     return (
@@ -188,6 +214,8 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
             note = "0/0: nothing to measure"
         elif units < MIN_UNITS:
             note = f"cases in {units} of the {MIN_UNITS} units needed: no interval"
+        elif name in tally.shares:
+            (low, high), note = rate_interval(*tally.shares[name]), ""
         elif _all_equal(drawn[:, i], drawn[:, i]):
             # Resampling equal units gives zero width, which would look like certainty.
             note = f"alike in all {units} units: no interval"

@@ -36,16 +36,26 @@ Kind = Callable[[Counts, Units], Iterable[UnitSums]]
 """A kind of records: gives what the units add to them."""
 
 
+def positives(r: Rates) -> tuple[FloatArray, FloatArray]:
+    """TP, and TP + FN."""
+    tp, _, _, fn = r.counts.T
+    return tp, tp + fn
+
+
+def negatives(r: Rates) -> tuple[FloatArray, FloatArray]:
+    """FP, and FP + TN."""
+    _, tn, fp, _ = r.counts.T
+    return fp, fp + tn
+
+
 def true_positive_rate(r: Rates) -> FloatArray:
     """TP / (TP + FN)."""
-    tp, _, _, fn = r.counts.T
-    return ratio(tp, tp + fn)
+    return ratio(*positives(r))
 
 
 def false_positive_rate(r: Rates) -> FloatArray:
     """FP / (FP + TN)."""
-    _, tn, fp, _ = r.counts.T
-    return ratio(fp, fp + tn)
+    return ratio(*negatives(r))
 
 
 def auc(r: Rates) -> FloatArray:
@@ -121,6 +131,8 @@ class Metric:
     """A unit has a case of the metric if these figures, by default the metric itself, are not NaN.
     The one with the fewest cases counts: a curve's positives and negatives may come from different
     units."""
+    share: Callable[[Any], tuple[FloatArray, FloatArray]] | None = None
+    """Of a rate: its numerator and denominator."""
 
     def value(self, counted: UnitSums) -> float:
         """The figure over all units; NaN if there is none."""
@@ -132,8 +144,8 @@ _LOW, _PAPER, _HIGH = FPR_POINTS
 _HALF, _NINE_IN_TEN, _MOST = QUANTILES
 _BOTH = true_positive_rate, false_positive_rate
 METRICS = (
-    Metric("tpr", "TPR", 3, rates, true_positive_rate, tested=True),
-    Metric("fpr", "FPR", 4, rates, false_positive_rate, tested=True),
+    Metric("tpr", "TPR", 3, rates, true_positive_rate, tested=True, share=positives),
+    Metric("fpr", "FPR", 4, rates, false_positive_rate, tested=True, share=negatives),
     Metric("auc", "AUC", 3, rates, auc, True, _BOTH),
     Metric("pauc_0.05", "AUC to FPR 0.05, over 0.05", 3, rates, partial_auc, False, _BOTH),
     Metric("tpr_at_fpr_0.01", "TPR at FPR 0.01", 3, rates, tpr_at_fpr(_LOW), False, _BOTH),
@@ -197,4 +209,5 @@ def tally(kind: Kind, counted: UnitSums) -> Tally:
         cases=tuple(min(int(np.count_nonzero(has)) for has in needed) for needed in known),
         sums=counted.sums,
         figures=figures,
+        shares={m.name: m.share(by_unit) for m, _ in available if m.share is not None},
     )

@@ -25,7 +25,6 @@ from sonarrec.evaluation.intervals import (
     intervals,
     macro,
     replicates,
-    unseen_share,
 )
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.nouns import follows
@@ -119,14 +118,13 @@ def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
             for difference in differences(a, b, weights, tosses)
         ),
         reliability=tuple(curves),
-        notes=_notes(counts, units, figures),
+        notes=_notes(counts, units),
     )
 
 
-def units_text(units: Units, count: int | None = None) -> str:
-    """The number of units, or `count`, with their kind, such as "12 passes"."""
-    many = units.count if count is None else count
-    return number_of(many, units.kind, _PLURAL[units.kind])
+def units_text(units: Units) -> str:
+    """The number of units with their kind, such as "12 passes"."""
+    return number_of(units.count, units.kind, _PLURAL[units.kind])
 
 
 def over_units(summary: Summary) -> str:
@@ -136,7 +134,7 @@ def over_units(summary: Summary) -> str:
     return f"; {LEVEL:.0%} intervals over {units_text(summary.units)}"
 
 
-def _notes(counts: Counts, units: Units, figures: list[Figure]) -> tuple[str, ...]:
+def _notes(counts: Counts, units: Units) -> tuple[str, ...]:
     """Notes on missing intervals and figures, a line each."""
     notes = []
     if units.count < MIN_UNITS:
@@ -146,15 +144,6 @@ def _notes(counts: Counts, units: Units, figures: list[Figure]) -> tuple[str, ..
             f"(each a {kind}), and "
             f"with fewer than {MIN_UNITS} no difference can be distinguished from chance"
         )
-    protocol = "strict" if counts.placed else "paper"
-    for figure in figures if units.count >= MIN_UNITS else ():
-        facts = (figure.protocol, figure.landmark_text, figure.name, figure.value)
-        if facts == (protocol, "total", "fpr", 0):
-            most = f"{100 * unseen_share(figure.units):.2g}%"
-            notes.append(
-                f"{figure.method}: no false claim in {units_text(units, figure.units)}, so with "
-                f"{LEVEL:.0%} confidence fewer than {most} of them have one"
-            )
     untimed = [part.name for part in counts.parts if not part.timed]
     if counts.placed and untimed:
         listed = ", ".join(untimed[:5]) + f" and {len(untimed) - 5} more" * (len(untimed) > 5)
