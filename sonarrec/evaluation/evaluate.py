@@ -135,12 +135,19 @@ def evaluate_logs(
     fit_notes, misfits = check_logs([log.check for log in kept if log.check is not None])
     scored = [log for log in kept if log.check is not None and log.check.fault is None]
     pooled = adder.counts([log.folder for log in scored], options.methods)
-    notes = [*inputs.notes, *told.notes, *fit_notes, *_notes(scored, pooled)]
+    others = Diagnostics()
+    if table is not None:
+        everyone = [*(log.name for log in read), *(log.name for log in unread)]
+        tell_other_logs(others, table, everyone, "they are not scored")
+    alone = folders == [inputs.folder]  # one log was asked for: the rows of others are a note
+    notes = [*inputs.notes, *told.notes, *fit_notes, *others.problems * alone]
+    notes += _notes(scored, pooled)
     unused = [
         *inputs.unused,
         *(log.message() for log in [*unread, *faults]),
         *misfits,
-        *_left_out(inputs, read, [log.name for log in unread], scored),
+        *_left_out(inputs, scored),
+        *others.problems * (not alone),
         *told.problems,
     ]
     summary = summarise(pooled, unit)
@@ -189,10 +196,8 @@ def _inputs(
     return _Inputs([(folder, path, None) for folder in folders], [], [], table, Path(results))
 
 
-def _left_out(
-    inputs: _Inputs, read: Sequence[LogScore], unread: Sequence[str], scored: Sequence[LogScore]
-) -> Iterator[str]:
-    """A line for each part of truth and results that is not scored. unread: names."""
+def _left_out(inputs: _Inputs, scored: Sequence[LogScore]) -> Iterator[str]:
+    """A line for each part of truth and results that is not scored."""
     for logs in [scored] if inputs.table is not None else [[log] for log in scored]:
         checks = [log.check for log in logs if log.check is not None]
         unprocessed = sum(check.unprocessed for check in checks)
@@ -205,11 +210,6 @@ def _left_out(
             )
         for log in logs:
             yield from log.not_whole
-    if inputs.table is not None and [log.folder for log in read] != [inputs.folder]:
-        names = [*(log.name for log in read), *unread]
-        told = Diagnostics()
-        tell_other_logs(told, inputs.table, names, "they are not scored")
-        yield from told.problems
 
 
 def _notes(logs: Sequence[LogScore], counts: Counts) -> Iterator[str]:

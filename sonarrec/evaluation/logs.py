@@ -13,15 +13,17 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.evaluation.count import LogCounts, count_log
-from sonarrec.evaluation.match import ScoringOptions, match
+from sonarrec.evaluation.match import Matched, ScoringOptions, match, nearest_truth
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import LogResults, not_whole, read_log
 from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import Recording, TruthOf, recording
 from sonarrec.runs.cores import cores
-from sonarrec.truth.fits import misfit, tell_fit, without_rows
+from sonarrec.truth.fits import FEWEST, misfit, tell_fit, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -93,6 +95,30 @@ def check_fit(table: TruthTable, log: LogResults, truth: Truth) -> TruthCheck:
     )
 
 
+def _no_claim_right(log: Matched) -> str | None:
+    """The doubt that a truth is that of the log, if it bears out no claim that the leading method
+    declares; None if it does, or if either has few."""
+    claims = np.flatnonzero(log.declared & (log.method_index == 0))
+    if min(len(claims), len(log.truth_frame_index)) < FEWEST:
+        return None
+    ids = len(log.ids)
+    claim_key = log.claim_frame_index[claims] * ids + log.claim_landmark_index[claims]
+    truth_key = log.truth_frame_index * ids + log.truth_landmark_index
+    named = f"none of the {len(claims)} claims of {log.methods[0]} in {log.name}"
+    same = np.isin(claim_key, truth_key)
+    if not same.any():
+        return f"{named} has a row of its ID in its frame; is this the truth of another recording?"
+    known = ~np.isnan(log.claim_position).any() and ~np.isnan(log.truth_position).any()
+    if not known or np.count_nonzero(same) < FEWEST:
+        return None
+    if (nearest_truth(log, claims, claim_key, truth_key) >= 0).any():
+        return None
+    return (
+        f"{named} lies within {log.gate_m:g} m of its row, though {np.count_nonzero(same)} have "
+        "one in their frame; are these its positions, left and right, in these units?"
+    )
+
+
 def check_logs(checks: Sequence[TruthCheck]) -> tuple[list[str], list[str]]:
     """Notes on the logs whose truth fits, and a line for each other log.
 
@@ -143,7 +169,10 @@ def score_log(reading: LogToScore) -> LogScore | UnreadableLog:
         truth = match_truth(table, log, options.tolerance_s)
         check = check_fit(table, log, truth)
         if check.fault is None:
-            counts = count_log(match(log, truth, options.min_visible, reading.ids))
+            matched = match(log, truth, options.min_visible, reading.ids)
+            if (doubt := _no_claim_right(matched)) is not None:
+                check.notes.append(f"{table.path}: {doubt}")
+            counts = count_log(matched)
     except SonarrecError as fault:  # raised later, unless the log is a copy of another
         error = fault
     rows = table.rows_of(log.name)

@@ -332,6 +332,41 @@ def test_times_cannot_be_matched_without_times(case: Path) -> None:
     assert "frames.csv of out has no such column" in failure(run(case))
 
 
+def scored(case: Path, claims: list[str], truth: str) -> Result:
+    frames = "".join(f"{n},{n * 250_000_000}\n" for n in range(9))
+    (case / "out" / "frames.csv").write_text(f"frame,timestamp_ns\n{frames}")
+    header = ESTIMATES.partition("\n")[0]
+    (case / "out" / "estimates.csv").write_text("\n".join([header, *claims, ""]))
+    (case / "gt.csv").write_text(truth)
+    return run(case)
+
+
+@pytest.mark.parametrize(
+    ("claim", "said"),
+    [
+        ("{},m,2.0,5.0,2,0.9,1", "of its ID in its frame; is this the truth of another recording?"),
+        ("{},m,2.0,-9.0,1,0.9,1", "lies within"),
+        ("{},m,2.0,5.0,1,0.9,1", None),
+    ],
+)
+def test_a_truth_that_bears_out_no_claim_is_doubted(
+    case: Path, claim: str, said: str | None
+) -> None:
+    rows = "".join(f"{n},1,2.0,5.0,1\n" for n in range(9))
+    done = scored(case, [claim.format(n) for n in range(9)], f"{TRUTH.split()[0]}\n{rows}")
+    assert done.exit_code == 0, done.output
+    told = [line for line in done.output.splitlines() if "none of the 9 claims of m" in line]
+    assert [said in line for line in told] == [True] if said else not told
+
+
+def test_rows_of_other_logs_are_told_where_one_log_is_scored(case: Path) -> None:
+    header = TRUTH.split()[0]
+    rows = "".join(f"{n},1,2.0,5.0,1,{log}\n" for n in range(9) for log in ("out", "in"))
+    done = scored(case, [f"{n},m,2.0,5.0,1,0.9,1" for n in range(9)], f"{header},log\n{rows}")
+    assert done.exit_code == 0, done.output
+    assert "9 of 18 rows name logs that were not given (in); they are not scored" in done.output
+
+
 @pytest.mark.parametrize(
     ("header", "rows", "said"),
     [
