@@ -1,7 +1,8 @@
 # Needs Python 3.11 or newer and make; everything else goes into .venv.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
-SAMPLE := sample_data/pan
+SAMPLES := sample_data
+SAMPLE := $(SAMPLES)/pan
 
 .PHONY: test test-slow test-all lint demo bench fuzz paper scenes pictures stated worlds ablation study speeds maps model \
 	regression results kills scale scoring clean
@@ -87,7 +88,7 @@ results: .venv/installed  # RESULTS.md from the studies' files; marks what is st
 	$(BIN)/python -m tests.studies.results
 
 regression: .venv/installed  # the sample logs against their results on record
-	$(BIN)/python -m tests.studies.regression
+	$(BIN)/sonarrec check $(SAMPLES)/sonarrec.check.toml
 
 clean:
 	rm -rf build .venv

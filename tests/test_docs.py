@@ -79,7 +79,7 @@ def examples(document: Path) -> list[tuple[str, list[str]]]:
 def run(command: str, folder: Path) -> str:
     """What a command prints, stderr first; `sonarrec` by itself runs in this process."""
     words = shlex.split(command)
-    if words[0] == "sonarrec" and not set(words) & {"|", ">", "&&"}:
+    if words[0] == "sonarrec" and not set(words) & {"|", "||", ">", "&&"}:
         result = CliRunner().invoke(main, words[1:])
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception

@@ -19,7 +19,7 @@ FLOORS = (
     {"remote"},
     {"truth", "runs"},
     {"evaluation", "overlays", "learning", "mapping"},
-    {"reports"},
+    {"reports", "checks"},
     {"simulation"},
     {"cli"},
     {"__main__"},

@@ -12,6 +12,7 @@ import click
 
 from sonarrec import __version__
 from sonarrec.cli.calibrate import calibrate
+from sonarrec.cli.check import check
 from sonarrec.cli.config import config
 from sonarrec.cli.endings import INTERRUPTED, tell
 from sonarrec.cli.evaluate import evaluate
@@ -92,12 +93,13 @@ def main() -> None:
 
     \b
     Exit codes: 0 done; 1 failed; 2 bad usage; 3 finished, but part of the input
-    could not be used; 130 and 143 stopped by Ctrl-C and SIGTERM.
+    could not be used; 4 worse than before, or than a limit allows (evaluate, check);
+    130 and 143 stopped by Ctrl-C and SIGTERM.
     """
 
 
 for command in (
-    *(run, status, info, evaluate, report, overlay, map_, simulate, site, calibrate),
+    *(run, status, info, evaluate, check, report, overlay, map_, simulate, site, calibrate),
     *(landmarks, config, truth, help_),
 ):
     main.add_command(command)

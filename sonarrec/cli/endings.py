@@ -15,6 +15,7 @@ from sonarrec.errors import Diagnostics, name_as_text, printable
 FAILED = 1  # nothing could be used
 MISUSED = 2  # an option is invalid, or an input does not exist
 PARTLY = 3  # finished, but part of the input could not be used
+WORSE = 4  # finished, but the results are worse than before, or than a limit allows
 INTERRUPTED = 130  # stopped by Ctrl-C
 TERMINATED = 143  # stopped by SIGTERM
 

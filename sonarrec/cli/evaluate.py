@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import PARTLY, leave, say, tell
+from sonarrec.cli.endings import PARTLY, WORSE, leave, say, tell
 from sonarrec.cli.groups import FiniteRange, command, in_batch, in_output, in_scoring
 from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.compare import Comparison
+    from sonarrec.evaluation.limits import Limits
     from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.evaluation.pairs import Pair
     from sonarrec.remote.run import RemoteFiles
@@ -37,9 +38,10 @@ if TYPE_CHECKING:
     "--fail-on-regression band",
     type=FiniteRange(0, 1),
     metavar="BAND",
-    help="With --compare: exit with 1 if a rate is worse by more than BAND and more than two "
+    help="With --compare: exit with 4 if a rate is worse by more than BAND and more than two "
     "frames.",
 )
+@options.limits
 @in_scoring(
     "--unit",
     type=click.Choice(["pass", "log"]),
@@ -77,6 +79,7 @@ def evaluate(
     compare: tuple[Path | str, Path | str] | None,
     baseline: bool,
     band: float | None,
+    limits: Limits,
     unit: Any,
     jobs: int | None,
     scoring: ScoringOptions,
@@ -101,6 +104,7 @@ def evaluate(
       sonarrec evaluate --ground-truth gt.csv sonarrec_out/log_7 --min-visible 0.5
       sonarrec evaluate --pairs pairs.csv --details
       sonarrec evaluate --compare before after
+      sonarrec evaluate sonarrec_out/pan --least-tpr 0.95 --most-fpr 0.01
       sonarrec evaluate --ground-truth gt.csv --compare before after --fail-on-regression 0.02
     """
     if pairs is not None and (ground_truth or results):
@@ -111,6 +115,7 @@ def evaluate(
         raise UsageError("--details and --det are not available with --compare")
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression needs --compare")
+    limits = replace(limits, band=band, methods=scoring.methods, baseline=baseline)
     from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.remote.run import RemoteFiles, inside
 
@@ -123,6 +128,7 @@ def evaluate(
         if compare is not None:
             from sonarrec.evaluation.compare_screen import screen
             from sonarrec.evaluation.compare_write import comparison_json, write_comparison
+            from sonarrec.evaluation.limits import judge_by
 
             old, *news = (*compare, *results)
             found, written = [], []
@@ -131,7 +137,7 @@ def evaluate(
                 place = inside(out, f"{n}-{Path(str(new)).name}") if out and news[1:] else out
                 folder = remote.output(place or inside(new, "evaluation"))
                 written.append((folder, write_comparison(folder, one)))
-                worse += [] if band is None else one.regressions(band)
+                worse += judge_by(one, limits).faults if limits.are_given else ()
                 found.append(one)
             notes = tuple(dict.fromkeys(note for one in found for note in one.notes))
             left_out = (line for one in found for line in one.unused)
@@ -156,6 +162,7 @@ def evaluate(
             folder = remote.output(out or inside(beside, "evaluation"))
             written = [(folder, write.write_evaluation(folder, scored, det))]
             unused = (*remote.unused, *unused)
+            worse = limits.broken(scored.counts.scored) if limits.are_given else []
             document = [write.json_text(write.as_json(scored))] if as_json else []
             screens = [tabulate.screen(scored.counts), tabulate.summary_screen(scored, details)]
         tell(unused, notes if quiet and not as_json else ())
@@ -167,8 +174,8 @@ def evaluate(
             lines = (f"note: {note}" for note in notes)
             there = remote.with_server_names
             say(*lines, *(f"{there(str(folder))}: {', '.join(files)}" for folder, files in written))
-        tell(f"worse: {line}" for line in worse)
-    if code := 1 if worse else PARTLY if unused else 0:
+        tell(worse)
+    if code := WORSE if worse else PARTLY if unused else 0:
         leave(code)
 
 

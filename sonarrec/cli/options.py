@@ -14,6 +14,7 @@ from sonarrec.cli.groups import (
     FILE,
     FOLDER,
     Decorator,
+    FiniteRange,
     as_one,
     file_names,
     in_input,
@@ -27,6 +28,7 @@ from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
     from sonarrec.config import Config
+    from sonarrec.evaluation.limits import Limits
     from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.remote.cache import Cache
 
@@ -161,6 +163,42 @@ def _scoring(values: dict[str, Any]) -> ScoringOptions:
     chosen = {key: values[key] for key in _SCORING}
     return ScoringOptions(**chosen, sonar=LogChoice(values).sonar_without_log())
 
+
+class _MethodRate(click.ParamType[tuple[str, float]]):
+    """RATE, for every method looked at, or METHOD=RATE: (method or "", rate)."""
+
+    name = "[METHOD=]RATE"
+
+    def convert(self, value: Any, *context: Any) -> tuple[str, float]:
+        method, _, rate = str(value).rpartition("=")
+        return method, FiniteRange(0, 1).convert(rate, *context)
+
+
+_LIMITS = {
+    "least_tpr": in_scoring(
+        "--least-tpr",
+        type=_MethodRate(),
+        multiple=True,
+        help="Exit with 4 if the TPR over all IDs is lower (protocol strict, if it is scored).",
+    ),
+    "most_fpr": in_scoring(
+        "--most-fpr",
+        type=_MethodRate(),
+        multiple=True,
+        help="Exit with 4 if the FPR over all IDs is higher.",
+    ),
+}
+
+
+def _limits(values: dict[str, Any]) -> Limits:
+    from sonarrec.evaluation.limits import Limits
+
+    least, most = (dict(values[key]) for key in ("least_tpr", "most_fpr"))
+    return Limits(least_tpr=least, most_fpr=most)
+
+
+# --least-tpr and --most-fpr, as one `limits`: Limits.
+limits = as_one("limits", _LIMITS, _limits)
 
 # What is scored, how, and in which geometry, as one `scoring`: ScoringOptions.
 scoring = as_one("scoring", _SCORING | GEOMETRY_OPTIONS, _scoring)

@@ -20,6 +20,7 @@ from sonarrec.cli.groups import NEW_FILE, command, file_names, in_batch, in_inpu
 from sonarrec.errors import SonarrecError, UsageError, name_as_text, number_of
 
 if TYPE_CHECKING:
+    from sonarrec.cli.run_watch import RunWatch
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
@@ -150,7 +151,6 @@ def run(
     from sonarrec.remote.urls import is_url, parse_url
     from sonarrec.runs.cores import cores
     from sonarrec.runs.logs_table import NAME, LogsTable, again
-    from sonarrec.runs.many import run_apart, run_here
     from sonarrec.runs.prepare import RunOptions
     from sonarrec.tables.outputs import check_output
     from sonarrec.tables.parquet import check_parquet
@@ -204,18 +204,13 @@ def run(
     jobs = min(jobs or cores(), len(tasks))
     table = LogsTable(local_out, tasks, alone=len(logs) == 1)
     watch = RunWatch(tasks, table, local_out, outbox, jobs, quiet, verbose, as_json)
-    with _stoppable([local_out / task.name for task in tasks]), watch:
-        # If cores are free, each log uses a second one.
-        ahead = scheduler is None and cores() >= 2 * jobs
-        tasks = [replace(task, ahead=ahead) for task in tasks]
+    with stoppable([local_out / task.name for task in tasks]), watch:
         if scheduler is not None:
             from sonarrec.runs.cluster import run_on_cluster
 
             run_on_cluster(tasks, scheduler, watch, timeout)
-        elif jobs > 1 or timeout is not None:
-            run_apart(tasks, jobs, watch, timeout)
         else:
-            run_here(tasks, watch)
+            run_tasks(tasks, jobs, watch, timeout)
     if len(tasks) == 1 and watch.error is not None:
         raise watch.error
     if odometry_out is not None:
@@ -225,6 +220,20 @@ def run(
             write_path(RemoteFiles(stack, cache).results(inside(out, tasks[0].name)), odometry_out)
     watch.count()
     leave(watch.exit_code())
+
+
+def run_tasks(
+    tasks: Sequence[Task], jobs: int, watch: RunWatch, timeout_s: float | None = None
+) -> None:
+    """Run the tasks here, `jobs` at a time; each uses a second core if cores are free."""
+    from sonarrec.runs.cores import cores
+    from sonarrec.runs.many import run_apart, run_here
+
+    tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
+    if jobs > 1 or timeout_s is not None:
+        run_apart(tasks, jobs, watch, timeout_s)
+    else:
+        run_here(tasks, watch)
 
 
 def _unquoted_glob_notes(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
@@ -291,7 +300,7 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
+def stoppable(folders: Sequence[Path]) -> Iterator[None]:
     """Let SIGTERM stop the run as Ctrl-C does; a line says where the results so far are."""
 
     def stop(*_: object) -> None:

@@ -52,6 +52,8 @@ class RunWatch(Watch):
     quiet: bool
     verbose: bool
     json: bool
+    briefly: bool = False
+    """Whether to tell problems only: not the geometry, notes and passes."""
 
     def __post_init__(self) -> None:
         self._outcomes: dict[int, Outcome] = {}
@@ -104,7 +106,7 @@ class RunWatch(Watch):
             self._show_bytes = self._bars.enter_context(fetching(self.quiet, self.tasks[i].path))
 
     def goes_by(self, i: int, line: str) -> None:
-        if not self.quiet:
+        if not (self.quiet or self.briefly):
             with self._over_the_bar():
                 inform(f"{self.tasks[i].name}: {line}")
 
@@ -132,7 +134,8 @@ class RunWatch(Watch):
                 click.echo(outcome.fault.rstrip(), err=True)
             if summary is not None:
                 self._frames += summary.frames
-                tell(*(self._named(i, lines) for lines in (summary.problems, summary.notes)))
+                notes = [] if self.briefly else summary.notes
+                tell(*(self._named(i, lines) for lines in (summary.problems, notes)))
             elif len(self.tasks) > 1:
                 tell([outcome.message])
             if self.verbose:
@@ -149,6 +152,11 @@ class RunWatch(Watch):
     def error(self) -> SonarrecError | None:
         """The error of the first log, if it failed."""
         return self._outcomes[0].error if 0 in self._outcomes else None
+
+    @property
+    def with_results(self) -> list[int]:
+        """The indices of the tasks that gave results."""
+        return [i for i, o in sorted(self._outcomes.items()) if o.summary is not None]
 
     def exit_code(self) -> int:
         """The exit code of the call, after all have ended."""
@@ -242,7 +250,8 @@ class RunWatch(Watch):
         while (outcome := self._outcomes.get(self._printed)) is not None:
             self._printed += 1
             summary = outcome.summary
-            if summary is None or self.quiet or self.json or len(self.tasks) > MOST_SHOWN:
+            silent = self.quiet or self.json or self.briefly or len(self.tasks) > MOST_SHOWN
+            if summary is None or silent:
                 continue
             frames = number_of(summary.frames, "frame")
             lines = [] if summary.up_to_date else table(summary, outcome.folder)

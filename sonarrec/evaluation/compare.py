@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,13 +144,14 @@ class Comparison:
         """(protocol, method) of those in both results, the leading method first."""
         return self.frames.methods
 
-    def regressions(self, band: float) -> list[str]:
+    def regressions(self, band: float, methods: Container[str] | None = None) -> list[str]:
         """A line for each rate that got worse by more than `band`, and for each missing method or
-        protocol."""
-        lines = [f"{method}: no longer in the results" for method in self.lost]
+        protocol. methods: those looked at; None: all."""
+        looked_at = [m for m in self.lost if methods is None or m in methods]
+        lines = [f"{method}: no longer in the results" for method in looked_at]
         lines += ["protocol strict: no longer scored"] * self.unplaced
         for r in self.rates:
-            if r.is_regression(band):
+            if (methods is None or r.method in methods) and r.is_regression(band):
                 name = "ID." * r.landmark_text.isdigit() + r.landmark_text
                 lines.append(
                     f"{r.method}, {r.protocol}, {name}: {BY_NAME[r.rate].label} was "

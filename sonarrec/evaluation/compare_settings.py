@@ -14,8 +14,14 @@ NOT_STATED = "not stated"
 _LONGEST = 60
 # Keys that differ between equal runs, or that are reported elsewhere.
 _PASSED_OVER = {
-    *("finished", "program.name", "program.methods", "input.name", "input.path", "input.bytes"),
-    *("input.sha256", "input.frames_processed", "input.frames_unusable", "input.candidates"),
+    *("finished", "program.name", "program.methods", "input.name", "input.path", "input.place"),
+    *(
+        "input.bytes",
+        "input.sha256",
+        "input.frames_processed",
+        "input.frames_unusable",
+        "input.candidates",
+    ),
     *("input.estimates", "input.sightings", "input.problems"),
     *("ran_on.processor", "ran_on.numpy", "ran_on.opencv"),
 }

@@ -59,6 +59,15 @@ class _Table:
         self._file.close()
 
 
+def write_run(path: Path, table: dict[str, Any]) -> None:
+    """Replace a run.toml in one step: readers see the old or the new one. Raises OSError."""
+    text = tomli_w.dumps(table, multiline_strings=True)
+    with replaced(path) as new, new.open("w", encoding="utf-8", newline="") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+
+
 class ResultsWriter:
     """Writes one log's results as they come, into `<folder>.part`.
 
@@ -174,13 +183,7 @@ class ResultsWriter:
         )
 
     def _write_run(self, finished: bool) -> None:
-        """Replace run.toml in one step, so that readers see the old or the new one."""
-        text = tomli_w.dumps({"finished": finished, **self._run}, multiline_strings=True)
-        path = self._part / "run.toml"
-        with replaced(path) as new, new.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        write_run(self._part / "run.toml", {"finished": finished, **self._run})
 
     def __enter__(self) -> Self:
         return self

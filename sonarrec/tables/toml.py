@@ -194,7 +194,7 @@ def types_of(kind: Any) -> dict[str, Any]:
     """The fields' types with their bounds, by name; X for `X | None`, since TOML has no None."""
 
     def without_none(hint: Any) -> Any:
-        if get_origin(hint) in (Annotated, tuple, Literal):
+        if get_origin(hint) in (Annotated, tuple, dict, Literal):
             return hint
         return next((a for a in get_args(hint) if a is not NoneType), hint)
 

@@ -120,11 +120,11 @@ def test_the_baseline_is_compared_on_request(tmp_path: Path) -> None:
     gt = tmp_path / "old" / "gt.csv"
     arguments = ["--ground-truth", gt, "--fail-on-regression", "0.02", "--compare", *sides]
     assert "smi" not in command(*arguments).stdout
-    done = command(*arguments, "--baseline", code=1)
+    done = command(*arguments, "--baseline", code=4)
     assert [line.split()[0] for line in done.stdout.splitlines()[3:5]] == ["framework", "smi"]
     assert done.stdout.startswith(f"{sides[1]} is as good as {sides[0]}")
     assert "worse: smi, strict" in done.stderr
-    assert "(smi, strict)" in command(*arguments, "--method", "smi", code=1).stdout
+    assert "(smi, strict)" in command(*arguments, "--method", "smi", code=4).stdout
     told = command(*arguments, "--method", "nobody", code=2).stderr
     assert told.endswith("no method 'nobody'; there is framework, smi\n")
 
@@ -150,7 +150,7 @@ def test_further_results_are_compared_with_the_old_ones(sides: tuple[Path, Path,
 def test_fails_on_regression_only(sides: tuple[Path, Path, Path]) -> None:
     old, new, truth = sides
     arguments = ["--ground-truth", truth, "--fail-on-regression", "0.02", "-q", "--compare"]
-    done = command(*arguments, old, new, code=1)
+    done = command(*arguments, old, new, code=4)
     lines = done.stderr.splitlines()
     assert "sonarrec: worse: m, strict, ID.1: TPR was 1.0000, is 0.5000" in lines
     assert not any("ID.2" in line for line in lines)
@@ -209,7 +209,7 @@ def test_a_method_that_is_gone_is_a_regression(tmp_path: Path) -> None:
     old, truth = write_case(tmp_path / "old", FRAMES, both, TRUTH)
     new, _ = write_case(tmp_path / "new", FRAMES, claims({5, 6}), TRUTH)
     done = command(
-        "--ground-truth", truth, "--compare", old, new, "--fail-on-regression", 0.5, code=1
+        "--ground-truth", truth, "--compare", old, new, "--fail-on-regression", 0.5, code=4
     )
     assert "worse: n: no longer in the results" in done.stderr
     assert "n: only in the old results" in done.stdout
@@ -230,7 +230,7 @@ def test_a_protocol_that_is_gone_is_a_regression(sides: tuple[Path, Path, Path])
     rows = [(f, m, i, s, d) for f, m, _, _, i, s, d in claims(set(range(5, 25)), {30, 31})]
     write_csv(new / "estimates.csv", header, rows)
     arguments = ["--ground-truth", truth, "--fail-on-regression", 0.5, "--compare"]
-    done = command(*arguments, old, new, code=1)
+    done = command(*arguments, old, new, code=4)
     assert done.stderr.splitlines() == ["sonarrec: worse: protocol strict: no longer scored"]
     note = f"note: protocol strict is not compared: {new} has no positions that can be used"
     assert note in done.stdout.splitlines()

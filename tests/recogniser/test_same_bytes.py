@@ -16,9 +16,9 @@ pytestmark = pytest.mark.slow
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan.mcap"
 
 
-def tables(out: Path, **setting: str) -> list[bytes]:
-    """The tables of the sample log, recognised in a process of its own."""
-    command = [sys.executable, "-m", "sonarrec", "run", str(SAMPLE), "-q", "--out", str(out)]
+def tables(out: Path, log: Path = SAMPLE, **setting: str) -> list[bytes]:
+    """The tables of a log, by default the sample, recognised in a process of its own."""
+    command = [sys.executable, "-m", "sonarrec", "run", str(log), "-q", "--out", str(out)]
     subprocess.run(command, check=True, env=os.environ | setting)
     return [(out / "pan" / name).read_bytes() for name in ("frames.csv", "estimates.csv")]
 
@@ -28,14 +28,20 @@ def as_it_is(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     return tables(tmp_path_factory.mktemp("as_it_is"))
 
 
+def test_the_folder_of_the_same_pictures(as_it_is: list[bytes], tmp_path: Path) -> None:
+    """frames.csv has the clocks of the recording, too, which a folder of images lacks."""
+    assert tables(tmp_path, log=SAMPLE.with_suffix(""))[1] == as_it_is[1]
+
+
 @pytest.mark.parametrize(
     "setting",
     [
+        {},
         {"OPENBLAS_NUM_THREADS": "8", "OPENCV_FOR_THREADS_NUM": "4", "OPENCV_IPP": "enabled"},
         {"OPENBLAS_CORETYPE": "Haswell"},
         {"OPENBLAS_CORETYPE": "Nehalem"},
     ],
-    ids=["threads and IPP", "Haswell", "Nehalem"],
+    ids=["again", "threads and IPP", "Haswell", "Nehalem"],
 )
 def test_setting(setting: dict[str, str], as_it_is: list[bytes], tmp_path: Path) -> None:
     assert tables(tmp_path, **setting) == as_it_is

@@ -1,0 +1,1 @@
+"""`sonarrec check`: the logs of a committed file, against their results on record."""

@@ -1,0 +1,162 @@
+"""The check file: which logs are run and compared, and what their results must keep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.readers.named_logs import logs_named
+from sonarrec.readers.open import find_log
+from sonarrec.results.run_file import LogOptions
+from sonarrec.runs.one import result_names
+from sonarrec.tables.toml import Share, checked, from_table, read_toml
+
+TRUTH_FILE = "gt.csv"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedLog:
+    """A [[log]] of the file. Paths are relative to the file."""
+
+    path: str
+    """As an argument of `sonarrec run`; a folder of logs, or a glob, names several."""
+    ground_truth: str | None = None
+    """None: the truth beside the log."""
+    name: str | None = None
+    """Of its folder of results; None: as `sonarrec run` names it."""
+    sonar: str | None = None
+    """A sonar.toml, in place of that beside the log."""
+    topic: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CheckFile:
+    """The file, as it was read. Paths are relative to it."""
+
+    log: tuple[CheckedLog, ...]
+    record: str | None = None
+    """Folder of the recorded results; None: named as the file, without .toml."""
+    preset: str | None = None
+    config: str | None = None
+    """A file of settings."""
+    set: tuple[str, ...] = ()
+    """Settings, as for --set."""
+    landmarks: str | None = None
+    """A landmark set by name or file."""
+    model: str | None = None
+    band: Share = 0.02
+    method: tuple[str, ...] = ()
+    least_tpr: dict[str, Any] = field(default_factory=dict)
+    most_fpr: dict[str, Any] = field(default_factory=dict)
+    min_visible: Share = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class LogToRun:
+    """A log of the check: what `run` and `evaluate` need to know."""
+
+    name: str
+    """Of its folder of results."""
+    path: str
+    stated: str
+    """The path for the record, relative to the check file."""
+    ground_truth: Path
+    options: LogOptions
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A check file and its folder."""
+
+    path: Path
+    file: CheckFile
+
+    @property
+    def record(self) -> Path:
+        """The folder of the recorded results."""
+        return self.path.parent / (self.file.record or self.path.stem)
+
+    def beside(self, name: str | None) -> Path | None:
+        """A file that the check file names."""
+        return None if name is None else self.path.parent / name
+
+    @property
+    def landmarks(self) -> str | None:
+        """The landmark set: a file beside the check file, else a name."""
+        place = self.beside(self.file.landmarks)
+        return str(place) if place is not None and place.is_file() else self.file.landmarks
+
+    def logs(self) -> list[LogToRun]:
+        """Every log of the file. Raises UsageError for one without truth, or of a wrong name."""
+        found = list(self._found())
+        unnamed = [path for path, _, _, log in found if log.name is None]
+        names = iter(result_names(unnamed))
+        logs = [
+            LogToRun(log.name or next(names), path, _relative(path, self.path), truth, options)
+            for path, truth, options, log in found
+        ]
+        for log in logs:
+            if Path(log.name).name != log.name or [x.name for x in logs].count(log.name) > 1:
+                raise UsageError(
+                    f"{self.path}: log name {log.name}: not the name of one folder; give each "
+                    "[[log]] a name of its own"
+                )
+        return logs
+
+    def _found(self) -> Iterator[tuple[str, Path, LogOptions, CheckedLog]]:
+        """Path, truth and options of every log, with its [[log]]."""
+        for n, log in enumerate(self.file.log, 1):
+            where = f"{self.path}: [[log]] {n}"
+            named = logs_named(str(self.beside(log.path)))
+            if len(named) > 1 and (log.name or log.ground_truth):
+                raise UsageError(
+                    f"{where}: {log.path} names {len(named)} logs, which cannot share a name or a "
+                    "truth; give each its own [[log]]"
+                )
+            for one in named:
+                options = LogOptions(
+                    sonar_file=self.beside(log.sonar), topic=log.topic, up_to=one.up_to
+                )
+                yield one.path, self._truth(where, log, one.path, options), options, log
+
+    def _truth(self, where: str, log: CheckedLog, path: str, options: LogOptions) -> Path:
+        """The truth of a log. Raises UsageError if there is none."""
+        truth = self.beside(log.ground_truth)
+        if truth is None:
+            try:
+                truth = find_log(path, options.up_to).beside(TRUTH_FILE)
+            except SonarrecError as error:
+                raise UsageError(f"{where}: {error}") from None
+            if truth is None:
+                raise UsageError(
+                    f"{where}: no {TRUTH_FILE} in or beside {path}; write it, or name it with "
+                    "ground_truth = ..."
+                )
+        if not truth.is_file():
+            raise UsageError(f"{where}: {truth}: no such file")
+        return truth
+
+
+def _relative(path: str, file: Path) -> str:
+    """A path as it is relative to the check file, if it lies below it."""
+    place = Path(path)
+    return place.relative_to(file.parent).as_posix() if place.is_relative_to(file.parent) else path
+
+
+def read_check(path: Path) -> Check:
+    """Read a check file. Raises UsageError if it is not there or invalid."""
+    if not path.is_file():
+        raise UsageError(
+            f"{path}: no such file; it names the logs to run, as in `sonarrec help ci`"
+        )
+    table = read_toml(path, UsageError)
+    file = from_table(CheckFile, table, str(path), error=UsageError)
+    if not file.log:
+        raise UsageError(f"{path}: names no log; give each its own [[log]] with a path")
+    for key in ("least_tpr", "most_fpr"):
+        for method, rate in getattr(file, key).items():
+            checked(rate, Share, f"{path}: {key}.{method}", UsageError)
+    return Check(path, file)

@@ -1,0 +1,265 @@
+"""`sonarrec check`: run the logs of a committed file, compare them with the results on record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import click
+
+from sonarrec.cli import options
+from sonarrec.cli.endings import PARTLY, WORSE, leave, say, tell
+from sonarrec.cli.groups import (
+    FOLDER,
+    FiniteRange,
+    command,
+    file_names,
+    in_batch,
+    in_output,
+    in_scoring,
+)
+from sonarrec.errors import SonarrecError, UsageError, number_of
+
+if TYPE_CHECKING:
+    from sonarrec.checks.file import Check, LogToRun
+    from sonarrec.evaluation.compare import Comparison
+    from sonarrec.evaluation.limits import Judgement, Limits
+    from sonarrec.runs.task import Task
+
+
+@command(short_help="Run logs anew and compare with their results on record (for CI).")
+@click.argument(
+    "file",
+    type=click.Path(path_type=Path),
+    default=Path("sonarrec.check.toml"),
+    shell_complete=file_names,
+)
+@options.settings
+@in_scoring(
+    "--band",
+    type=FiniteRange(0, 1),
+    help="A rate is worse if it is so by more than this, and by more than two frames.  "
+    "[default: that of FILE, else 0.02]",
+)
+@options.limits
+@in_scoring(
+    "--method methods",
+    multiple=True,
+    metavar="NAME",
+    help="Method that must not be worse, and that limits hold for; repeatable.  "
+    "[default: that of FILE, else all but smi]",
+)
+@in_batch(
+    "-j --jobs",
+    type=click.IntRange(min=1),
+    help="How many logs run at once.  [default: the number of cores]",
+)
+@in_output(
+    "--update",
+    is_flag=True,
+    help="Record the new results, in place of those on record, whether better or worse.",
+)
+@in_output("--markdown", is_flag=True, help="Print the table in Markdown, for a pull request.")
+@options.out(
+    FOLDER,
+    "Folder for the new results, and for the comparison in OUT/evaluation.  [default: a temporary "
+    "one]",
+)
+@options.quiet
+def check(
+    file: Path,
+    settings: options.SettingsChoice,
+    band: float | None,
+    limits: Limits,
+    methods: tuple[str, ...],
+    jobs: int | None,
+    update: bool,
+    markdown: bool,
+    out: Path | None,
+    quiet: bool,
+) -> None:
+    """Run the logs that FILE names, and compare the results with those on record.
+
+    FILE (default: sonarrec.check.toml) is a small TOML file: the logs, their truth, the settings
+    and what the rates must keep. `sonarrec help ci` explains it, and what to commit. The exit code
+    is 4 if a rate is worse, over all IDs in one log or of one ID or all IDs in all logs, or beyond
+    an absolute limit.
+
+    \b
+    Examples:
+      sonarrec check --update
+      sonarrec check
+      sonarrec check --set features.declare=0.9
+      sonarrec check tests/sonar.toml --least-tpr 0.95 --markdown -o check
+    """
+    from sonarrec.checks.file import read_check
+    from sonarrec.checks.record import is_recorded
+
+    one = read_check(file)
+    if update and any(value not in (None, ()) for value in settings.values.values()):
+        raise UsageError(
+            f"--update records what {file} says; write the settings there: preset, config, set"
+        )
+    logs, new = one.logs(), []
+    if not update:
+        new = [log for log in logs if not is_recorded(one.record, log.name)]
+        logs = [log for log in logs if log not in new]
+        again = f"`sonarrec check {file} --update` records them; then commit them"
+        if not logs:
+            raise UsageError(f"{one.record}: no results on record yet; {again}")
+        tell(
+            f"{log.name}: no results on record in {one.record}, not compared; {again}"
+            for log in new
+        )
+    with ExitStack() as stack:
+        folder = out or Path(stack.enter_context(TemporaryDirectory(prefix="sonarrec-check-")))
+        if any(a.is_relative_to(b) for a, b in _both_ways(folder, one.record)):
+            raise UsageError(f"{folder}: {one.record} has the results on record; write elsewhere")
+        logs, partial = _run(_tasks(one, logs, settings, folder), logs, jobs, quiet, update)
+        worse: Sequence[str] = ()
+        try:
+            compared = _compare(one, logs, folder)
+        except SonarrecError:  # nothing that can be compared is on record
+            if not update:
+                raise
+        else:
+            judged = _judge(one, compared, replace(limits, methods=methods), band)
+            _print(judged, compared, out, markdown, quiet)
+            if not update:
+                partial = partial or bool(new or compared.unused)
+                worse = judged.faults
+        if update:
+            _update(one, logs, folder, quiet)
+    if code := WORSE if worse else PARTLY if partial else 0:
+        leave(code)
+
+
+def _both_ways(a: Path, b: Path) -> list[tuple[Path, Path]]:
+    return [(a.resolve(), b.resolve()), (b.resolve(), a.resolve())]
+
+
+def _tasks(
+    one: Check, logs: Sequence[LogToRun], settings: options.SettingsChoice, out: Path
+) -> list[Task]:
+    """A task for each log. Settings of the command line change those of the file."""
+    from sonarrec.runs.prepare import RunOptions
+    from sonarrec.runs.task import Task
+
+    given, file = settings.values, one.file
+    chosen = options.SettingsChoice(
+        {
+            "preset": given["preset"] or file.preset,
+            "config_file": given["config_file"] or one.beside(file.config),
+            "assignments": (*file.set, *given["assignments"]),
+            "seed": given["seed"],
+        }
+    )
+    run_options = RunOptions(chosen.configs(), one.landmarks, one.beside(file.model), chosen.file)
+    run_options.check()
+    # Anew in any case: it is the program that may have changed, not the settings.
+    return [
+        Task(log.path, log.name, str(out), log.options, run_options, overwrite=True) for log in logs
+    ]
+
+
+def _run(
+    tasks: list[Task], logs: Sequence[LogToRun], jobs: int | None, quiet: bool, all_needed: bool
+) -> tuple[list[LogToRun], bool]:
+    """Run the logs: those that have results now, and whether part of the input was not usable.
+
+    Leaves if there are none. all_needed: raise SonarrecError if there are not all.
+    """
+    from sonarrec.cli.run import run_tasks, stoppable
+    from sonarrec.cli.run_watch import RunWatch
+    from sonarrec.runs.cores import cores
+    from sonarrec.runs.logs_table import LogsTable
+
+    jobs, out = min(jobs or cores(), len(tasks)), Path(tasks[0].out)
+    table = LogsTable(out, tasks)
+    watch = RunWatch(tasks, table, out, None, jobs, quiet, False, False, briefly=True)
+    with stoppable([]), watch:
+        run_tasks(tasks, jobs, watch)
+    done = [logs[i] for i in watch.with_results]
+    if len(tasks) == 1 and watch.error is not None:
+        raise watch.error
+    if not done:
+        leave(watch.exit_code())
+    if all_needed and len(done) < len(logs):
+        raise SonarrecError("nothing is recorded, since not every log could be run")
+    return done, watch.exit_code() != 0
+
+
+def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> None:
+    """Record the results, and say so."""
+    from sonarrec.checks.record import save
+
+    notes = save(folder, one.record, logs)
+    tell([], notes)
+    if not quiet:
+        size = sum(f.stat().st_size for f in one.record.rglob("*") if f.is_file())
+        say(
+            f"{one.record}: the results of {number_of(len(logs), 'log')} are on record, "
+            f"{size / 1e6:.1f} MB; commit them"
+        )
+
+
+def _compare(one: Check, logs: Sequence[LogToRun], folder: Path) -> Comparison:
+    """Compare the new results with those on record."""
+    from sonarrec.evaluation.compare import compare
+    from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.evaluation.pairs import Pair
+
+    pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
+    scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)
+    return compare(one.record, folder, pairs, scoring, baseline=True)
+
+
+def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None) -> Judgement:
+    """Judge by the limits of the command line, which replace those of the file."""
+    from sonarrec.evaluation.limits import EACH, judge_by
+
+    file = one.file
+    least, most = (
+        given if EACH in given else {**stated, **given}
+        for stated, given in (
+            (file.least_tpr, limits.least_tpr),
+            (file.most_fpr, limits.most_fpr),
+        )
+    )
+    chosen = replace(
+        limits,
+        band=file.band if band is None else band,
+        least_tpr=least,
+        most_fpr=most,
+        methods=limits.methods or file.method,
+    )
+    return judge_by(compared, chosen)
+
+
+def _print(
+    judged: Judgement, compared: Comparison, out: Path | None, markdown: bool, quiet: bool
+) -> None:
+    """Print the judgement and, if the results are kept, write the comparison's files."""
+    from sonarrec.evaluation import limits_screen
+    from sonarrec.evaluation.compare_screen import settings_lines
+    from sonarrec.evaluation.compare_write import write_comparison
+
+    tell(compared.unused)
+    files = () if out is None else write_comparison(out / "evaluation", compared)
+    changed = [*settings_lines(compared)] if compared.settings else []
+    if quiet or markdown:  # then nobody sees the sentence where the command runs
+        tell([judged.sentence] if judged.faults else [])
+    if quiet:
+        return
+    if markdown:
+        click.echo(limits_screen.markdown(judged, changed))
+        return
+    click.echo(limits_screen.screen(judged))
+    lines = [*changed, *(f"note: {note}" for note in compared.notes)]
+    lines += [] if out is None else [f"{out / 'evaluation'}: {', '.join(files)}"]
+    if lines:
+        say(*lines)

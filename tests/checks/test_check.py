@@ -1,0 +1,214 @@
+"""`sonarrec check` as a new user meets it: on a log, with a file, in a folder of their own."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from sonarrec import config
+from tests.support.command import sonarrec
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
+FILE = Path("sonarrec.check.toml")
+RECORD = Path("sonarrec.check")
+
+
+def log(folder: Path, name: str = "faint", frames: int = 40) -> Path:
+    """The first frames of the sample that is hard: two passes begin in them."""
+    place = folder / name
+    place.mkdir(parents=True)
+    for file in ("sonar.toml", "gt.csv", *(f"{i:06d}.png" for i in range(frames))):
+        shutil.copy(SAMPLES / "faint" / file, place)
+    return place
+
+
+@pytest.fixture(autouse=True)
+def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    log(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    FILE.write_text('[[log]]\npath = "faint"\n')
+    return tmp_path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_red_when_declare_is_raised_then_recorded_then_green() -> None:
+    nothing = sonarrec("check", code=2)
+    assert "no results on record yet" in nothing.stderr
+    assert "`sonarrec check sonarrec.check.toml --update` records them" in nothing.stderr
+    assert not RECORD.exists()
+
+    assert "1 log are on record" in sonarrec("check", "--update").stdout
+    assert {p.name for p in (RECORD / "faint").iterdir()} == {
+        *("frames.csv", "estimates.csv", "run.toml")
+    }
+    green = sonarrec("check", "-o", "new").stdout
+    assert green.startswith("unchanged: TPR 0.9")
+    assert "settings" not in green
+    assert (Path("new") / "evaluation" / "compare.csv").is_file()
+    assert contents(RECORD)["faint/estimates.csv"] == contents(Path("new/faint"))["estimates.csv"]
+
+    # The option tries it, the file states it.
+    tried = sonarrec("check", "--set", "features.declare=0.99", code=4)
+    assert tried.stdout.startswith("worse: TPR 0.9")
+    assert tried.stdout.splitlines()[-1] == "features.declare: 0.75 -> 0.99"
+    assert tried.stderr == ""
+    FILE.write_text('set = ["features.declare=0.99"]\n' + FILE.read_text())
+    quiet = sonarrec("check", "-q", code=4)
+    assert quiet.stdout == ""
+    assert quiet.stderr == f"sonarrec: {tried.stdout.splitlines()[0]}\n"
+
+    before = contents(RECORD)
+    updated = sonarrec("check", "--update").stdout
+    assert tried.stdout in updated
+    assert contents(RECORD) != before
+    assert sonarrec("check").stdout.startswith("unchanged: TPR 0.")
+    back = sonarrec("check", "--set", "features.declare=0.75")
+    assert back.stdout.startswith("better: TPR 0.")
+
+
+def test_the_record_is_the_same_wherever_it_is_made(
+    repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also with the absolute path of the file, from another folder."""
+    sonarrec("check", "--update", "-q")
+    first = contents(RECORD)
+    monkeypatch.chdir(repository.parent)
+    sonarrec("check", repository / FILE, "--update", "-q")
+    assert contents(repository / RECORD) == first
+    assert str(repository).encode() not in first["faint/run.toml"]
+
+
+def test_limits_replace_those_of_the_file() -> None:
+    FILE.write_text("least_tpr = { framework = 0.9, smi = 0.01 }\n" + FILE.read_text())
+    sonarrec("check", "--update", "-q")
+    sonarrec("check", "-q")
+    low = sonarrec("check", "--least-tpr", "framework=0.995", code=4)
+    assert low.stdout.startswith("limit not kept: TPR 0.9")
+    assert "(framework, strict) is below 0.995; otherwise no worse" in low.stdout
+    # SMI's FPR is high; nobody looks at it unless asked.
+    sonarrec("check", "-q", "--most-fpr", "0.1")
+    high = sonarrec("check", "-q", "--most-fpr", "0.1", "--method", "smi", code=4)
+    assert "(smi, strict) is above 0.1" in high.stderr
+    unknown = sonarrec("check", "--most-fpr", "smj=0.1", code=2)
+    assert "method smj: the results have no such method, but framework, smi" in unknown.stderr
+
+
+def test_in_markdown() -> None:
+    sonarrec("check", "--update", "-q")
+    told = sonarrec("check", "--markdown", "--set", "features.declare=0.99", code=4)
+    lines = told.stdout.splitlines()
+    assert lines[0].startswith("**worse: TPR ")
+    assert lines[2] == "| log | method | protocol | TPR before | now | FPR before | now |  |"
+    assert {line.count("|") for line in lines[2:6]} == {9}
+    assert lines[-1] == "- features.declare: 0.75 -> 0.99"
+    # On a build server stdout goes to a file: the log has the sentence.
+    assert told.stderr == f"sonarrec: {lines[0].strip('*')}\n"
+
+
+def test_a_log_that_cannot_be_run_leaves_the_record(repository: Path) -> None:
+    log(repository, "other", 12)
+    FILE.write_text(FILE.read_text() + '[[log]]\npath = "other"\n')
+    sonarrec("check", "--update", "-q")
+    before = contents(RECORD)
+    (repository / "other" / "sonar.toml").write_text("[sonar]\nlayout = 1\n")
+    FILE.write_text('set = ["features.declare=0.9"]\n' + FILE.read_text())
+    failed = sonarrec("check", "--update", code=1)
+    assert "nothing is recorded, since not every log could be run" in failed.stderr
+    assert contents(RECORD) == before
+    partly = sonarrec("check", "--set", "features.declare=0.75", code=3)
+    assert "other: is in sonarrec.check only; not compared" in partly.stderr
+    assert "unchanged" in partly.stdout
+
+
+def test_a_log_new_in_the_file_and_one_gone_from_it(repository: Path) -> None:
+    log(repository, "other", 12)
+    sonarrec("check", "--update", "-q")
+    FILE.write_text(FILE.read_text() + '[[log]]\npath = "other"\n')
+    new = sonarrec("check", code=3)
+    assert "other: no results on record in sonarrec.check, not compared" in new.stderr
+    FILE.write_text('[[log]]\npath = "other"\n')
+    (RECORD / "faint" / "note.txt").write_text("mine")
+    told = sonarrec("check", "--update")
+    assert "sonarrec.check/faint: of no log in the check file any more, deleted" in told.stderr
+    assert set(contents(RECORD)) == {
+        *("faint/note.txt", "other/frames.csv", "other/estimates.csv", "other/run.toml")
+    }
+
+
+def test_the_record_of_another_log_is_not_compared(repository: Path) -> None:
+    sonarrec("check", "--update", "-q")
+    shutil.copy(SAMPLES / "faint" / "000050.png", repository / "faint" / "000000.png")
+    told = sonarrec("check", code=1)
+    assert "results of different logs" in told.stderr
+    assert "on record" in sonarrec("check", "--update").stdout
+    sonarrec("check", "-q")
+
+
+def test_nothing_is_written_over_the_record() -> None:
+    sonarrec("check", "--update", "-q")
+    before = contents(RECORD)
+    for out in (RECORD, RECORD / "faint", Path()):
+        assert "has the results on record" in sonarrec("check", "-o", out, code=2).stderr
+    told = sonarrec("check", "--update", "--set", "features.declare=0.9", code=2)
+    assert "write the settings there" in told.stderr
+    assert contents(RECORD) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "sonarrec.check.toml lacks log"),
+        ("log = []", "names no log"),
+        ("lg = 1", "unknown key lg (did you mean log?)"),
+        ("[[log]]\npath = 'nowhere'", "[[log]] 1: nowhere: no such file"),
+        ("[[log]]\npath = 'faint'\nground_truth = 'x.csv'", "[[log]] 1: x.csv: no such file"),
+        ("[[log]]\npath = 'bare'", "[[log]] 1: no gt.csv in or beside bare"),
+        ("[[log]]\npath = 'faint'\nname = '../up'", "not the name of one folder"),
+        ("[[log]]\npath = 'faint'\n" * 2, "given 2 times"),
+        ("least_tpr = { framework = 2 }\n[[log]]\npath = 'faint'", "least_tpr.framework must be"),
+        ("band = -1\n[[log]]\npath = 'faint'", "band must be a number from 0 to 1"),
+    ],
+)
+def test_a_file_that_cannot_be_used(text: str, told: str, repository: Path) -> None:
+    (repository / "bare").mkdir()
+    shutil.copy(SAMPLES / "faint" / "000000.png", repository / "bare")
+    FILE.write_text(text)
+    done = sonarrec("check", "--update", code=2)
+    assert told in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not RECORD.exists()
+
+
+def test_a_folder_of_logs_with_a_landmark_set_beside_the_file(repository: Path) -> None:
+    log(repository / "logs", "a", 8)
+    log(repository / "logs", "b", 8)
+    [basin] = Path(config.__file__).parent.rglob("landmark*/basin.toml")
+    shutil.copy(basin, repository / "mine.toml")
+    FILE.write_text('landmarks = "mine.toml"\n[[log]]\npath = "logs/*"\n')
+    assert "2 logs" in sonarrec("check", "--update").stdout
+    assert {p.name for p in RECORD.iterdir()} == {"a", "b"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "setting",
+    [
+        *("features.declare=0.99", "features.memory_frames=1"),
+        *("continuity.motion=random_walk", "candidates.threshold=0.8"),
+    ],
+)
+def test_the_samples_show_what_a_setting_costs(setting: str) -> None:
+    told = sonarrec("check", SAMPLES / FILE, "--set", setting, code=4)
+    assert told.stdout.startswith("worse: TPR ")
+    row = next(line for line in told.stdout.splitlines() if line.startswith("faint"))
+    assert row.endswith("worse")
+
+
+@pytest.mark.slow
+def test_the_samples_are_as_on_record() -> None:
+    assert "on record" not in sonarrec("check", SAMPLES / FILE).stderr

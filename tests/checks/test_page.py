@@ -1,0 +1,62 @@
+"""`sonarrec help ci` as written: its file for GitHub Actions, and its rules for make."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from tests.checks.test_check import FILE, log
+
+PAGE = Path(__file__).parents[2] / "sonarrec" / "help" / "ci.md"
+
+
+def block(kind: str) -> str:
+    """The block of this kind in the page."""
+    found = re.search(rf"```{kind}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+def bash(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    paths = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = os.environ | {"PATH": paths, "GITHUB_STEP_SUMMARY": str(folder / "summary.md")}
+    return subprocess.run(
+        ["bash", "-e", "-c", command], cwd=folder, env=environment, capture_output=True, text=True
+    )
+
+
+@pytest.mark.slow
+def test_the_rules_record_and_the_steps_compare(tmp_path: Path) -> None:
+    log(tmp_path, frames=16)
+    (tmp_path / FILE).write_text('[[log]]\npath = "faint"\n')
+    (tmp_path / "Makefile").write_text(block("make"))
+    (job,) = YAML(typ="safe").load(block("yaml"))["jobs"].values()
+    steps = [step["run"] for step in job["steps"] if "run" in step]
+    assert [step.split()[:2] for step in steps] == [["pip", "install"], ["sonarrec", "check"]]
+    (kept,) = [s["with"] for s in job["steps"] if "upload-artifact" in s.get("uses", "")]
+
+    assert bash("make check", tmp_path).returncode == 2  # make's own, where a command fails
+    recorded = bash("make record", tmp_path)
+    assert recorded.returncode == 0, recorded.stderr
+    assert bash("make check", tmp_path).returncode == 0
+    done = bash(steps[1], tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    summary = tmp_path / "summary.md"
+    assert summary.read_text().startswith("**unchanged: TPR ")
+    assert (tmp_path / kept["path"] / "faint" / "estimates.csv").is_file()
+
+    (tmp_path / FILE).write_text('set = ["features.declare=0.999"]\n[[log]]\npath = "faint"\n')
+    worse = bash(steps[1], tmp_path)
+    assert worse.returncode == 4
+    assert worse.stderr.startswith("sonarrec: worse: TPR ")
+    assert "\n**worse: TPR " in summary.read_text()
+    page = re.search(r"`(sonarrec report --compare [^`]*)`", PAGE.read_text(encoding="utf-8"))
+    assert page is not None
+    shown = bash(f"{page[1]} --ground-truth faint/gt.csv", tmp_path)
+    assert (shown.returncode, shown.stderr) == (0, "")
