@@ -13,6 +13,7 @@ from typing import Any
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Clock, Fan, Frame
 from sonarrec.readers.containers.images import MAX_FILE_BYTES, names_an_image
+from sonarrec.readers.containers.recording import CLEARLY_BACK_NS
 from sonarrec.readers.decode.colour import LUMINANCE
 from sonarrec.readers.decode.frame_maker import FrameMaker
 from sonarrec.readers.open import Source
@@ -207,11 +208,16 @@ class Log:
         if stamp is not None and not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
         if stamp is not None:
-            if 0 < self._timed[1] < stamp - YEAR_NS and not self._jumped:
+            step = stamp - self._timed[1]
+            is_back = clock == "log" and step < -CLEARLY_BACK_NS
+            if self._timed[1] > 0 and (step > YEAR_NS or is_back) and not self._jumped:
                 self._jumped = True
+                how = f"jump ahead by {step / YEAR_NS:.1f} years"
+                how = f"go back by {-step / 1e9:.1f} s" if is_back else how
+                why = "were two recordings joined, or " if is_back else ""
                 self.diagnostics.note(
-                    f"times jump ahead by {(stamp - self._timed[1]) / YEAR_NS:.1f} years at frame "
-                    f"{index} (was the clock set?); truth and poses by time fit one side of that"
+                    f"times {how} at frame {index} ({why}was the clock set?); truth and poses by "
+                    "time fit one side of that"
                 )
             self._timed = index, stamp
             return stamp

@@ -190,25 +190,27 @@ def pieces(path: Path) -> Iterator[bytes]:
     """
     file = FileBytes(path)
     try:
-        method, at = _find_dat(file, str(path))
-        inflater = zlib.decompressobj(-zlib.MAX_WBITS)
-        while piece := file.at(at, _PIECE):
-            at += len(piece)
-            yield inflater.decompress(piece) if method == _DEFLATED else piece
-            if inflater.eof:
-                return
-        if method == _DEFLATED:
-            raise UnusableError("its end is missing")
+        found = _find_dat(file, str(path), 0)
+        while found is not None:  # more than one if files were joined
+            method, at = found
+            inflater = zlib.decompressobj(-zlib.MAX_WBITS)
+            while not inflater.eof and (piece := file.at(at, _PIECE)):
+                at += len(piece)
+                yield inflater.decompress(piece) if method == _DEFLATED else piece
+            if method == _DEFLATED and not inflater.eof:
+                raise UnusableError("its end is missing")
+            found = _find_dat(file, str(path), at - len(inflater.unused_data))
     except zlib.error:
         raise UnusableError("its compressed contents are damaged") from None
     finally:
         file.close()
 
 
-def _find_dat(file: FileBytes, where: str) -> tuple[int, int]:
-    """(ZIP method of the `.dat`, where its contents begin). where: names the file."""
-    at = file.find(_ENTRY_MARK, 0, 1)
-    if at is None:
+def _find_dat(file: FileBytes, where: str, start: int) -> tuple[int, int] | None:
+    """(ZIP method of the `.dat`, where its contents begin); None if none follows. where: names the
+    file. start: where to search from; at 0 there must be one."""
+    at = file.find(_ENTRY_MARK, start, file.size if start else 1)
+    if at is None and not start:
         raise SonarrecError(f"{where}: not a .glf of a Gemini, which is a ZIP")
     while at is not None:
         head = file.at(at, _ENTRY_BYTES)
@@ -223,6 +225,8 @@ def _find_dat(file: FileBytes, where: str) -> tuple[int, int]:
                 )
             return method, at + _ENTRY_BYTES + name + extra
         at = file.find(_ENTRY_MARK, at + 1, file.size)
+    if start:
+        return None
     raise SonarrecError(f"{where}: a ZIP without a .dat, which holds a Gemini's images")
 
 
