@@ -122,6 +122,20 @@ def test_a_missing_part(storage: str, tmp_path: Path) -> None:
         read(tmp_path / "dive")
 
 
+def test_very_many_missing_parts_are_two_lines(tmp_path: Path) -> None:
+    """They were a line each, which took longer than by their number."""
+    images = IMAGES[:1] * 60
+    files = split_bag(tmp_path / "dive", parts_of(messages(images), [1] * 60), ".mcap")
+    for file in files[1:-1]:
+        file.unlink()
+    found, problems = read(tmp_path / "dive")
+    assert [f.index for f in found] == [0, 59]
+    assert problems == [
+        f"dive: 58 of its 60 parts are missing, {files[1].name} to {files[-2].name}",
+        "dive: 58 messages of /sonar lost with them, by the counts in metadata.yaml",
+    ]
+
+
 def test_losses_that_cannot_be_placed(tmp_path: Path) -> None:
     """Old bags count no messages by file: of two parts that are gone none knows which had what."""
     files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS))

@@ -18,7 +18,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
+from sonarrec.errors import MAX_PROBLEM_LINES, Diagnostics, SonarrecError, number_of, printable
 from sonarrec.readers.containers.packed import PACKINGS
 from sonarrec.readers.containers.recording import Channel, Message, Recording
 from sonarrec.tables.order import natural_order
@@ -84,11 +84,13 @@ def _listed(folder: Path, diagnostics: Diagnostics) -> tuple[list[Path], dict[st
         # Old bags put the folder in front of the names. Nothing outside of the folder is read. One
         # of aliases within aliases would be a text of gigabytes.
         texts = (PurePosixPath(name).name for name in names if isinstance(name, str))
-        parts = list(dict.fromkeys(_as_stored(folder / (name or "unnamed")) for name in texts))
+        there = {entry.name for entry in folder.iterdir()}
+        parts = list(dict.fromkeys(folder / _as_stored(name or "unnamed", there) for name in texts))
+        listed = set(parts)
         stems = {match[1] for p in parts if (match := _numbered(p.name))}
         for part in _stored_parts(folder):
             match = _numbered(part.name)
-            if part not in parts and match is not None and match[1] in stems:
+            if part not in listed and match is not None and match[1] in stems:
                 diagnostics.fault(f"{METADATA} does not list it, so it is not read", part.name)
         return parts, metadata
     parts = _parts_by_name(folder) or _stored_parts(folder)
@@ -105,11 +107,11 @@ def _listed(folder: Path, diagnostics: Diagnostics) -> tuple[list[Path], dict[st
     return parts, {}
 
 
-def _as_stored(part: Path) -> Path:
-    """The path of a part as it exists, compressed or not, whatever metadata.yaml says."""
-    other_names = [part.with_name(part.name + end) for end in PACKINGS]
-    other_names += [part.with_suffix("")] if part.suffix.lower() in PACKINGS else []
-    return next((p for p in (part, *other_names) if p.is_file()), part)
+def _as_stored(name: str, there: set[str]) -> str:
+    """The name of a part as it exists, compressed or not, whatever metadata.yaml says. there: all
+    names in the folder."""
+    plain = next((name.removesuffix(end) for end in PACKINGS if name.endswith(end)), name)
+    return next((n for n in (name, *(name + end for end in PACKINGS), plain) if n in there), name)
 
 
 def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
@@ -172,8 +174,16 @@ class BagFolder(Recording):
         self.profile = "ros2"
         files, metadata = _listed(path, self.diagnostics)
         self._parts = [_Part(file) for file in files]
+        missing = [part for part in self._parts if not part.path.is_file()]
+        self._tells_each = len(missing) <= MAX_PROBLEM_LINES  # else all in a line
+        if not self._tells_each:
+            names = f"{missing[0].path.name} to {missing[-1].path.name}"
+            self.fault(f"{len(missing)} of its {len(files)} parts are missing, {names}")
         for part in self._parts:
-            self._look_into(part)
+            if part.path.is_file():
+                self._look_into(part)
+            elif self._tells_each:
+                self.diagnostics.fault("this part of the bag is missing", part.path.name)
             self.counts.update(part.found)
         if not any(part.numbers for part in self._parts):
             faults = self.diagnostics.faults
@@ -186,8 +196,6 @@ class BagFolder(Recording):
         """Open a part and register its channels, counts, times and faults."""
         known = len(self.diagnostics.faults)
         try:
-            if not part.path.is_file():
-                raise SonarrecError("this part of the bag is missing")
             log = self._open(part.path, self.diagnostics)
         except (SonarrecError, OSError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
@@ -276,6 +284,12 @@ class BagFolder(Recording):
                 advanced(first, run)
             if index is not None:
                 advanced(index, self._messages_of(self._parts[index], channels))
+        for number in channels if not self._tells_each else ():
+            if gone := sum(part.lost[number] for part in self._parts if not part.numbers):
+                topic = self.channels[number].topic
+                self.fault(
+                    f"{gone} messages of {topic} lost with them, by the counts in {METADATA}"
+                )
         self.note_set_back(part.read for part in self._parts if part.read is not None)
 
     def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
@@ -290,7 +304,7 @@ class BagFolder(Recording):
             yield replace(message, channel=number)
         for number in channels:
             gone = part.found[number] + part.lost[number] - passed[number]
-            if part.lost[number]:
+            if part.lost[number] and (self._tells_each or part.numbers):
                 self.diagnostics.fault(
                     f"{number_of(gone, 'message')} of {self.channels[number].topic} lost, by the "
                     f"counts in {METADATA}",
