@@ -27,7 +27,7 @@ FLOORS = (
 """The rooms from the ground up. A room imports from floors below its own; of its own, itself."""
 PARTS = (
     *("evaluation.match", "evaluation.passes", "evaluation.judge", "evaluation.histogram"),
-    *("evaluation.behaviour", "evaluation.curves", "evaluation.count"),
+    *("evaluation.behaviour", "evaluation.tracking", "evaluation.curves", "evaluation.count"),
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 STAGES = ("stage1", "stage2", "stage3")

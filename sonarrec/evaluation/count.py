@@ -28,6 +28,7 @@ from sonarrec.evaluation.histogram import Key, Rows, Values, sum_by_unit, sum_by
 from sonarrec.evaluation.judge import PROTOCOLS, judge
 from sonarrec.evaluation.match import Matched, truth_beneath
 from sonarrec.evaluation.passes import UnitKind, find_passes
+from sonarrec.evaluation.tracking import tracking
 from sonarrec.results.methods import chosen
 
 LOGS_ENOUGH = 10
@@ -85,6 +86,8 @@ class LogCounts:
     """(U, K, 2), see `behaviour.false_claims`."""
     minutes: FloatArray
     """(U,), see `behaviour.minutes`."""
+    tracking: dict[str, FloatArray]
+    """(COLUMNS,), see `tracking.tracking`."""
     calibration: dict[str, FloatArray]
     """(U, K + 2, C), see `behaviour.calibration`."""
     values: dict[Key, Rows]
@@ -118,6 +121,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
     beneath = truth_beneath(log) if more else np.empty(0, dtype=np.int64)
     numbered = list(enumerate(log.methods)) if more else []
     stated = {name: calibration(log, beneath, passes, m) for m, name in numbered}
+    followed = {name: tracking(log, beneath, m) for m, name in numbered}
     return LogCounts(
         name=log.name,
         ids=log.ids,
@@ -143,6 +147,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         switches=switches(log, beneath, passes) if more else {},
         false_claims={name: false_claims(log, beneath, passes, m) for m, name in numbered},
         minutes=minutes(log, passes),
+        tracking={name: sums for name, sums in followed.items() if sums is not None},
         calibration={name: rows for name, rows in stated.items() if rows is not None},
         values=values,
     )

@@ -17,6 +17,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.evaluation.count import Counts, Units
 from sonarrec.evaluation.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
 from sonarrec.evaluation.intervals import Tally
+from sonarrec.evaluation.tracking import A
 from sonarrec.evaluation.unit_sums import (
     QUANTILES,
     Calibration,
@@ -29,6 +30,7 @@ from sonarrec.evaluation.unit_sums import (
     positions,
     rates,
     switches,
+    tracking,
     waits,
 )
 
@@ -89,6 +91,24 @@ def false_per_minute(sums: FloatArray) -> FloatArray:
 def wrong_per_minute(sums: FloatArray) -> FloatArray:
     """Declared claims on a landmark of another ID."""
     return ratio(sums[:, 1], sums[:, 2])
+
+
+def hota(sums: FloatArray) -> FloatArray:
+    """Higher order tracking accuracy: the mean over alpha of sqrt(DetA * AssA)."""
+    tp, fn, fp, together = np.split(sums[:, : 4 * A], 4, axis=1)
+    detected, associated = ratio(tp, tp + fn + fp), together / np.maximum(1, tp)
+    return np.asarray(np.sqrt(detected * associated).mean(axis=1))
+
+
+def idf1(sums: FloatArray) -> FloatArray:
+    """Share of truths and claims that the best pairing of tracks and landmarks makes right."""
+    tp, fn, fp = sums[:, 4 * A : 4 * A + 3].T
+    return ratio(2 * tp, 2 * tp + fp + fn)
+
+
+def tracks_per_landmark(sums: FloatArray) -> FloatArray:
+    """Tracks with a declared estimate, over landmarks in view."""
+    return ratio(sums[:, -2], sums[:, -1])
 
 
 def id_switches(sums: FloatArray) -> FloatArray:
@@ -153,6 +173,9 @@ METRICS = (
         "tpr_at_fpr_0.0276", "TPR at FPR 0.0276 (paper)", 3, rates, tpr_at_fpr(_PAPER), True, _BOTH
     ),
     Metric("tpr_at_fpr_0.05", "TPR at FPR 0.05", 3, rates, tpr_at_fpr(_HIGH), False, _BOTH),
+    Metric("hota", "HOTA", 3, tracking, hota),
+    Metric("idf1", "IDF1", 3, tracking, idf1),
+    Metric("tracks_per_landmark", "tracks per landmark", 2, tracking, tracks_per_landmark),
     Metric("frames_to_id_median", "frames to lasting ID, median", 0, waits, quantile(_HALF)),
     Metric("frames_to_id_90", "frames to lasting ID, 90 %", 0, waits, quantile(_NINE_IN_TEN)),
     Metric("false_claims_per_min", "claims/min on no landmark", 2, false_claims, false_per_minute),

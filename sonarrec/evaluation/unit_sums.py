@@ -17,6 +17,7 @@ from sonarrec.evaluation.behaviour import BINS
 from sonarrec.evaluation.count import Counts, Scored, Units
 from sonarrec.evaluation.curves import FPR_POINTS, Curve, ratio
 from sonarrec.evaluation.histogram import Rows, Table, sum_by_value, values_at_ranks
+from sonarrec.evaluation.tracking import COLUMNS
 
 FPR_GRID = np.unique(
     [
@@ -228,6 +229,21 @@ def _plain_sums(
     """Sums that are a record as they stand, (R, columns); further columns are not read."""
     kept: FloatArray = np.asarray(sums, dtype=float)
     return UnitSums(*labels, kept, lambda rows: rows[:, :columns], kept.sum(axis=0)[None, :columns])
+
+
+def tracking(counts: Counts, units: Units) -> Iterator[UnitSums]:
+    """Sums for HOTA and IDF1 of every method with tracks, over all IDs; see `tracking.tracking`.
+
+    Tracks go on from pass to pass, so those of a log count in the first of its units.
+    """
+    for method in counts.methods if counts.placed else ():
+        found = counts.sums(units, lambda part: _first_row(part.tracking.get(method)))  # noqa: B023
+        if found is not None:
+            yield _plain_sums(("strict", method, "total"), found, COLUMNS)
+
+
+def _first_row(sums: FloatArray | None) -> FloatArray | None:
+    return None if sums is None else sums[None]
 
 
 def switches(counts: Counts, units: Units) -> Iterator[UnitSums]:
