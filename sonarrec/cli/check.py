@@ -117,7 +117,8 @@ def check(
         )
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(TemporaryDirectory(prefix="sonarrec-check-")))
-        if any(a.is_relative_to(b) for a, b in _both_ways(folder, one.record)):
+        new_place, old_place = folder.resolve(), one.record.resolve()
+        if new_place.is_relative_to(old_place) or old_place.is_relative_to(new_place):
             raise UsageError(f"{folder}: {one.record} has the results on record; write elsewhere")
         logs, partial = _run(_tasks(one, logs, settings, folder), logs, jobs, quiet, update)
         worse: Sequence[str] = ()
@@ -136,10 +137,6 @@ def check(
             _update(one, logs, folder, quiet)
     if code := WORSE if worse else PARTLY if partial else 0:
         leave(code)
-
-
-def _both_ways(a: Path, b: Path) -> list[tuple[Path, Path]]:
-    return [(a.resolve(), b.resolve()), (b.resolve(), a.resolve())]
 
 
 def _tasks(

@@ -15,8 +15,8 @@ FILE = Path("sonarrec.check.toml")
 RECORD = Path("sonarrec.check")
 
 
-def log(folder: Path, name: str = "faint", frames: int = 40) -> Path:
-    """The first frames of the sample that is hard: two passes begin in them."""
+def log(folder: Path, name: str = "faint", frames: int = 16) -> Path:
+    """The first frames of the sample that is hard: their rates move with the settings."""
     place = folder / name
     place.mkdir(parents=True)
     for file in ("sonar.toml", "gt.csv", *(f"{i:06d}.png" for i in range(frames))):
@@ -111,7 +111,7 @@ def test_in_markdown() -> None:
 
 
 def test_a_log_that_cannot_be_run_leaves_the_record(repository: Path) -> None:
-    log(repository, "other", 12)
+    log(repository, "other", 4)
     FILE.write_text(FILE.read_text() + '[[log]]\npath = "other"\n')
     sonarrec("check", "--update", "-q")
     before = contents(RECORD)
@@ -126,7 +126,7 @@ def test_a_log_that_cannot_be_run_leaves_the_record(repository: Path) -> None:
 
 
 def test_a_log_new_in_the_file_and_one_gone_from_it(repository: Path) -> None:
-    log(repository, "other", 12)
+    log(repository, "other", 4)
     sonarrec("check", "--update", "-q")
     FILE.write_text(FILE.read_text() + '[[log]]\npath = "other"\n')
     new = sonarrec("check", code=3)
@@ -185,8 +185,8 @@ def test_a_file_that_cannot_be_used(text: str, told: str, repository: Path) -> N
 
 
 def test_a_folder_of_logs_with_a_landmark_set_beside_the_file(repository: Path) -> None:
-    log(repository / "logs", "a", 8)
-    log(repository / "logs", "b", 8)
+    log(repository / "logs", "a", 4)
+    log(repository / "logs", "b", 4)
     [basin] = Path(config.__file__).parent.rglob("landmark*/basin.toml")
     shutil.copy(basin, repository / "mine.toml")
     FILE.write_text('landmarks = "mine.toml"\n[[log]]\npath = "logs/*"\n')
