@@ -90,7 +90,7 @@ class Check:
         return str(place) if place is not None and place.is_file() else self.file.landmarks
 
     def logs(self) -> list[LogToRun]:
-        """Every log of the file. Raises UsageError for one without truth, or of a wrong name."""
+        """Every log of the file. Raises UsageError for one without truth or of a wrong name."""
         found = list(self._found())
         unnamed = [path for path, _, _, log in found if log.name is None]
         names = iter(result_names(unnamed))
@@ -103,6 +103,11 @@ class Check:
                 raise UsageError(
                     f"{self.path}: log name {log.name}: not the name of one folder; give each "
                     "[[log]] a name of its own"
+                )
+            if (self.record / log.name).resolve() == Path(log.path).resolve():
+                raise UsageError(
+                    f"{self.path}: record {self.record}: {log.path} is the log itself; name "
+                    "another folder"
                 )
         return logs
 

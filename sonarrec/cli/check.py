@@ -124,9 +124,10 @@ def check(
         worse: Sequence[str] = ()
         try:
             compared = _compare(one, logs, folder)
-        except SonarrecError:  # nothing that can be compared is on record
+        except SonarrecError as error:
             if not update:
-                raise
+                again = f"`sonarrec check {file} --update` records the results anew"
+                raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
         else:
             judged = _judge(one, compared, replace(limits, methods=methods), band)
             _print(judged, compared, out, markdown, quiet)

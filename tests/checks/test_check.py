@@ -145,6 +145,7 @@ def test_the_record_of_another_log_is_not_compared(repository: Path) -> None:
     shutil.copy(SAMPLES / "faint" / "000050.png", repository / "faint" / "000000.png")
     told = sonarrec("check", code=1)
     assert "results of different logs" in told.stderr
+    assert told.stderr.endswith("--update` records the results anew\n")
     assert "on record" in sonarrec("check", "--update").stdout
     sonarrec("check", "-q")
 
@@ -170,6 +171,7 @@ def test_nothing_is_written_over_the_record() -> None:
         ("[[log]]\npath = 'bare'", "[[log]] 1: no gt.csv in or beside bare"),
         ("[[log]]\npath = 'faint'\nname = '../up'", "not the name of one folder"),
         ("[[log]]\npath = 'faint'\n" * 2, "given 2 times"),
+        ("record = '.'\n[[log]]\npath = 'faint'", "faint is the log itself"),
         ("least_tpr = { framework = 2 }\n[[log]]\npath = 'faint'", "least_tpr.framework must be"),
         ("band = -1\n[[log]]\npath = 'faint'", "band must be a number from 0 to 1"),
     ],
