@@ -115,15 +115,9 @@ def test_a_header_without_its_package() -> None:
     assert decoded("Header h", stamp)["h"]["stamp"] == {"sec": 3, "nanosec": 4}
 
 
-@pytest.mark.parametrize("order", "<>")
-def test_numbers_of_8_bytes_aligned_to_4(order: str) -> None:
-    """Plain XCDR2, which rosbags does not read; big- and little-endian."""
-    text = "uint8 a\nfloat64 b\nint64[2] c\nuint64[] d\nPair[] e\n===\nMSG: pkg/Pair\nfloat64 x"
-    body = struct.pack(f"{order}B3xdqqIQQId", 1, 0.1, -2, 3, 2, 4, 2**64 - 1, 1, 0.7)
-    fields = decoded(text, body, b"\x00\x07\x00\x00" if order == "<" else b"\x00\x06\x00\x00")
-    assert fields == {
-        "a": 1, "b": 0.1, "c": [-2, 3], "d": [4, 2**64 - 1], "e": [{"x": 0.7}],
-    }  # fmt: skip
+def test_other_encodings_than_plain_cdr_are_told() -> None:
+    with pytest.raises(UnusableError, match="otherwise than as plain CDR, as XCDR2 is"):
+        decoded("uint8 a", b"\x01", b"\x00\x07\x00\x00")
 
 
 def test_ros1_by_hand() -> None:

@@ -44,14 +44,12 @@ _TITLE = re.compile(r"MSG:\s*([\w/]+)", re.ASCII)
 _CLOCK = [(name, (Nodetype.BASE, ("uint32", 0))) for name in ("sec", "nanosec")]
 _CLOCKS: Types = {f"builtin_interfaces/msg/{name}": ([], _CLOCK) for name in ("Time", "Duration")}
 # Kinds as rosbags has them. CDR has no empty message: it is written as one byte.
-_HALF = (Nodetype.BASE, ("uint32", 0))
 _OCTETS = (Nodetype.SEQUENCE, ((Nodetype.BASE, ("uint8", 0)), 0))
 _EMPTY = [("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))]
 _NUMPY = {"byte": "uint8", "char": "uint8"}
-_WIDE = {"float64": "d", "int64": "q", "uint64": "Q"}
 _ZSTD = b"\x28\xb5\x2f\xfd"  # a zstd frame begins so; no CDR message does
-# Second byte of the encapsulation header: plain CDR and plain XCDR2, big- and little-endian.
-_CDR_KINDS = {0: ("be", False), 1: ("le", False), 6: ("be", True), 7: ("le", True)}
+_ORDERS = {0: "be", 1: "le"}
+"""Byte order by the second byte of the encapsulation header of plain CDR."""
 
 
 @lru_cache(maxsize=16)  # logs share a few definitions, and generating their code is slow
@@ -125,23 +123,20 @@ class RosDecoder:
     def __init__(self, types: Types, name: str, ros1: bool) -> None:
         """types: the definitions in the file; messages missing there are from known_messages.
         Raises DefinitionError if a message is not defined anywhere or is too large."""
-        self._types, self._name, self._ros1 = types, name.replace("/", "/msg/"), ros1
-        self._layouts = {"": _Layout(types, self._name, ros1)}
+        self._ros1, self._layout = ros1, _Layout(types, name.replace("/", "/msg/"), ros1)
 
     def __call__(self, message: memoryview) -> dict[str, Any]:
         """The fields of a message. A CDR message begins with an encapsulation header of 4 bytes.
         Bytes behind its end are ignored. Raises UnusableError if it is malformed."""
         if self._ros1:
-            return self._layouts[""].fields("deserialize_ros1", message)
+            return self._layout.fields("deserialize_ros1", message)
         if message[:4] == _ZSTD:  # a bag that was compressed message by message
             message = _inflate(message)
-        if len(message) < 4 or message[0] != 0 or message[1] not in _CDR_KINDS:
+        if len(message) < 4 or message[0] != 0 or message[1] > 11:
             raise UnusableError("malformed message (no CDR header)")
-        order, narrow = _CDR_KINDS[message[1]]
-        if narrow and order not in self._layouts:
-            self._layouts[order] = _Layout(self._types, self._name, False, order)
-        layout = self._layouts[order if narrow else ""]
-        return layout.fields(f"deserialize_cdr_{order}", message[4:])
+        if message[1] not in _ORDERS:
+            raise UnusableError("encoded otherwise than as plain CDR, as XCDR2 is")
+        return self._layout.fields(f"deserialize_cdr_{_ORDERS[message[1]]}", message[4:])
 
 
 class _Layout:
@@ -151,11 +146,8 @@ class _Layout:
     whole message if one text in it, such as frame_id, is not UTF-8 or lacks its closing zero.
     """
 
-    def __init__(self, types: Types, name: str, ros1: bool, narrow: str = "") -> None:
-        """narrow: the byte order ("le" or "be") of XCDR2; empty for other encodings. XCDR2 aligns
-        numbers of 8 bytes to 4, which rosbags cannot read. So each of them is declared as two
-        numbers of 4 bytes."""
-        self._types, self._ros1, self._narrow = types, ros1, narrow
+    def __init__(self, types: Types, name: str, ros1: bool) -> None:
+        self._types, self._ros1 = types, ros1
         self._store: Any = Typestore()
         # By name of a message: (kind in the store, nesting depth).
         self._registered: dict[str, tuple[Any, int]] = {}
@@ -163,9 +155,6 @@ class _Layout:
         self._vectors: dict[str, tuple[Any, list[str]]] = {}
         self._field_count = self._items_left = 0
         self._register("string", [_OCTETS], lambda values: values[0])
-        mark = ">" if narrow == "be" else "<"
-        for kind, code in _WIDE.items():
-            self._register(kind, [_HALF, _HALF], partial(_join, f"{mark}2I", f"{mark}{code}"))
         (_, root), _ = self._message(name, 0)
         self._root = self._store.get_msgdef(root)
 
@@ -221,8 +210,6 @@ class _Layout:
             return self._message(detail, depth)
         if detail[0] == "string":
             return _OCTETS, 0
-        if self._narrow and detail[0] in _WIDE:
-            return (Nodetype.NAME, detail[0]), 0
         return listed, 0
 
     def _add_fields(self, count: int) -> None:
@@ -284,8 +271,3 @@ def _inflate(message: memoryview) -> memoryview:
     except zstandard.ZstdError:
         raise UnusableError("malformed message (does not inflate)") from None
     return memoryview(bytes(out))
-
-
-def _join(halves: str, whole: str, values: tuple[int, int]) -> Any:
-    """The number of 8 bytes that was read as two numbers of 4 bytes."""
-    return struct.unpack(whole, struct.pack(halves, *values))[0]
