@@ -56,6 +56,12 @@ GUESSES: dict[str, Callable[[int], str]] = {
     "days": lambda k: (NOON + timedelta(k)).strftime("%d%m%Y"),
     "clock of 12 hours": lambda k: (NOON + timedelta(seconds=60 * k)).strftime("%I-%M-%S %p"),
     "unsaid half of day": lambda k: (NOON + timedelta(seconds=60 * k)).strftime("%I%M%S"),
+    "unsaid half of day with a date": lambda k: (
+        f"2024-05-01_{1 + (11 + k // 60) % 12:02d}-{k % 60:02d}-00"
+    ),
+    "seconds of a minute": lambda k: f"{(50 + k / 4) % 60:.2f}",
+    "hours and minutes": lambda k: f"{(1400 + k) // 60 % 24:02d}{(1400 + k) % 60:02d}",
+    "days, short years": lambda k: (NOON + timedelta(k)).strftime("%d%m%y"),
     "thousands": lambda k: f"{k + 990:,}",
     "letters": lambda k: f"{k // 2}{'ab'[k % 2]}",
 }

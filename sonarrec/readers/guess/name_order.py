@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from sonarrec.arrays import IntArray
-from sonarrec.readers.guess.times import DATE, counts_behind_point
+from sonarrec.readers.guess.times import DATE, counts_behind_point, may_be_half_days
 from sonarrec.tables.order import POINTED, natural_order
 
 _DAY = re.compile(
@@ -22,7 +22,10 @@ _POINTED = re.compile(POINTED)
 _SIGNED = re.compile(r"(?:^|[^0-9A-Za-z)])-$")
 _DATE_MARK = "\0"  # around the digits of a date with the year first
 _DECIMALS = 9  # of numbers with a point
-_LIMITS = (2**8, 2**16, 2**32)  # at which counters begin anew, besides powers of ten
+# At which counters begin anew, besides powers of ten: of bits, and of hours, seconds, HHMM, seconds
+# of an hour, of a day and of a week.
+_LIMITS = (2**8, 2**16, 2**32, 24, 60, 2360, 3600, 86_400, 604_800)
+_HALVES = "of a clock of 12 hours the halves of the day are not told apart"
 
 
 def in_order(paths: Iterable[str]) -> tuple[list[str], str | None]:
@@ -32,19 +35,22 @@ def in_order(paths: Iterable[str]) -> tuple[list[str], str | None]:
     or of a day of 24 hours. Else it is the natural order.
     """
     texts = list(paths)
-    points = [_POINTED.findall(_stem(text)) for text in texts]
+    points = [_POINTED.findall(stem) for stem in _stems(texts)]
     is_count: bool | None = True
     if any(points):
-        is_count = counts_behind_point([(found or [("0", "")])[0] for found in points])
+        is_count = counts_behind_point([(found or [("0", "")])[-1] for found in points])
     ordered = sorted(texts, key=partial(natural_order, decimals=not is_count))
     counted = partial(natural_order, decimals=False)
     if is_count is None and (not all(points) or ordered != sorted(texts, key=counted)):
         return ordered, "what stands behind a point in them may be decimals or a counter"
-    return ordered, _doubt(list(map(_stem, ordered)), any(points), bool(is_count))
+    return ordered, _doubt(_stems(ordered), any(points), bool(is_count))
 
 
-def _stem(path: str) -> str:
-    return os.path.splitext(path)[0]  # noqa: PTH122 - a Path of each takes long
+def _stems(paths: Sequence[str]) -> list[str]:
+    """Names without suffix, and without the folder if it is one. A Path of each would take long."""
+    folders = {path.rpartition(os.sep)[0] for path in paths}
+    start = len(folders.pop()) + 1 if len(folders) == 1 else 0
+    return [os.path.splitext(path[start:] if start > 1 else path)[0] for path in paths]  # noqa: PTH122
 
 
 def _doubt(stems: Sequence[str], pointed: bool, is_count: bool) -> str | None:
@@ -52,17 +58,24 @@ def _doubt(stems: Sequence[str], pointed: bool, is_count: bool) -> str | None:
     numbers with a point; is_count: as `counts_behind_point`."""
     number = re.compile(rf"{POINTED}|[0-9]+" if pointed else "[0-9]+")
     pattern, values, columns = "", array("q"), 0
+    marks = [(DATE, _marked_date), (_DAY, _marked_day)]
+    marks = [(form, mark) for form, mark in marks if form.search(stems[0])][:1]
     for stem in stems:
-        text = _DAY.sub(_marked_day, DATE.sub(_marked_date, stem))
+        text = stem
+        for form, mark in marks:
+            text = form.sub(mark, stem)
         found = [match[0] for match in number.finditer(text)]
         other = number.sub("#", text)
         if other != (pattern := pattern or other):
             return f"{os.path.basename(stem)} is not named as {os.path.basename(stems[0])}"  # noqa: PTH119
         columns = len(found)
         for digits in found:
-            whole, _, part = digits.replace(",", ".").partition(".")
-            part = part.zfill(_DECIMALS) if is_count else part.ljust(_DECIMALS, "0")
-            value = int(whole + part[:_DECIMALS] if pointed else whole)
+            whole = digits
+            if pointed:
+                whole, _, part = digits.replace(",", ".").partition(".")
+                part = part.zfill(_DECIMALS) if is_count else part.ljust(_DECIMALS, "0")
+                whole += part[:_DECIMALS]
+            value = int(whole)
             if value >= 2**63:
                 return f"{digits} is longer than a number that counts"
             values.append(value)
@@ -94,7 +107,7 @@ def _doubt_of(table: IntArray, pattern: str, stem: str, scale: int) -> str | Non
     if not varying:
         return "several have the same name"
     if _HALF_OF_DAY.search(stem):
-        return "of a clock of 12 hours the halves of the day are not told apart"
+        return _HALVES
     between = pattern.split("#")
     for column in varying:
         if _SIGNED.search("0" * bool(column) + between[column]):
@@ -102,16 +115,19 @@ def _doubt_of(table: IntArray, pattern: str, stem: str, scale: int) -> str | Non
     rising = [column for column in varying if (steps[:, column] > 0).all()]
     time = next((c for c in varying if _is_time(table[:, c], between[c], scale)), None)
     if time is not None:
+        is_date = between[time].endswith(_DATE_MARK) and 10**8 < table[0, time] // scale < 10**10
+        if is_date and may_be_half_days(table[:, time] // scale // 3600 % 24):
+            return _HALVES
         others = [column for column in varying if column not in rising and column != time]
         if (steps[:, time] >= 0).all() and others in ([], [time + 1]):
             return None
     elif (clock := _clock(table // scale, between, varying)) is not None:
         return clock or None
     elif len(varying) == 1:
-        counter = table[:, varying[0]] // scale
-        if rising and scale == 1 and _begins_anew(counter):
-            return f"the counter may begin anew after {counter[-1]}"
-        if len(str(counter[-1])) in (7, 8) and _is_day_first(counter):
+        counter = table[:, varying[0]]
+        if rising and _begins_anew(counter, scale):
+            return f"the counter may begin anew after {counter[-1] / scale:.9g}"
+        if _is_day_first(counter // scale):
             return "they may be dates without the year first"
         return None
     if rising == varying:
@@ -143,22 +159,26 @@ def _clock(table: IntArray, between: Sequence[str], varying: Sequence[int]) -> s
     hours = set(hour.tolist())
     if {0, 23} <= hours:
         return "times of day without a date may go over midnight"
-    if {1, 12} <= hours and max(hours) == 12:
-        return "of a clock of 12 hours the halves of the day are not told apart"
-    return ""
+    return _HALVES if may_be_half_days(hour) else ""
 
 
 def _is_day_first(digits: IntArray) -> bool:
     """Whether numbers may be days, months and years in this order, or months and days."""
-    first, second, year = digits // 10**6, digits // 10**4 % 100, digits % 10**4
-    both = np.stack([first, second])
-    return bool((year // 100 == 20).all() and both.min() > 0 and both.max() <= 31)
+    for years, is_year in (
+        (10**4, (digits % 10**4 // 100 == 20).all()),
+        (10**2, len(set((digits % 100).tolist())) <= 2 < len(digits)),
+    ):
+        both = np.stack([digits // years // 100, digits // years % 100])
+        if is_year and both.min() > 0 and both.max() <= 31 and both.min(axis=0).max() <= 12:
+            return True
+    return False
 
 
-def _begins_anew(counter: IntArray) -> bool:
+def _begins_anew(counter: IntArray, scale: int) -> bool:
     """Whether numbers that rise are two stretches of a counter that reached its limit."""
     steps = np.diff(counter)
     usual = 2 * int(np.median(steps))
     last = int(counter[-1])
-    ends = any(last < limit <= last + usual for limit in (10 ** len(str(last)), *_LIMITS))
+    limits = (10 ** len(str(last // scale)), *_LIMITS)
+    ends = any(last < limit * scale <= last + usual for limit in limits)
     return bool(ends and counter[0] <= usual and steps.max() > np.ptp(counter) / 2 > usual)

@@ -91,6 +91,8 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     parts = np.array([int(f"{text:0<9}") for text in fractions], np.int64)
     if alike is not None and _fraction_counts(whole, parts, *alike):
         parts = np.zeros_like(parts)
+    if form is DATE and may_be_half_days(whole // 3600 % 24):
+        return None
     steps = np.diff(times := whole * 10**9 + parts)
     if len(steps) and (steps.min() <= 0 or np.median(steps) < LEAST_STEP_NS):
         return None
@@ -99,6 +101,13 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     within_a_minute = np.ptp(whole // 60) == 0 and whole[0] % 86400 < 3600
     counts = len(whole) > 1 and within_a_minute and np.ptp(whole) == len(whole) - 1
     return None if form is DATE and not parts.any() and counts else times
+
+
+def may_be_half_days(hours: IntArray) -> bool:
+    """Whether hours may be those of a clock of 12: 12 and 1 are there, none above, and not all
+    between, as in a recording from one to twelve."""
+    held = set(hours.tolist())
+    return {1, 12} <= held and min(held) == 1 and max(held) == 12 and len(held) < 12
 
 
 def counts_behind_point(numbers: Sequence[tuple[str, str]]) -> bool | None:
