@@ -35,6 +35,8 @@ def in_order(paths: Iterable[str]) -> tuple[list[str], str | None]:
     or of a day of 24 hours. Else it is the natural order.
     """
     texts = list(paths)
+    if len(texts) < 2:
+        return texts, None
     points = [_POINTED.findall(stem) for stem in _stems(texts)]
     is_count: bool | None = True
     if any(points):
@@ -79,8 +81,6 @@ def _doubt(stems: Sequence[str], pointed: bool, is_count: bool) -> str | None:
             if value >= 2**63:
                 return f"{digits} is longer than a number that counts"
             values.append(value)
-    if len(stems) < 2:
-        return None
     table = np.frombuffer(values, np.int64).reshape(len(stems), columns)
     return _doubt_of(table, pattern, stems[0], scale=10**_DECIMALS if pointed else 1)
 
