@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sonarrec.config import preset
-    from sonarrec.evaluation.evaluate import evaluate
+    from sonarrec.functions import compare, evaluate, map_landmarks, overlay, report, run
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
     from sonarrec.results.read import read_results
     from sonarrec.runs.frames import Recogniser
-    from sonarrec.runs.one import run
     from sonarrec.simulation.simulate import simulate
 
 # OpenCV reads this when it is loaded: it refuses image files whose headers state more than
@@ -30,22 +29,30 @@ __version__ = "0.2.0.dev0"
 
 _HOMES = {
     "Recogniser": "runs.frames",
-    "evaluate": "evaluation.evaluate",
+    "compare": "functions",
+    "evaluate": "functions",
     "load_landmarks": "landmarks",
+    "map_landmarks": "functions",
     "open_log": "readers",
+    "overlay": "functions",
     "preset": "config",
     "read_results": "results.read",
-    "run": "runs.one",
+    "report": "functions",
+    "run": "functions",
     "simulate": "simulation.simulate",
 }
 __all__ = [
     "Recogniser",
     "__version__",
+    "compare",
     "evaluate",
     "load_landmarks",
+    "map_landmarks",
     "open_log",
+    "overlay",
     "preset",
     "read_results",
+    "report",
     "run",
     "simulate",
 ]
@@ -60,4 +67,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return __all__

@@ -20,7 +20,7 @@ FLOORS = (
     {"truth", "runs"},
     {"evaluation", "overlays", "learning", "mapping"},
     {"reports", "checks"},
-    {"simulation"},
+    {"simulation", "functions"},
     {"cli"},
     {"__main__"},
 )
@@ -52,6 +52,8 @@ MAY_IMPORT = {
         "results.read",
         "reports.mistakes",
         "evaluation.tables",
+        "evaluation.comparison",
+        "functions",
     ),
     "pyarrow": ("tables.parquet",),
     "matplotlib": ("evaluation.plots", "mapping.picture", "reports.svg", "truth.contact_sheet"),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import sonarrec
@@ -20,14 +21,8 @@ from tests.support.command import sonarrec as command
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "sample_data" / "pan"
 NAMES = {
-    "Recogniser",
-    "evaluate",
-    "load_landmarks",
-    "open_log",
-    "preset",
-    "read_results",
-    "run",
-    "simulate",
+    *("Recogniser", "compare", "evaluate", "load_landmarks", "map_landmarks", "open_log"),
+    *("overlay", "preset", "read_results", "report", "run", "simulate"),
 }
 
 
@@ -44,7 +39,7 @@ def test_import_alone_loads_nothing_heavy_nor_of_ours() -> None:
 
 def test_every_name_is_there_and_no_other() -> None:
     assert {*sonarrec.__all__} - {"__version__"} == NAMES
-    assert set(dir(sonarrec)) >= NAMES
+    assert set(dir(sonarrec)) == {*NAMES, "__version__"}
     # In one process: a submodule that is imported must not stand in the place of a function.
     for name in sorted(NAMES):
         assert callable(getattr(sonarrec, name)), name
@@ -63,17 +58,83 @@ def test_the_page_s_code_runs_in_order(
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "sonarrec" / "help" / "python.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     names: dict[str, Any] = {}
     for block in blocks:
         exec(compile(block, "python.md", "exec"), names)
     printed = capsys.readouterr().out
     assert "results/pan 128 frames" in printed
     assert "strict framework" in printed
+    assert "results/pan is as good as results/pan: TPR 0.99" in printed
+    for made in ("results/report.html", "results/compare.html", "shots/000033.png"):
+        assert Path(made).is_file()
     assert re.search(r"framework ID\.[13] \d\.\d\d m", printed)
     assert printed.splitlines()[-1] == "10"
     for name in NAMES:
         assert f"sonarrec.{name}" in text, name
+
+
+@pytest.mark.slow
+def test_functions_give_what_commands_write(tmp_path: Path) -> None:
+    """Of two logs and one that is not there, in two processes; each table against its file."""
+    for name, frames in (("a", 12), ("b", 9)):
+        (tmp_path / name).mkdir()
+        for file in (*(f"{n:06d}.png" for n in range(frames)), "sonar.toml", "gt.csv"):
+            shutil.copy(SAMPLE / file, tmp_path / name / file)
+    logs, out = [tmp_path / name for name in ("a", "gone", "b")], tmp_path / "out"
+    done = sonarrec.run(logs, out, jobs=2)
+    assert repr(done) == f"<{out}: 2 logs, 21 frames; 1 failed>"
+    written = pd.read_csv(out / "logs.csv")
+    assert written.log.tolist() == done.table.log.tolist() == ["a", "gone", "b"]
+    assert done.table.status.tolist() == ["done", "failed", "done"]
+    assert "no such file" in done.table.message[1]
+    assert [summary.folder.name for summary in done] == ["a", "b"]
+    assert repr(next(iter(done))).startswith(f"<{out / 'a'}: 12 frames, ")
+    with pytest.raises(SonarrecError, match="no such file"):
+        sonarrec.run([tmp_path / "gone"], out)
+    with pytest.raises(UsageError, match="observe"):
+        sonarrec.run(logs, out, observe=print)
+
+    scores = sonarrec.evaluate(out, out=tmp_path / "scored", method=["framework"])
+    command("evaluate", "-q", out, "--method", "framework", code=3)
+    for name in ("figures.csv", "confusion.csv", "evaluation.json"):
+        expected = (out / "evaluation" / name).read_bytes()
+        assert (tmp_path / "scored" / name).read_bytes() == expected, name
+    assert scores.table.index.tolist() == ["framework"]
+    totals = scores.confusion[scores.confusion.landmark == "total"].set_index("protocol")
+    assert scores.table["paper TPR"].item() == totals.tpr["paper"]
+    assert scores.table["strict FPR"].item() == totals.fpr["strict"]
+    assert len(repr(scores)) < 120
+
+    sonarrec.run(logs[::2], tmp_path / "strict", preset=_claiming_nothing())
+    found = sonarrec.compare(out, tmp_path / "strict")
+    command("evaluate", "-q", "--compare", out, tmp_path / "strict")
+    files = tmp_path / "strict" / "evaluation"
+    assert repr(found) == f"<{found.verdict}>"
+    assert f"{tmp_path / 'strict'} is worse than {out}: TPR 0.9048 -> 0.0000" in found.verdict
+    assert found.table["strict TPR new"].tolist() == [0]
+    compared, changed = pd.read_csv(files / "compare.csv"), pd.read_csv(files / "changes.csv")
+    np.testing.assert_allclose(found.figures.new, compared.new)
+    assert found.changes.frame.tolist() == changed.frame.tolist()
+
+    page = sonarrec.report(out, tmp_path / "page.html", logs=[logs[0], logs[2]])
+    assert page.path.is_file()
+    assert sonarrec.report(found).path == tmp_path / "strict" / "compare.html"
+    drawn = sonarrec.overlay(logs[0], out, images=tmp_path / "drawn", frames=(2, 4))
+    assert repr(drawn) == "<2 frames of framework drawn>"
+    assert len([*(tmp_path / "drawn").glob("*.png")]) == 2
+    with pytest.raises(UsageError, match="nothing to write"):
+        sonarrec.overlay(logs[0], out)
+
+    site = sonarrec.map_landmarks(out / "a", tmp_path / "map")
+    assert repr(site) == f"<map of {len(site.landmarks)} landmark from 1 log>"
+    pd.testing.assert_frame_equal(site.landmarks, pd.read_csv(tmp_path / "map" / "map.csv"))
+    assert site.passes.log.tolist() == ["a"]
+
+
+def _claiming_nothing() -> Any:
+    settings = sonarrec.preset("default")
+    return replace(settings, features=replace(settings.features, declare=1.0))
 
 
 def test_frame_by_frame_is_what_a_run_writes(tmp_path: Path) -> None:

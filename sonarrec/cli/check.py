@@ -26,7 +26,7 @@ from sonarrec.errors import SonarrecError, UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.checks.file import Check, LogToRun
-    from sonarrec.evaluation.compare import Comparison
+    from sonarrec.evaluation.comparison import Comparison
     from sonarrec.evaluation.limits import Judgement, Limits
     from sonarrec.runs.task import Task
 

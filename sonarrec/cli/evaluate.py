@@ -16,7 +16,7 @@ from sonarrec.cli.groups import FiniteRange, command, in_batch, in_output, in_sc
 from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
-    from sonarrec.evaluation.compare import Comparison
+    from sonarrec.evaluation.comparison import Comparison
     from sonarrec.evaluation.limits import Limits
     from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.evaluation.pairs import Pair

@@ -46,6 +46,18 @@ class FrameChange:
         return "worse" if more > 0 else "better" if more < 0 else "other"
 
 
+CHANGES = (
+    *("protocol", "method", "log", "frame", "landmark", "change"),
+    *("tp_old", "fp_old", "fn_old", "tp_new", "fp_new", "fn_new"),
+)
+"""Columns of changes.csv."""
+
+
+def change_cells(c: FrameChange) -> tuple[object, ...]:
+    """The cells of CHANGES."""
+    return c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new
+
+
 @dataclass(frozen=True, slots=True)
 class FrameRun:
     """Equal changes in neighbouring frames."""

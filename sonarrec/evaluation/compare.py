@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,8 @@ from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics, SonarrecError, printable
 from sonarrec.evaluation import metrics, unit_sums
 from sonarrec.evaluation.changes import ByMethod, FrameChanges
-from sonarrec.evaluation.compare_settings import SettingChange, changed_settings
+from sonarrec.evaluation.compare_settings import changed_settings
+from sonarrec.evaluation.comparison import Comparison, PassChanges, RateChange
 from sonarrec.evaluation.count import Adder, Counts
 from sonarrec.evaluation.intervals import (
     Difference,
@@ -25,7 +25,7 @@ from sonarrec.evaluation.intervals import (
 )
 from sonarrec.evaluation.logs import UnreadableLog, check_logs, map_logs
 from sonarrec.evaluation.match import DEFAULT, ScoringOptions
-from sonarrec.evaluation.metrics import BY_NAME, MAIN
+from sonarrec.evaluation.metrics import MAIN
 from sonarrec.evaluation.pairing import CountedPair, LogPair, count_pair, pair_logs
 from sonarrec.evaluation.pairs import FindBeside, Pair
 from sonarrec.evaluation.passes import UnitKind
@@ -35,134 +35,6 @@ from sonarrec.nouns import follows
 from sonarrec.results.methods import chosen
 from sonarrec.results.run_file import read_run
 from sonarrec.truth.fits import tell_rows
-
-FRAMES_FREE = 2
-"""So many frames may get worse, whatever the band: 2 of 24 are no trend, though they are .083."""
-
-
-@dataclass(frozen=True, slots=True)
-class RateChange:
-    """A rate of one method, before and after."""
-
-    protocol: str
-    method: str
-    landmark_text: str
-    """An ID or "total"."""
-    rate: str
-    """Name of a metric of MAIN."""
-    old: float
-    new: float
-    """NaN where 0/0."""
-    of: int
-    """The denominator: how many cases the rate is over."""
-
-    @property
-    def worse(self) -> float:
-        """By how much it got worse; negative if it got better. 0/0 counts as 0."""
-        up = float(np.nan_to_num(self.new) - np.nan_to_num(self.old))
-        return up if self.rate == "fpr" else -up
-
-    def is_regression(self, band: float) -> bool:
-        """Whether it got worse by more than `band` and by more than FRAMES_FREE frames."""
-        return self.worse > max(band, FRAMES_FREE / max(self.of, 1)) + 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class PassChange:
-    """A pass of a landmark in which one method is right in more frames, or in fewer."""
-
-    protocol: str
-    method: str
-    log: str
-    landmark: int
-    first_frame: int
-    last_frame: int
-    frames: int
-    """Frames with the whole landmark in view."""
-    old: int
-    new: int
-    """Frames of these in which it was claimed."""
-
-
-@dataclass(frozen=True, slots=True)
-class PassChanges:
-    """All PassChange records. Each is made when it is asked for, since many logs have very many."""
-
-    before: Counts
-    after: Counts
-    methods: tuple[tuple[str, str], ...]
-    """Protocol and method of those compared."""
-
-    def __iter__(self) -> Iterator[PassChange]:
-        counts, passes = self.after, self.after.passes
-        for of in self.methods:
-            a, b = self.before.outcomes(*of), counts.outcomes(*of)
-            for i in np.flatnonzero(a.right != b.right).tolist():
-                yield PassChange(
-                    *of,
-                    log=counts.logs[passes.log_index[i]],
-                    landmark=counts.ids[passes.landmark_index[i]],
-                    first_frame=int(passes.first_frame[i]),
-                    last_frame=int(passes.last_frame[i]),
-                    frames=int(b.frames[i]),
-                    old=int(a.right[i]),
-                    new=int(b.right[i]),
-                )
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """What `compare` found."""
-
-    old: str
-    new: str
-    """The results folders as given."""
-    logs: tuple[str, ...]
-    frames_compared: int
-    units: str
-    """What intervals and tests treat as independent, such as "12 passes"."""
-    landmarks: tuple[int, ...]
-    settings: tuple[SettingChange, ...]
-    """The settings that differ."""
-    rates: tuple[RateChange, ...]
-    frames: FrameChanges
-    passes: PassChanges
-    differences: tuple[Difference, ...]
-    """New minus old, per ID and in total, with interval and p-value."""
-    lost: tuple[str, ...]
-    """Methods that only the old results have."""
-    gained: tuple[str, ...]
-    """Methods that only the new results have."""
-    unplaced: bool
-    """Whether protocol strict could be scored for the old results only."""
-    notes: tuple[str, ...]
-    unused: tuple[str, ...]
-    """Input that could not be used, one line each."""
-
-    @property
-    def methods(self) -> tuple[tuple[str, str], ...]:
-        """(protocol, method) of those in both results, the leading method first."""
-        return self.frames.methods
-
-    def regressions(self, band: float, methods: Container[str] | None = None) -> list[str]:
-        """A line for each rate that got worse by more than `band`, and for each missing method or
-        protocol. methods: those looked at; None: all."""
-        looked_at = [m for m in self.lost if methods is None or m in methods]
-        lines = [f"{method}: no longer in the results" for method in looked_at]
-        lines += ["protocol strict: no longer scored"] * self.unplaced
-        for r in self.rates:
-            if (methods is None or r.method in methods) and r.is_regression(band):
-                name = "ID." * r.landmark_text.isdigit() + r.landmark_text
-                lines.append(
-                    f"{r.method}, {r.protocol}, {name}: {BY_NAME[r.rate].label} was "
-                    f"{rate_text(r.old)}, is {rate_text(r.new)}"
-                )
-        return lines
-
-
-def rate_text(rate: float) -> str:
-    """A rate to four digits, or "0/0"."""
-    return "0/0" if math.isnan(rate) else f"{rate:.4f}"
 
 
 def compare(

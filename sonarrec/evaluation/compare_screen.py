@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from sonarrec.errors import number_of, printable
-from sonarrec.evaluation.compare import Comparison
-from sonarrec.evaluation.verdict import rate_table, verdict
+from sonarrec.evaluation.comparison import Comparison, rate_table
 
 MOST_LINES = 12
 MOST_RUNS = 6
@@ -18,7 +17,7 @@ def screen(found: Sequence[Comparison]) -> str:
 
     Changes of frames are those under the stricter protocol; changes.csv has those of both.
     """
-    lines = [verdict(one) for one in found]
+    lines = [one.verdict for one in found]
     table = rate_table(found)
     widths = [max(map(len, column)) + 2 for column in zip(*table, strict=True)]
     lines += ["", *("".join(map(str.ljust, row, widths)).rstrip() for row in table), ""]

@@ -8,8 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from textwrap import indent
 
-from sonarrec.evaluation.compare import Comparison
-from sonarrec.evaluation.verdict import verdict
+from sonarrec.evaluation.changes import CHANGES, change_cells
+from sonarrec.evaluation.comparison import Comparison
 from sonarrec.evaluation.write import as_record, finite_or_none, json_text, write_table
 from sonarrec.tables.outputs import (
     check_no_recording,
@@ -20,10 +20,6 @@ from sonarrec.tables.outputs import (
 )
 
 COMPARE = ("protocol", "method", "landmark", "rate", "old", "new", "worse_by", "of")
-CHANGES = (
-    *("protocol", "method", "log", "frame", "landmark", "change"),
-    *("tp_old", "fp_old", "fn_old", "tp_new", "fp_new", "fn_new"),
-)
 
 
 def write_comparison(folder: Path, comparison: Comparison) -> tuple[str, ...]:
@@ -35,10 +31,7 @@ def write_comparison(folder: Path, comparison: Comparison) -> tuple[str, ...]:
         (r.protocol, r.method, r.landmark_text, r.rate, r.old, r.new, r.worse, r.of)
         for r in comparison.rates
     )
-    changes = (
-        (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
-        for c in comparison.frames
-    )
+    changes = map(change_cells, comparison.frames)
     check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
     check_output(folder / "compare.json", "JSON", header='{\n  "old": ')
     check_no_recording(folder, ["evaluation.json", "compare.csv"])
@@ -69,7 +62,7 @@ def _comparison_json(comparison: Comparison) -> Iterator[str]:
     document = {
         "old": comparison.old,
         "new": comparison.new,
-        "verdict": verdict(comparison),
+        "verdict": comparison.verdict,
         "logs": list(comparison.logs),
         "frames": comparison.frames_compared,
         "landmarks": list(comparison.landmarks),

@@ -32,56 +32,8 @@ from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.tables import Evaluation
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.results.same_log import CountedOnce
-from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import tell_other_logs, tell_rows
 from sonarrec.truth.table import TruthTable, read_truth
-
-
-def evaluate(
-    results: str | Path,
-    ground_truth: str | Path | None = None,
-    *,
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
-    method: str | Sequence[str] = (),
-    unit: UnitKind | None = None,
-    jobs: int | None = 1,
-) -> Evaluation:
-    """Score a results folder (of one log, or of several) against gt.csv.
-
-    The figures, intervals and tests are those of `sonarrec evaluate`.
-
-    Without ground_truth the NAME.gt.csv, or gt.csv, beside each log is taken.
-    Of several results of one recording the first counts.
-
-    A claim is an estimate that is declared (operating point) or whose score reaches the
-    threshold (curves). A row with visible 0 is no row.
-
-    Protocol "paper", per frame and ID: in view and claimed = TP, each further claim of it one TP
-    more; in view and not claimed = FN; not in view and claimed, however often, = FP; else TN.
-    Position plays no part. Half a disc or more is in view, anything less is not: as in the paper,
-    every frame counts. Count.tpr_once is the TPR without the further claims.
-
-    Protocol "strict": a landmark with visible >= min_visible is a positive; with less it is
-    ignored. A claim belongs to the truth of its ID that is nearest in that frame, if
-    its centre is within half a disc diameter of it in the fan plane. The first claim of a
-    positive (the one of highest score) is TP; every further one, and every claim that belongs to
-    no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
-    (FN and FP). Claims of a partly visible landmark are not counted. TN: a frame and ID of which
-    nothing shows and which is not claimed. So an FP replaces a TN the first time an absent ID is
-    claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
-    0 to 1 and no false claim is free.
-
-    method: one or several to score; default: all, the framework first.
-    unit: what is independent, "pass" or "log"; default: logs if there are ten or more. jobs: how
-    many logs are read at once, each in its own process.
-    Raises SonarrecError where files cannot be used or have no frame in common.
-    """
-    methods = (method,) if isinstance(method, str) else tuple(method)
-    options = ScoringOptions(min_visible, tolerance_s, landmarks, sonar, methods)
-    return evaluate_logs(results, ground_truth, options, unit=unit, jobs=jobs)
 
 
 def evaluate_logs(
@@ -93,7 +45,7 @@ def evaluate_logs(
     jobs: int | None = None,
     find_beside: FindBeside | None = None,
 ) -> Evaluation:
-    """As `evaluate`, also of pairs of a log's results and its truth.
+    """Score a results folder, of one log or of several, or pairs of results and truth.
 
     Each log is read, matched and counted by itself, so that memory does not grow with the logs.
     jobs: number of processes, as in `logs.map_logs`; it does not change the result. find_beside:

@@ -94,7 +94,7 @@ class Judged:
 
 
 def judge(log: Matched, method: str | None, protocol: str) -> Judged:
-    """Judge a method's claims as `evaluate.evaluate` says; None, or a missing method, has none.
+    """Judge a method's claims as `sonarrec.evaluate` says; None, or a missing method, has none.
 
     A cell is an ID in a frame, numbered as frame * K + ID.
     """

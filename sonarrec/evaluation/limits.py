@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from sonarrec.errors import UsageError, number_of
-from sonarrec.evaluation.compare import Comparison, RateChange, rate_text
+from sonarrec.evaluation.comparison import Comparison, RateChange, rate_text
 from sonarrec.evaluation.count import Scored
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.metrics import BY_NAME

@@ -114,9 +114,22 @@ class Evaluation:
         """The rows of a table, one of HEADERS."""
         return _ROWS[name](self)
 
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row per method: TPR and FPR under each protocol over all IDs, HOTA and IDF1."""
+        of_method: dict[str, dict[str, float]] = {}
+        for s in self.scored:
+            count, row = s.count(), of_method.setdefault(s.method, {})
+            row |= {f"{s.protocol} TPR": count.tpr, f"{s.protocol} FPR": count.fpr}
+        for f in self.summary.figures:
+            if f.name in ("hota", "idf1"):
+                of_method[f.method][f.name.upper()] = f.value
+        return pd.DataFrame.from_dict(of_method, orient="index").rename_axis("method")
+
     def __repr__(self) -> str:
         of = f"{number_of(len(self.folders), 'log')}, {number_of(self.counts.frames, 'frame')}"
-        return f"<Evaluation of {of}: {'; '.join(map(repr, self.scored))}>"
+        leading = [s for s in self.scored if s.method == self.scored[0].method][-1]
+        return f"<Evaluation of {of}: {repr(leading)[1:]}"
 
 
 def counts_by_id(scored: Scored) -> list[tuple[str, Count]]:

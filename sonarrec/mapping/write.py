@@ -68,8 +68,8 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
     check_no_recording(folder, headers)
     with writing(folder):
-        _write_map(tables[0], site)
-        _write_passes(tables[1], site)
+        write_csv(tables[0], MAP_COLUMNS, map_rows(site))
+        write_csv(tables[1], PASS_COLUMNS, pass_rows(site))
         write_factors(tables[2], site, measurements, vertices)
         write_g2o(g2o, site, measurements, vertices)
         draw_map(picture, site)
@@ -91,8 +91,8 @@ def _pose_cells(site: SiteMap, one: Landmark | Pass, landmark: int) -> list[str]
     return [*cells, f"{orientation:.2f}", f"{one.orientation_sigma_deg:.2f}"]
 
 
-def _write_map(path: Path, site: SiteMap) -> None:
-    """Write map.csv: a row per landmark."""
+def map_rows(site: SiteMap) -> list[list[object]]:
+    """The rows of map.csv, one per landmark."""
     rows: list[list[object]] = []
     for number, landmark in enumerate(site.landmarks, 1):
         passes = [one for _, one in landmark.members]
@@ -109,11 +109,11 @@ def _write_map(path: Path, site: SiteMap) -> None:
                 frames_of(landmark.others),
             ]
         )
-    write_csv(path, MAP_COLUMNS, rows)
+    return rows
 
 
-def _write_passes(path: Path, site: SiteMap) -> None:
-    """Write passes.csv: a row per pass, also for passes of landmarks that were left out."""
+def pass_rows(site: SiteMap) -> list[list[object]]:
+    """The rows of passes.csv, one per pass, also of landmarks that were left out."""
     axes = Axes(site.ros_axes)
     number = {
         one: n
@@ -135,7 +135,7 @@ def _write_passes(path: Path, site: SiteMap) -> None:
                     f"{axes.yaw(yaw):.3f}",
                 ]
             )
-    write_csv(path, PASS_COLUMNS, rows)
+    return rows
 
 
 def _periods_deg(site: SiteMap) -> dict[int, float]:

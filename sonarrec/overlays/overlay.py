@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.drawing.pen import draw_picture
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
-from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError
+from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, number_of
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
 from sonarrec.overlays.foxglove_mcap import FAN_TOPIC, LAYOUT_BEGIN, FoxgloveFile, write_layout
@@ -45,13 +45,16 @@ class Targets:
     layout: Path | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class OverlayReport:
     """The method shown, the number of frames written, and what is to be told."""
 
     method: str
     frames: int
     diagnostics: Diagnostics
+
+    def __repr__(self) -> str:
+        return f"<{number_of(self.frames, 'frame')} of {self.method} drawn>"
 
 
 def write_overlay(

@@ -39,7 +39,7 @@ MOST_MISTAKEN = 6
 """Pictures of sightings, and of each method's mistakes: each adds some 60 kB to the page."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Report:
     """What was written.
 
@@ -51,6 +51,9 @@ class Report:
     pictures: int
     held: int
     unused: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"<{self.path}: {number_of(self.pictures, 'picture')}>"
 
 
 def write_report(

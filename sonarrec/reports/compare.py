@@ -11,11 +11,10 @@ from typing import Any
 from sonarrec import __version__
 from sonarrec.errors import name_as_text
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.compare import Comparison, PassChange
 from sonarrec.evaluation.compare_screen import outcome, settings_lines
+from sonarrec.evaluation.comparison import SIGNIFICANT, Comparison, PassChange
 from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.verdict import SIGNIFICANT, verdict
 from sonarrec.reports.page import filled
 from sonarrec.tables.outputs import write_page
 
@@ -39,7 +38,7 @@ def write_comparison_page(path: Path, comparison: Comparison) -> None:
         version=__version__,
         old=name_as_text(comparison.old),
         new=name_as_text(comparison.new),
-        verdict=name_as_text(verdict(comparison)),
+        verdict=name_as_text(comparison.verdict),
         found=comparison,
         level=f"{LEVEL:.0%}",
         least=MIN_UNITS,

@@ -239,7 +239,7 @@ def estimate_tables(
         yield first, table
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Tables:
     """The tables of one log's results, with the rows and columns of the files.
 
@@ -250,6 +250,9 @@ class Tables:
     frames: pd.DataFrame
     estimates: pd.DataFrame
     sightings: pd.DataFrame | None
+
+    def __repr__(self) -> str:
+        return f"<{len(self.frames)} frames, {len(self.estimates)} estimates>"
 
 
 def read_results(folder: str | Path) -> Tables:

@@ -65,6 +65,11 @@ class LogsTable:
         self._written_at_s = -math.inf
         self.fault: str | None = None  # why the file could not be written
 
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Those of this call."""
+        return tuple(self._rows)
+
     def started(self, i: int) -> None:
         """Task i has begun."""
         self._rows[i] = replace(self._rows[i], status="running")

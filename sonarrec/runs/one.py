@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from heapq import nlargest
 from pathlib import Path
-from typing import Any
 
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import SonarrecError, number_of
-from sonarrec.nouns import Clock, Frame, FrameResult, Stamps
+from sonarrec.nouns import Frame, FrameResult, Stamps
 from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.remote.find import RemoteLog
-from sonarrec.remote.urls import local
 from sonarrec.results.folders import folder_names
-from sonarrec.results.run_file import LogOptions, existing_results, frame_span, span_text
+from sonarrec.results.run_file import LogOptions, existing_results
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
-from sonarrec.runs.frames import Presets, configs_of
 from sonarrec.runs.prepare import PreparedRun, RunOptions, prepare
 from sonarrec.runs.two_cores import BrokenProcessPool, two_cores
-from sonarrec.sonar import Sonar, sonar_from
 
 Observe = Callable[[FrameResult, int | None], None]
 """Called with each result and the number of frames, None where that is not known."""
@@ -32,7 +28,7 @@ MOST_SIGHTINGS = 20
 """Kept of each method in a Summary; sightings.csv has all."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Summary:
     """How the run of one log went.
 
@@ -55,50 +51,9 @@ class Summary:
     landmarks: dict[int, int]
     up_to_date: bool = False
 
-
-def run(
-    log: str | Path,
-    out: str | Path = "sonarrec_out",
-    *,
-    preset: Presets = "default",
-    landmarks: str | Path | None = None,
-    model: str | Path | None = None,
-    sonar: Sonar | Mapping[str, Any] | None = None,
-    sonar_file: str | Path | None = None,
-    topic: str | None = None,
-    time: Clock | None = None,
-    odometry: str | Path | None = None,
-    frames: tuple[int, int | None] | None = None,
-    overwrite: bool = False,
-    observe: Observe | None = None,
-) -> Summary:
-    """Recognise the landmarks in a log and write its results to `out`/<log name>/.
-
-    log: an MCAP file, a bag of ROS, a folder or glob of images, a video or a sonar's own file.
-    preset: "default", "offline", "paper", a Config, or several, each of a name of its own.
-    landmarks: a set by name or TOML file, default `basin`. model: of `sonarrec calibrate`. sonar:
-    geometry that wins over files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m,
-    deg). sonar_file: in place of the sonar.toml beside the log. topic: the image channel of an
-    MCAP or bag. time: which time of its messages names a frame, "log" (default), "publish" or
-    "header". odometry: CSV of the sonar's poses. frames: only those from the first number up to,
-    not including, the second, if there is one; they keep their numbers. overwrite: do again what is
-    up to date, and replace the results of another log of that name. observe: called after each
-    frame with its FrameResult and the number of frames (None where unknown).
-
-    Raises SonarrecError for input or settings that cannot be used; what was written stays.
-    """
-    log_options = LogOptions(
-        sonar=sonar_from(sonar),
-        sonar_file=None if sonar_file is None else Path(sonar_file),
-        topic=topic,
-        time=time,
-        odometry=None if odometry is None else Path(odometry),
-        # By the text that run.toml will hold: what it could not give back is refused.
-        frames=None if frames is None else frame_span(span_text(frames)),
-    )
-    learned = None if model is None else Path(model)
-    run_options = RunOptions(configs_of(preset), landmarks, learned)
-    return process(log, local(out), log_options, run_options, observe, overwrite=overwrite)
+    def __repr__(self) -> str:
+        passes = number_of(sum(self.passes.values()), "sighting")
+        return f"<{self.folder}: {number_of(self.frames, 'frame')}, {passes}>"
 
 
 def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str]:

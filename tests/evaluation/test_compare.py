@@ -12,10 +12,10 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.compare import RateChange, compare
+from sonarrec.evaluation.compare import compare
+from sonarrec.evaluation.comparison import RateChange, change_text
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import Pair, read_pairs
-from sonarrec.evaluation.verdict import change_text, verdict
 from tests.evaluation.test_evaluation import (
     ESTIMATE_HEADER,
     TRUTH_HEADER,
@@ -95,7 +95,7 @@ def test_a_verdict_tells_passes_and_whether_it_may_be_chance(tmp_path: Path) -> 
     def told(lost: int, halved: int = 0) -> str:
         kept = {f for f in whole if f >= 40 * lost and (f >= 40 * (lost + halved) or f % 40 < 5)}
         new, _ = write_case(tmp_path / f"new{lost}", range(320), claims(kept), truth)
-        return verdict(compare(old, new, gt)).partition("is ")[2]
+        return compare(old, new, gt).verdict.partition("is ")[2]
 
     rates = "TPR 1.0000 -> 0.3750, FPR 0.0000 (m, strict)"
     assert told(5) == (
@@ -107,7 +107,7 @@ def test_a_verdict_tells_passes_and_whether_it_may_be_chance(tmp_path: Path) -> 
     )
     new, _ = write_case(tmp_path / "f", range(320), claims(whole, whole), truth)
     missed, _ = write_case(tmp_path / "m", range(320), claims(whole - {*range(9)}), truth)
-    assert "is neither better nor worse than" in verdict(compare(missed, new, gt))
+    assert "is neither better nor worse than" in compare(missed, new, gt).verdict
     assert told(0) == f"as good as {old}: TPR 1.0000, FPR 0.0000 (m, strict)"
 
 

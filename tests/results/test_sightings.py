@@ -17,13 +17,14 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
+from sonarrec.functions import run
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.poses import pose_table
 from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
-from sonarrec.runs.one import MOST_SIGHTINGS, run
+from sonarrec.runs.one import MOST_SIGHTINGS
 from tests.results.test_write import tables
 from tests.support.drawn import make_fan
 

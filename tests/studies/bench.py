@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 
 from sonarrec.config import Config, preset
+from sonarrec.functions import run as run_log
 from sonarrec.landmarks import load_landmarks
-from sonarrec.runs.one import run as run_log
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import write_recording

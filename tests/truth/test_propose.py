@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.config import preset
-from sonarrec.runs.one import run as run_log
+from sonarrec.functions import run as run_log
 from sonarrec.truth.propose import propose
 from sonarrec.truth.table import read_truth
 
