@@ -53,14 +53,15 @@ def polar_frame(pixels: np.ndarray) -> Frame:
     return Frame(0, 0, pixels, polar.fan, polar=polar)
 
 
-def test_far_range_on_top(tmp_path: Path) -> None:
+@pytest.mark.parametrize("water", [0, 0.06])
+def test_far_range_on_top(tmp_path: Path, water: float) -> None:
     """A window that begins in the water: stated or asked for, and then read as it is."""
     for name, step in (("near", 1), ("far", -1)):
         (folder := tmp_path / name).mkdir()
         shutil.copy(SAMPLE / "polar" / "sonar.toml", folder)
         for path in sorted((SAMPLE / "polar").glob("*.png"))[:6]:
             image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-            image[:50] = 0
+            image[:50] = water * image[:50]
             cv2.imwrite(str(folder / path.name), image[::step])
     told = {name: describe(tmp_path / name).images[0].notes for name in ("near", "far")}
     assert told["near"] == []

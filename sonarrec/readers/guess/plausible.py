@@ -35,6 +35,9 @@ _CUT = 0.2  # share of the stated fan that lies outside of the picture
 _NARROWING = 0.1  # by how much each side of a fan narrows, in widths of the picture
 _STRAIGHT = 0.02  # standard deviation of an edge from a line, in widths of the picture
 _AS_BRIGHT = 0.9  # of the floor's grey level; what is brighter cannot be water
+# Of the profile of levels by range, in its bright tenth: where a floor begins it rises by .90 and
+# more over _EDGE rings, where it ends it falls by .36 at most (simulated), .50 (of a real river).
+_EDGE, _SHARP, _LESS_SHARP, _DARK = 5, 0.75, 0.45, 0.2
 _BLACK = 2.0  # grey level of water before a floor, in the median; below it nothing is shown
 _NEAR = 0.1  # least share of the range window nearer than the stated floor, for a check
 
@@ -219,17 +222,19 @@ def _polar_outline(picture: FloatArray) -> list[str]:
 
 
 def _upside_down(picture: FloatArray, fan: Fan) -> list[str]:
-    """A line if the nearest rows are as bright as a floor and the farthest ones black, as is the
-    water before a floor."""
+    """A line if the farthest rows are as the water before a floor: black beside light ones, or dark
+    from one ring to the next, while a floor fades slowly where it ends."""
     _, rings = levels_by_range(picture, fan)
     count = round(_NEAR * len(rings))
-    near, far = float(np.median(rings[:count])), float(rings[-count:].max())
-    if far > _BLACK or near < max(0.5 * float(np.quantile(rings, 0.75)), BACKGROUND):
+    near, far = float(np.median(rings[:count])), float(np.median(rings[-count:]))
+    light, steps = float(np.quantile(rings, 0.9)), rings[_EDGE:] - rings[:-_EDGE]
+    rise, fall = float(steps.max()), -float(steps.min())
+    ends = far < _DARK * light and fall > max(_SHARP * light, rise / _LESS_SHARP)
+    if not (ends or (far <= _BLACK and near > max(0.5 * light, BACKGROUND))):
         return []
     return [
-        "its first rows, taken for the nearest, are as bright as a floor, and its last ones black "
-        "as the water before one (are far ranges on top, --range-order far_first? near_first if "
-        "not)"
+        "its last rows, taken for the farthest, are dark as the water before a floor (are far "
+        "ranges on top, --range-order far_first? near_first if not)"
     ]
 
 
