@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 @in_output(
     "--try-radii",
     is_flag=True,
-    help="Recognise a part of the log with radii from half to twice the landmark set's, and print "
-    "in how many frames landmarks are declared with each.",
+    help="Recognise a part of the log with radii from half to twice the landmark set's, and with "
+    "other rings, and print in how many frames landmarks are declared with each.",
 )
 @options.json("Print JSON. Keys: sonarrec help info.")
 @options.cache

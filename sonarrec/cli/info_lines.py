@@ -188,23 +188,28 @@ def _origin_lines(images: Images) -> list[str]:
 
 
 def radii_lines(trials: RadiusTrials) -> list[str]:
-    """In how many frames landmarks are declared, by radius."""
-    rows = [["radius_m", "frames", "of which with"]]
+    """In how many frames landmarks are declared, by radius and ring."""
+    rows = [["radius_m", "ring from", "frames", "of which with"]]
     for trial in trials.trials:
-        stated = trial.radius_m == trials.stated_m
-        if stated or trial.frames_declared:
+        if trials.is_stated(trial) or trial.frames_declared:
             ids = ", ".join(f"ID.{one}: {count}" for one, count in trial.ids.items())
-            remark = "  (stated)" if stated else ""
-            rows.append([f"{trial.radius_m:.3g}", str(trial.frames_declared), ids + remark])
-    low, high = trials.trials[0].radius_m, trials.trials[-1].radius_m
+            remark = "  (stated)" if trials.is_stated(trial) else ""
+            size = f"{trial.radius_m:.3g}", f"{trial.ring_from:.3g}"
+            rows.append([*size, str(trial.frames_declared), ids + remark])
+    radii = [trial.radius_m for trial in trials.trials]
     texts = [
-        f"frames of {trials.frames} with a landmark declared ({low:.3g} to {high:.3g} m tried; "
-        "not listed: 0)",
+        f"frames of {trials.frames} with a landmark declared ({min(radii):.3g} to {max(radii):.3g} "
+        "m tried; not listed: 0)",
         *_columns(rows),
     ]
-    if trials.better is not None:
+    if (best := trials.better) is not None and best.radius_m != trials.stated_m:
         texts.append(
-            f"about {trials.better.radius_m:.3g} m fits better than the {trials.stated_m:g} m "
+            f"about {best.radius_m:.3g} m fits better than the {trials.stated_m:g} m "
             "stated: check radius_m and the range window"
+        )
+    elif best is not None:
+        texts.append(
+            f"a ring from about {best.ring_from:.3g} of the radius fits better than from the "
+            f"{trials.stated_from:g} stated: check ring"
         )
     return _entry("radii", texts)

@@ -20,6 +20,7 @@ from sonarrec.results.run_file import LogOptions, existing_results
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.prepare import PreparedRun, RunOptions, prepare
+from sonarrec.runs.rings import Rings
 from sonarrec.runs.two_cores import BrokenProcessPool, two_cores
 
 Observe = Callable[[FrameResult, int | None], None]
@@ -122,11 +123,12 @@ def process(
         with ResultsWriter(
             job.folder, job.landmarks, job.table, sightings, parquet=run_options.parquet
         ) as writer:
-            _recognise(job, writer, plausibility, observe, ahead=ahead)
+            rings = Rings(job.landmarks, job.recogniser.tracking[0])
+            _recognise(job, writer, plausibility, rings, observe, ahead=ahead)
             job.recogniser.tell(told)
             problems = [renamed(line) for line in told.problems]
             replaced = writer.finish(problems, told.unusable)
-        _tell_notes(job, writer, plausibility)
+        _tell_notes(job, writer, plausibility, rings)
         return Summary(
             job.folder,
             writer.frames,
@@ -142,6 +144,7 @@ def _recognise(
     job: PreparedRun,
     writer: ResultsWriter,
     plausibility: Plausibility,
+    rings: Rings,
     observe: Observe | None,
     *,
     ahead: bool,
@@ -153,12 +156,14 @@ def _recognise(
         for frame in job.frames:
             stamps.append(frame.stamps)
             plausibility.look(frame)
+            rings.look(frame)
             yield frame
 
     try:
         with two_cores() if ahead else nullcontext((map, map)) as (anywhere, in_order):
             for result in job.recogniser.recognise(looked_at(), anywhere, in_order):
                 writer.write(result, stamps.popleft())
+                rings.add(result)
                 if observe is not None:
                     observe(result, job.frame_count)
     except BaseException as error:  # Ctrl-C as well: keep what is there
@@ -173,7 +178,9 @@ def _recognise(
         raise
 
 
-def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
+def _tell_notes(
+    job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility, rings: Rings
+) -> None:
     """Tell the user what showed at the end of the run."""
     log, note, restored = job.log, job.log.diagnostics.note, job.recogniser.restored
     doubts = plausibility.contradictions(
@@ -189,6 +196,8 @@ def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibil
     if doubts:
         look = f"`sonarrec info {log.path} --preview FILE.png`, with the same geometry"
         note(f"{'; '.join(doubts)}; look at {look}")
+    if doubt := rings.doubt():
+        note(f"{doubt}; `sonarrec info {log.path} --try-radii`, with the same options, tries both")
     if restored.static:
         note(
             f"{restored.static:.1%} of the picture never changes, like drawn lines and text, or "

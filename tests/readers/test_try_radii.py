@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -21,6 +22,7 @@ from tests.support.command import SAMPLE, sonarrec
 from tests.support.logs import frames, image_folder
 
 TRUE_RADIUS_M, TRUE_IDS = 0.15, {1, 3}
+FIELD = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
 def ignore(total: int) -> None:
@@ -55,13 +57,35 @@ def test_the_true_radius_is_found_where_nearly_the_diameter_is_stated(
     assert all(t.frames_declared == 0 for t in trials.trials if t.radius_m > 1.2 * TRUE_RADIUS_M)
 
 
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"ring": (0.72, 1.0)}, (0.15, 0.792)),
+        ({"radius_m": 0.14}, (0.154, 0.8)),
+    ],
+)
+def test_the_culprit_is_the_one_that_was_stated_wrongly(
+    changed: dict[str, Any], told: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ring that begins 10 % too far in was taken for a radius."""
+    monkeypatch.setattr(radii, "MOST_FRAMES", 32)
+    monkeypatch.setattr(radii, "STEPS", 1)
+    log_folder = FIELD / "basin_a"
+    if not log_folder.is_dir():
+        pytest.skip(f"test recordings not found in {FIELD}")
+    with open_log(log_folder) as log:
+        trials = try_radii(log, replace(load_landmarks("basin"), **changed), 248, ignore)
+    assert trials.better is not None
+    assert (trials.better.radius_m, trials.better.ring_from) == told
+
+
 @pytest.mark.slow
 def test_a_trial_declares_what_a_run_declares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(radii, "STEPS", 0)
     with open_log(SAMPLE) as log:
         trials = try_radii(log, landmarks_of(TRUE_RADIUS_M), 128, ignore)
         results = list(Recogniser(log).recognise())
-    (trial,) = trials.trials
+    trial = trials.trials[0]
     declared = [
         {e.landmark for e in r.estimates if e.declared and e.method == "framework"} for r in results
     ]
@@ -106,7 +130,10 @@ def test_no_disc_is_tried_that_the_sonar_cannot_see() -> None:
 def test_only_a_clear_difference_counts() -> None:
     def trials(stated: int, other: int) -> RadiusTrials:
         return RadiusTrials(
-            0.15, 100, (RadiusTrial(0.136, other, {1: other}), RadiusTrial(0.15, stated, {}))
+            0.15,
+            0.8,
+            100,
+            (RadiusTrial(0.136, 0.8, other, {1: other}), RadiusTrial(0.15, 0.8, stated, {})),
         )
 
     assert trials(0, 8).better is None
