@@ -107,7 +107,7 @@ def evaluate(
       sonarrec evaluate sonarrec_out/pan --least-tpr 0.95 --most-fpr 0.01
       sonarrec evaluate --ground-truth gt.csv --compare before after --fail-on-regression 0.02
     """
-    if pairs is not None and (ground_truth or results):
+    if pairs is not None and (ground_truth or (results and compare is None)):
         raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
     if compare is None and results[1:]:
         raise UsageError("several RESULTS need --compare; a folder that holds several logs is one")

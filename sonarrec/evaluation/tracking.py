@@ -65,9 +65,11 @@ def tracking(log: Matched, beneath: IntArray, method: int) -> FloatArray | None:
         alignment = (together / (size - together)).ravel()
     matched = _matched(t, c, alignment[cell] * similarity, log.truth_frame_index[truth])
     enough = ALPHAS[:, None] - np.finfo(float).eps
-    matches = np.stack([summed(matched & of_alpha) for of_alpha in similarity >= enough])
-    tp = matches.sum(axis=(1, 2))
-    going_together = (matches**2 / np.maximum(1, size - matches)).sum(axis=(1, 2))
+    tp, going_together = np.zeros((2, A))
+    for a, of_alpha in enumerate(similarity >= enough):
+        matches = summed(matched & of_alpha)
+        tp[a] = matches.sum()
+        going_together[a] = (matches**2 / np.maximum(1, size - matches)).sum()
     id_tp = potential[assignment(potential)].sum()
     last = id_tp, len(truth) - id_tp, len(claim) - id_tp, tracks, identities
     return np.concatenate([tp, len(truth) - tp, len(claim) - tp, going_together, last])

@@ -422,6 +422,8 @@ def test_several_logs_each_with_a_truth_of_its_own(tmp_path: Path) -> None:
     write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
     done = command("--pairs", tmp_path / "pairs.csv", "--compare", old, new)
     assert "frames and IDs, protocol strict: 1 better, 1 worse" in done.stdout
+    again = command("--pairs", tmp_path / "pairs.csv", "--compare", old, new, new)
+    assert again.stdout.count("1 better, 1 worse") == 2
     assert "which counts once" in done.stdout
     told = json.loads((new / "evaluation" / "compare.json").read_text())
     assert len(told["logs"]) == 2
