@@ -19,7 +19,7 @@ from sonarrec.evaluation import compare as comparing
 from sonarrec.evaluation.comparison import Comparison
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.match import ScoringOptions
-from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.evaluation.pairs import read_pairs
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.tables import Evaluation
 from sonarrec.mapping.build import MapOptions, make_map
@@ -209,13 +209,8 @@ def evaluate(
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
     scoring = _scoring(method, min_visible, tolerance_s, landmarks, sonar)
-    found = evaluate_logs(
-        str(results) if pairs is None else read_pairs(Path(pairs)),
-        ground_truth,
-        scoring,
-        unit=unit,
-        jobs=jobs,
-    )
+    logs = str(results) if pairs is None else read_pairs(Path(pairs))
+    found = evaluate_logs(logs, ground_truth, scoring, unit=unit, jobs=jobs)
     if out is not None:
         from sonarrec.evaluation.write import write_evaluation  # brings matplotlib
 
@@ -229,29 +224,22 @@ def compare(
     ground_truth: AnyPath | None = None,
     *,
     pairs: AnyPath | None = None,
-    method: str | Sequence[str] = (),
     baseline: bool = False,
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | Mapping[str, Any] | None = None,
     unit: UnitKind | None = None,
     jobs: int | None = 1,
+    **scoring: Any,
 ) -> Comparison:
     """What got better or worse from old to new results, each of one log or of several.
 
     `verdict` of the result says it in a sentence; `table` has a row per method, `figures` all rates
     with their tests, `changes` every frame and ID that is counted otherwise. Nothing is written.
     ground_truth: one table; default: that beside each log. pairs: a CSV that names the truth of
-    each log. baseline: also methods without tracks, such as smi. The others are those of
-    `evaluate`.
+    each log. baseline: also methods without tracks, such as smi. scoring: as `evaluate`
+    takes it, `method` to `sonar`.
     """
-    truth: Path | Sequence[Pair] | None = None if ground_truth is None else Path(ground_truth)
-    if pairs is not None:
-        truth = read_pairs(Path(pairs))
-    scoring = _scoring(method, min_visible, tolerance_s, landmarks, sonar)
-    sides = Path(old), Path(new)
-    return comparing.compare(*sides, truth, scoring, baseline=baseline, unit=unit, jobs=jobs)
+    truth = _path(ground_truth) if pairs is None else read_pairs(Path(pairs))
+    options, sides = _scoring(**scoring), (Path(old), Path(new))
+    return comparing.compare(*sides, truth, options, baseline=baseline, unit=unit, jobs=jobs)
 
 
 def report(
@@ -262,31 +250,27 @@ def report(
     pairs: AnyPath | None = None,
     logs: AnyPath | Sequence[AnyPath] = (),
     topic: str | None = None,
-    method: str | Sequence[str] = (),
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | Mapping[str, Any] | None = None,
+    **scoring: Any,
 ) -> Report:
     """Write results, or what `compare` gave, as one HTML page; returns what was written.
 
     out: default: report.html in `results` (compare.html in the new results). logs: the recordings,
-    to show frames. Without ground_truth and pairs nothing is scored. The others are those of
-    `evaluate`.
+    to show frames. Without ground_truth and pairs nothing is scored. scoring: as `evaluate` takes
+    it, `method` to `sonar`.
     """
     if isinstance(results, Comparison):
         path = Path(local(out or Path(results.new) / "compare.html"))
         check_output(path, "comparison")
         write_comparison_page(path, results)
         return Report(path, 0, 0, results.unused)
-    recordings = [logs] if isinstance(logs, str | Path) else logs
+    beside = Path(results) if pairs is None else Path(pairs).parent
     return write_report(
-        Path(local(out or Path(results) / "report.html")),
+        Path(local(out or beside / "report.html")),
         None if pairs is not None else Path(results),
-        ground_truth=None if ground_truth is None else Path(ground_truth),
-        pairs=None if pairs is None else Path(pairs),
-        recordings=[Path(recording) for recording in recordings],
-        options=_scoring(method, min_visible, tolerance_s, landmarks, sonar),
+        ground_truth=_path(ground_truth),
+        pairs=_path(pairs),
+        recordings=_paths(logs),
+        options=_scoring(**scoring),
         topic=topic,
     )
 
@@ -365,17 +349,11 @@ def map_landmarks(
     out: a folder for the files of `sonarrec map`; default: none is written. odometry: tables of
     poses. drift: standard error of the poses after one minute, m and deg.
     """
-    folders = [results] if isinstance(results, str | Path) else results
-    poses = [odometry] if isinstance(odometry, str | Path) else odometry
-    options = MapOptions(
-        [Path(table) for table in poses],
-        Drift(*drift),
-        method,
-        landmarks,
-        sonar_from(sonar),
-        least_frames=min_frames,
+    geometry = sonar_from(sonar)
+    site = make_map(
+        _paths(results),
+        MapOptions(_paths(odometry), Drift(*drift), method, landmarks, geometry, min_frames),
     )
-    site = make_map([Path(folder) for folder in folders], options)
     if out is not None:
         write_all(Path(local(out)), site)
     found = _table(MAP_COLUMNS, map_rows(site)), _table(PASS_COLUMNS, pass_rows(site))
@@ -395,12 +373,16 @@ def _path(path: AnyPath | None) -> Path | None:
     return None if path is None else Path(local(path))
 
 
+def _paths(paths: AnyPath | Sequence[AnyPath]) -> list[Path]:
+    return [Path(paths)] if isinstance(paths, str | Path) else [*map(Path, paths)]
+
+
 def _scoring(
-    method: str | Sequence[str],
-    min_visible: float,
-    tolerance_s: float | None,
-    landmarks: str | None,
-    sonar: Sonar | Mapping[str, Any] | None,
+    method: str | Sequence[str] = (),
+    min_visible: float = 0.9,
+    tolerance_s: float | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | Mapping[str, Any] | None = None,
 ) -> ScoringOptions:
     methods = (method,) if isinstance(method, str) else tuple(method)
     return ScoringOptions(min_visible, tolerance_s, landmarks, sonar_from(sonar), methods)
