@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -214,10 +214,12 @@ def describe(
 
 
 def _container(source: Source) -> Container:
-    """What a recording says about itself, without reading its messages."""
+    """What a recording says about itself; its messages are read only if no channel is found."""
     from sonarrec.readers.messages.images import image_decoders
 
     log = source.recording()
+    if not log.channels:
+        deque(log.messages({}), 0)  # which tells why: chunks are looked into only now
     log.close()
     decoders = image_decoders(log)
     channels = [

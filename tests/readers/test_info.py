@@ -210,6 +210,19 @@ def test_an_mcap_without_images_is_shown_all_the_same(tmp_path: Path) -> None:
     assert "whole     it has a footer; checksums not compared" in text
 
 
+def test_why_no_channel_is_found_is_looked_up(tmp_path: Path) -> None:
+    """Without a summary the channels are in the chunks alone; the only chunk is damaged."""
+    options: dict[str, Any] = {"compression": "none", "indexed": False, "chunk_size": 10**6}
+    path = mcap_file(tmp_path / "log.mcap", MESSAGES[:3], **options)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"/a") + 1] ^= 1
+    path.write_bytes(data)
+    assert table(path, code=1)["faults"] == [
+        "log.mcap: the chunk at byte 42 fails its checksum; its frames are lost"
+    ]
+    assert "whole     no: damaged" in info(path).output
+
+
 def test_folder_glob_and_video(tmp_path: Path) -> None:
     folder = image_folder(tmp_path / "log", IMAGES)
     for path in (folder, folder / "*.png"):
