@@ -32,6 +32,7 @@ CERTAIN: dict[str, Callable[[int], str]] = {
     "counter and time": lambda k: f"{k}_{1_700_000_000 + k * 0.25}",
     "two counters": lambda k: f"{k:04d}_{3 * k + 100}",
     "date, then counter": lambda k: f"20240{k // 30 + 1}01_{k % 30:03d}",
+    "copies": lambda k: f"Capture 7 ({k + 1})" if k else "Capture 7",
     "size": lambda k: f"{k}_512x381",
 }
 WITH_TIMES = {  # and whether they are certain
@@ -45,7 +46,6 @@ WITH_TIMES = {  # and whether they are certain
     "%H%M%S_%f": False,
 }
 GUESSES: dict[str, Callable[[int], str]] = {
-    "copies": lambda k: f"Capture ({k + 1})" if k else "Capture",
     "negative": lambda k: str(k - 40),
     "negative alone": lambda k: f"f_{k - 99}",
     "case": lambda k: f"{('f', 'F')[k % 2]}rame{k}",
@@ -97,9 +97,9 @@ def test_guesses_are_told(form: str) -> None:
 
 def test_one_note_says_what_to_do(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(3, 20, 20))
-    for k, name in enumerate(("Capture", "Capture (2)", "Capture (3)")):
+    for k, name in enumerate(("left", "right1", "right2")):
         (log / f"frame{k}.png").rename(log / f"{name}.png")
     with open_log(log) as opened:
         (note,) = opened.diagnostics.notes
-    assert "the order of its 3 images, from Capture (2).png to Capture.png, is a guess" in note
+    assert "the order of its 3 images, from left.png to right2.png, is a guess" in note
     assert note.endswith("if it is wrong, name them by one counter (000000, 000001, ...)")

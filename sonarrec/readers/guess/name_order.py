@@ -41,11 +41,19 @@ def in_order(paths: Iterable[str]) -> tuple[list[str], str | None]:
     is_count: bool | None = True
     if any(points):
         is_count = counts_behind_point([(found or [("0", "")])[-1] for found in points])
-    ordered = sorted(texts, key=partial(natural_order, decimals=not is_count))
-    counted = partial(natural_order, decimals=False)
+    ordered = sorted(texts, key=partial(_key, decimals=not is_count))
+    counted = partial(_key, decimals=False)
     if is_count is None and (not all(points) or ordered != sorted(texts, key=counted)):
         return ordered, "what stands behind a point in them may be decimals or a counter"
-    return ordered, _doubt(_stems(ordered), any(points), bool(is_count))
+    stems = _stems(ordered)
+    if all(re.fullmatch(r" ?\([0-9]+\)", stem.removeprefix(stems[0])) for stem in stems[1:]):
+        return ordered, None  # copies, as systems name them
+    return ordered, _doubt(stems, any(points), bool(is_count))
+
+
+def _key(path: str, decimals: bool) -> str:
+    """By the name without its suffix, so that Capture comes before Capture (2)."""
+    return f"{natural_order(os.path.splitext(path)[0], decimals=decimals)}\0{path}"  # noqa: PTH122
 
 
 def _stems(paths: Sequence[str]) -> list[str]:
