@@ -71,7 +71,7 @@ def one_line(read: Callable[[], object], path: Path) -> str:
         read()
     text = str(caught.value)
     assert text.startswith(str(path))
-    assert len(text) < len(str(path)) + 320
+    assert len(text) < len(str(path)) + 340
     assert text.isprintable()
     return text
 
