@@ -135,14 +135,6 @@ def interval(drawn: FloatArray, units: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def unseen_share(units: int) -> float:
-    """The largest share of units that may have a case although none of `units` has one.
-
-    At LEVEL: a larger share s would show in one of them, as (1 - s) ** units < 1 - LEVEL.
-    """
-    return float(1 - (1 - LEVEL) ** (1 / units))
-
-
 def rate_interval(part: FloatArray, whole: FloatArray) -> tuple[float, float]:
     """(low, high) at LEVEL of a rate, from its numerator and denominator in each unit, (U,).
 

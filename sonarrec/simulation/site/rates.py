@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.evaluation.intervals import MIN_UNITS, bootstrap_weights, interval
+from sonarrec.evaluation.intervals import MIN_UNITS, bootstrap_weights, interval, rate_interval
 from sonarrec.evaluation.judge import judge
 from sonarrec.evaluation.match import Matched
 from sonarrec.evaluation.passes import find_passes
@@ -27,7 +27,7 @@ class Rate:
 
     cases: frames with a whole landmark in view, or all frames. units: passes of landmarks, or
     units of `passes.Passes`. count: recognised, or false. low, high: NaN if fewer than
-    MIN_UNITS units have a case, or if all are alike.
+    MIN_UNITS units have a case; of a number also if all are alike.
     """
 
     cases: int
@@ -83,14 +83,15 @@ def recognition_rates(
 
 
 def _rate(value: FloatArray, unit: IntArray, units: int, count: int | None = None) -> Rate:
-    """The mean of (n,) values, with an interval by resampling units."""
+    """The mean of (n,) values, with its interval. count: given if they are no share."""
     sums = np.stack([np.bincount(unit, w, units) for w in (value, np.ones(len(value)))], axis=1)
     sums = sums[sums[:, 1] > 0]
     total = int(value.sum()) if count is None else count
     mean = float(value.mean()) if len(value) else math.nan
     low = high = math.nan
-    shares = sums[:, 0] / sums[:, 1]
-    if len(sums) >= MIN_UNITS and np.ptp(shares) > 0:
+    if len(sums) >= MIN_UNITS and count is None:
+        low, high = rate_interval(*sums.T)
+    elif len(sums) >= MIN_UNITS and np.ptp(sums[:, 0] / sums[:, 1]) > 0:
         drawn = bootstrap_weights(len(sums), np.random.default_rng(SEED)) @ sums
         low, high = interval(drawn[:, 0] / drawn[:, 1], len(sums))
     return Rate(len(value), len(sums), total, mean, low, high)

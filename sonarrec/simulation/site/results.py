@@ -12,7 +12,6 @@ from typing import Any
 
 from sonarrec.arrays import ByteImage
 from sonarrec.errors import Diagnostics, number_of
-from sonarrec.evaluation.intervals import MIN_UNITS, unseen_share
 from sonarrec.simulation.layout import Layout
 from sonarrec.simulation.site.rates import Rate, RecognitionRates
 from sonarrec.tables.outputs import write_csv, write_text, writing
@@ -124,12 +123,6 @@ def _certainty(rate: Rate) -> str:
     """A sentence on how certain a TPR of ENOUGH or more is."""
     passes = number_of(rate.units, "pass", "es")
     basis = f"This is based on {passes} of landmarks through the view"
-    if math.isnan(rate.low) and rate.units >= MIN_UNITS:
-        one_in = max(round(1 / unseen_share(rate.units)), 2)
-        return (
-            f"{basis}, all with the same result: so few might not show it if one in {one_in} went "
-            "wrong."
-        )
     if math.isnan(rate.low):
         return f"{basis}, too few for an interval; give more --layouts."
     interval = f"the 95% interval of {rate.value:.3f}"
