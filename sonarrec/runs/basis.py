@@ -59,8 +59,11 @@ def basis(
     if height == "assumed" and fan.height_m is not None:
         height = "as the first frames show"
     view = "field_of_view_deg" if log.sonar.bearings_deg is None else "bearings_deg"
+    window = [f"{fan.range_min_m:.4g}", f"to {fan.range_max_m:.4g} m"]
+    ends = [origin("range_min_m"), origin("range_max_m")]
+    one = [(" ".join(window), ends[0])] if ends[0] == ends[1] else [*zip(window, ends, strict=True)]
     parts = [
-        (f"{fan.range_min_m:.4g} to {fan.range_max_m:.4g} m", origin("range_max_m")),
+        *one,
         (f"{fan.bearing_max_deg - fan.bearing_min_deg:.4g} deg wide", origin(view)),
         (f"tilt {fan.tilt_deg:.4g} deg", origin("tilt_deg")),
         (f"height {floor_depth(fan):.3g} m", height),

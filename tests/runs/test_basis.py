@@ -56,6 +56,8 @@ def test_each_value_is_named_with_its_origin(pings: Path) -> None:
     (told,) = lines(sonarrec("run", pings, *SHORT).stderr)
     assert "flip (dives/pings/sonar.toml)" in told
     assert "(as the first frames show)" in told or "(assumed)" in told
+    (told,) = lines(sonarrec("run", pings, *SHORT, "--range-min-m", "1.3").stderr)
+    assert "geometry 1.3 (option), to 3.75 m, 28.8 deg wide, tilt 20 deg (dives" in told
     assert sonarrec("run", pings, *SHORT, "--overwrite", "-q").stderr == ""
 
 
