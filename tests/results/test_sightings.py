@@ -272,11 +272,12 @@ def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
             seen = i % 40 < 1 + i // 40
             writer.write(FrameResult(i, start + i * 10**8, 1, 1, (claim(declared=seen),)))
         writer.finish([])
-    passes, kept = _longest(tmp_path / "dive", ["framework"])
+    passes, kept, landmarks = _longest(tmp_path / "dive", ["framework"])
     assert passes == {"framework": 30}
     assert [s.frames_declared for s in kept] == list(range(11, 31))
     assert len(kept) == MOST_SIGHTINGS
-    summary = Summary(tmp_path / "dive", 1200, 0, 1200, [], [], passes, kept)
+    assert landmarks == {kept[0].landmark: sum(range(1, 31))}
+    summary = Summary(tmp_path / "dive", 1200, 0, 1200, [], [], passes, kept, landmarks)
     lines = table(summary, summary.folder)
     assert len(lines) == MOST_SIGHTINGS + 2
     assert "UTC" in lines[0]
