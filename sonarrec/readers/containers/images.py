@@ -14,7 +14,7 @@ from sonarrec.errors import Diagnostics
 from sonarrec.nouns import IMAGE_SUFFIXES
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
 from sonarrec.readers.guess.name_order import in_order
-from sonarrec.readers.guess.times import name_without_time, times_in_names
+from sonarrec.readers.guess.times import times_in_names
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.times import date_text
 
@@ -121,11 +121,6 @@ class ImageFiles(RawLog):
             first, steps = date_text(int(self._times[0]), 3), np.diff(self._times)
             rate = f", and {1e9 / np.median(steps):.3g} a second" if len(steps) else ""
             return f"frames have the times in the names of its images, the first {first} UTC{rate}"
-        if (stray := name_without_time(stems)) is not None:
-            return (
-                f"{self.files[stray].name} has no time in its name, so those in the "
-                "names of the other images are not used; if it is no frame, move it elsewhere"
-            )
         if self.files.doubt is not None:
             return (
                 f"the order of its {len(stems)} images, from {self.files[0].name} to "

@@ -7,6 +7,7 @@ import re
 from array import array
 from collections.abc import Iterable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -68,7 +69,10 @@ def _doubt(stems: Sequence[str], pointed: bool, is_count: bool) -> str | None:
     numbers with a point; is_count: as `counts_behind_point`."""
     number = re.compile(rf"{POINTED}|[0-9]+" if pointed else "[0-9]+")
     pattern, values, columns = "", array("q"), 0
-    marks = [(DATE, _marked_date), (_DAY, _marked_day)]
+    marks: list[tuple[re.Pattern[str], Any]] = [
+        (DATE, _marked_date),
+        (_DAY, rf"{_DATE_MARK}\1\3\4{_DATE_MARK}"),
+    ]
     marks = [(form, mark) for form, mark in marks if form.search(stems[0])][:1]
     for stem in stems:
         text = stem
@@ -101,10 +105,6 @@ def _marked_date(match: re.Match[str]) -> str:
     days = ((year - 2000) * 12 + month) * 31 + day
     seconds = ((days * 24 + hour) * 60 + minute) * 60 + second
     return f"{_DATE_MARK}{seconds}{_DATE_MARK}{match.string[match.end('second') : match.end()]}"
-
-
-def _marked_day(match: re.Match[str]) -> str:
-    return f"{_DATE_MARK}{match[1]}{match[3]}{match[4]}{_DATE_MARK}"
 
 
 def _doubt_of(table: IntArray, pattern: str, stem: str, scale: int) -> str | None:

@@ -51,15 +51,6 @@ def times_in_names(stems: Iterable[str]) -> IntArray | None:
     return next((times for times in found if times is not None), None)
 
 
-def name_without_time(stems: Sequence[str]) -> int | None:
-    """Index of the first name without a time, where most others seem to hold one; else None."""
-    for form in (DATE, _SINCE_1970):
-        is_held = [form.search(stem) is not None for stem in stems]
-        if len(is_held) > sum(is_held) > len(is_held) / 2:
-            return is_held.index(False)
-    return None
-
-
 def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | None:
     """(n,) the one time in ns that each name holds in this form; None if some do not, or if they
     do not rise as those of pings do."""

@@ -118,35 +118,14 @@ class RosDecoder:
 
     Sequences of numbers become arrays, without a copy; texts become arrays of their bytes; messages
     inside become dicts, and sequences of messages become lists.
+    rosbags gets the definition with names of our own for messages and fields. Texts are arrays of
+    bytes, because it rejects a whole message if one text in it, such as frame_id, is not UTF-8 or
+    lacks its closing zero.
     """
 
     def __init__(self, types: Types, name: str, ros1: bool) -> None:
         """types: the definitions in the file; messages missing there are from known_messages.
         Raises DefinitionError if a message is not defined anywhere or is too large."""
-        self._ros1, self._layout = ros1, _Layout(types, name.replace("/", "/msg/"), ros1)
-
-    def __call__(self, message: memoryview) -> dict[str, Any]:
-        """The fields of a message. A CDR message begins with an encapsulation header of 4 bytes.
-        Bytes behind its end are ignored. Raises UnusableError if it is malformed."""
-        if self._ros1:
-            return self._layout.fields("deserialize_ros1", message)
-        if message[:4] == _ZSTD:  # a bag that was compressed message by message
-            message = _inflate(message)
-        if len(message) < 4 or message[0] != 0 or message[1] > 11:
-            raise UnusableError("malformed message (no CDR header)")
-        if message[1] not in _ORDERS:
-            raise UnusableError("encoded otherwise than as plain CDR, as XCDR2 is")
-        return self._layout.fields(f"deserialize_cdr_{_ORDERS[message[1]]}", message[4:])
-
-
-class _Layout:
-    """A definition in the form in which rosbags gets it.
-
-    Messages and fields have names of our own. Texts are arrays of bytes, because rosbags rejects a
-    whole message if one text in it, such as frame_id, is not UTF-8 or lacks its closing zero.
-    """
-
-    def __init__(self, types: Types, name: str, ros1: bool) -> None:
         self._types, self._ros1 = types, ros1
         self._store: Any = Typestore()
         # By name of a message: (kind in the store, nesting depth).
@@ -155,10 +134,23 @@ class _Layout:
         self._vectors: dict[str, tuple[Any, list[str]]] = {}
         self._field_count = self._items_left = 0
         self._register("string", [_OCTETS], lambda values: values[0])
-        (_, root), _ = self._message(name, 0)
+        (_, root), _ = self._message(name.replace("/", "/msg/"), 0)
         self._root = self._store.get_msgdef(root)
 
-    def fields(self, function: str, body: memoryview) -> dict[str, Any]:
+    def __call__(self, message: memoryview) -> dict[str, Any]:
+        """The fields of a message. A CDR message begins with an encapsulation header of 4 bytes.
+        Bytes behind its end are ignored. Raises UnusableError if it is malformed."""
+        if self._ros1:
+            return self._fields("deserialize_ros1", message)
+        if message[:4] == _ZSTD:  # a bag that was compressed message by message
+            message = _inflate(message)
+        if len(message) < 4 or message[0] != 0 or message[1] > 11:
+            raise UnusableError("malformed message (no CDR header)")
+        if message[1] not in _ORDERS:
+            raise UnusableError("encoded otherwise than as plain CDR, as XCDR2 is")
+        return self._fields(f"deserialize_cdr_{_ORDERS[message[1]]}", message[4:])
+
+    def _fields(self, function: str, body: memoryview) -> dict[str, Any]:
         """Decode a message. function: the name of the method of rosbags for its encoding."""
         self._items_left = _MAX_ITEMS
         try:
