@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
 
 
 @command(short_help="Write results as one HTML page.")
-@click.argument("results", type=options.ANY_OR_URL, required=False)
+@click.argument("results", type=options.ANY_OR_URL, nargs=-1)
 @options.ground_truth("gt.csv; without it nothing is scored.", kind=options.FILE_OR_URL)
 @options.compare(
-    "In place of RESULTS: a page on what got better or worse from OLD to NEW. Truth is given, or "
-    "found beside each log."
+    "A page on what got better or worse from OLD to NEW; RESULTS are then further ones, a page "
+    "each. Truth is given, or found beside each log."
 )
 @options.pairs
 @in_input(
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
 @options.cache
 @options.quiet
 def report(
-    results: Path | str | None,
+    results: tuple[Path | str, ...],
     ground_truth: Path | str | None,
     compare: tuple[Path | str, Path | str] | None,
     pairs: Path | None,
@@ -71,8 +70,12 @@ def report(
       sonarrec report --pairs pairs.csv --log recordings/
       sonarrec report --compare before after --ground-truth gt.csv
     """
-    if compare is not None and (results or recordings or topic):
-        raise UsageError("--compare takes OLD, NEW and truth; leave out RESULTS, --log and --topic")
+    if compare is not None and (recordings or topic):
+        raise UsageError("--compare takes results and truth; leave out --log and --topic")
+    if compare is None and results[1:]:
+        raise UsageError("several RESULTS need --compare; a folder that holds several logs is one")
+    if compare is not None and out and results:
+        raise UsageError("--out names one page; without it each lies in its results")
     if pairs is not None and (ground_truth or results) and compare is None:
         raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
     if pairs is not None and ground_truth is not None:
@@ -81,42 +84,41 @@ def report(
     from sonarrec.remote.run import RemoteFiles, inside
     from sonarrec.reports.build import write_report
 
-    results = results or Path("sonarrec_out")
-    beside = results if pairs is None else pairs.parent
-    name = "report.html"
-    if compare is not None:
-        beside, name = compare[1], "compare.html"
+    shown = results[0] if results else Path("sonarrec_out")
     with ExitStack() as stack:  # the page is uploaded as this closes
         remote = RemoteFiles(stack, cache)
         truth = remote.file(ground_truth)
-        path = remote.output(out or inside(beside, name), name)
-        unused: Sequence[str]
+        unused, lines = list[str](), list[str]()
         if compare is not None:
             from sonarrec.cli.evaluate import compare_sides
             from sonarrec.evaluation.pairs import read_pairs
             from sonarrec.reports.compare import write_comparison_page
             from sonarrec.tables.outputs import check_output
 
-            check_output(path, "comparison", [truth, pairs])
             known = truth if pairs is None else read_pairs(pairs)
-            comparison = compare_sides(*compare, known, scoring, remote)
-            write_comparison_page(path, comparison)
-            unused, line = comparison.unused, f"{path}: {path.stat().st_size / 1e6:.2f} MB"
+            for new in (compare[1], *results):
+                path = remote.output(out or inside(new, "compare.html"), "compare.html")
+                check_output(path, "comparison", [truth, pairs])
+                comparison = compare_sides(compare[0], new, known, scoring, remote)
+                write_comparison_page(path, comparison)
+                unused += [line for line in comparison.unused if line not in unused]
+                lines.append(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
         else:
+            beside = shown if pairs is None else pairs.parent
             page = write_report(
-                path,
-                remote.results(results) if pairs is None else None,
+                remote.output(out or inside(beside, "report.html"), "report.html"),
+                remote.results(shown) if pairs is None else None,
                 ground_truth=truth,
                 pairs=pairs,
                 recordings=[remote.log(recording) for recording in recordings],
                 topic=topic,
                 options=scoring,
             )
-            unused, size = page.unused, f"{page.path.stat().st_size / 1e6:.1f} MB"
+            unused, size = [*page.unused], f"{page.path.stat().st_size / 1e6:.1f} MB"
             clickable = f", {number_of(page.held, 'frame')} to click" if page.held else ""
-            line = f"{page.path}: {size}, {number_of(page.pictures, 'picture')}{clickable}"
+            lines = [f"{page.path}: {size}, {number_of(page.pictures, 'picture')}{clickable}"]
         unused = [*remote.unused, *map(remote.with_server_names, unused)]
         tell(unused)
         if not quiet:
-            say(remote.with_server_names(line))
+            say(*map(remote.with_server_names, lines))
     end(unused)

@@ -66,6 +66,15 @@ def test_the_page_tells_what_the_comparison_found(sides: tuple[Path, Path, Path]
     assert re.search(r">45</th>.*ID\.2.*FP</td>.*TN</td>", better)
 
 
+def test_further_results_have_a_page_each(sides: tuple[Path, Path, Path]) -> None:
+    old, new, gt = sides
+    done = report("--compare", old, new, old, "--ground-truth", gt)
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == [
+        str(new / "compare.html"), str(old / "compare.html"),
+    ]  # fmt: skip
+    assert f"{old} is as good as {old}" in Page(old / "compare.html").text
+
+
 def test_the_page_needs_nothing_else(sides: tuple[Path, Path, Path]) -> None:
     old, new, gt = sides
     report("--compare", old, new, "--ground-truth", gt, "-q")
@@ -91,7 +100,9 @@ def test_names_of_other_programs_are_text(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--compare", "a", "b", "out"], "--compare takes OLD, NEW"),
+        (["--compare", "a", "b", "c", "-o", "x.html"], "--out names one page"),
+        (["a", "b"], "several RESULTS need --compare"),
+        (["--compare", "a", "b", "--log", "c"], "leave out --log"),
         (["--compare", "a", "b", "--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
     ],
 )
