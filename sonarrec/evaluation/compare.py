@@ -62,12 +62,11 @@ def compare(
     read.
     """
     options.check()
-    pairing = pair_logs(old, new, ground_truth, options, find_beside)
-    notes, unused = [*dict.fromkeys(pairing.notes)], [*dict.fromkeys(pairing.unused)]
-    used, before, after, changed = _count_pairs(pairing.pairs, jobs, notes, unused)
+    told = Diagnostics()
+    pairs = pair_logs(old, new, ground_truth, options, find_beside, told)
+    used, before, after, changed = _count_pairs(pairs, jobs, told)
     methods = _compared_methods(before, after, options.methods, baseline)
-    notes += _incomplete(used, before, after, methods)
-    notes += _scored_before(old, new)
+    told.note(*_incomplete(used, before, after, methods), *_scored_before(old, new))
     # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.
     runs = (
         (name, read_run(pair.old / "run.toml"), read_run(pair.new / "run.toml"))
@@ -88,9 +87,7 @@ def compare(
         )
     if before.placed != after.placed:
         without = new if before.placed else old
-        notes.append(
-            f"protocol strict is not compared: {without} has no positions that can be used"
-        )
+        told.note(f"protocol strict is not compared: {without} has no positions that can be used")
     rng = np.random.default_rng(SEED)
     weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
     rates: list[RateChange] = []
@@ -118,8 +115,8 @@ def compare(
         lost=tuple(m for m in methods if m not in after.methods),
         gained=tuple(m for m in methods if m not in before.methods),
         unplaced=before.placed and not after.placed,
-        notes=tuple(map(printable, notes)),
-        unused=tuple(map(printable, unused)),
+        notes=tuple(told.notes),
+        unused=tuple(told.problems),
     )
 
 
@@ -171,11 +168,11 @@ def _scored_before(*sides: Path) -> Iterator[str]:
 
 
 def _count_pairs(
-    pairs: Sequence[LogPair], jobs: int | None, notes: list[str], unused: list[str]
+    pairs: Sequence[LogPair], jobs: int | None, told: Diagnostics
 ) -> tuple[list[LogPair], Counts, Counts, list[ByMethod]]:
     """Read and count all pairs: those that can be compared, what was before, after and changed.
 
-    Both counts are of the same logs, frames and passes. notes, unused: get further lines.
+    Both counts are of the same logs, frames and passes.
     Raises SonarrecError if none can be compared, or if they have different IDs or no method.
     """
     before, after = Adder(), Adder()
@@ -199,12 +196,9 @@ def _count_pairs(
         raise unread[0].error
     fit_notes, misfits = check_logs([log.check for log in logs])
     old, new = (side.counts([pair.new for pair, _ in used]) for side in (before, after))
-    notes += fit_notes
+    told.note(*fit_notes)
     for (_, log), part in zip(used, old.parts, strict=True):
-        told = Diagnostics()
         tell_rows(told, part.name, log.check.rows, log.check.between)
-        notes += told.notes
-    cut = [line for log in logs for line in log.unused]
-    unused += [*dict.fromkeys(line for line in cut if line not in unused)]
-    unused += [*(log.message("compared") for log in unread), *misfits]
+    told.problem(*(line for log in logs for line in log.unused))
+    told.problem(*(log.message("compared") for log in unread), *misfits)
     return [pair for pair, _ in used], old, new, changes

@@ -67,30 +67,21 @@ class LogPair:
         return self.old, self.new
 
 
-@dataclass(frozen=True, slots=True)
-class Pairing:
-    """The logs to compare, in order, and the messages about them."""
-
-    pairs: list[LogPair]
-    notes: list[str]
-    unused: list[str]
-
-
 def pair_logs(
     old: Path,
     new: Path,
     ground_truth: Path | Sequence[Pair] | None,
     options: ScoringOptions,
     find_beside: FindBeside | None,
-) -> Pairing:
-    """The logs to compare; the arguments are those of `compare.compare`.
+    told: Diagnostics,
+) -> list[LogPair]:
+    """The logs to compare, in order; the arguments are those of `compare.compare`.
 
     Raises SonarrecError if there is none.
     """
-    candidates, unused = _pair_up(old, new)
+    candidates = _pair_up(old, new, told)
     pairs: list[Folders] = []
     recordings: list[Recording] = []
-    notes: list[str] = []
     faults: list[SonarrecError] = []
     for folders in candidates:
         try:
@@ -98,10 +89,10 @@ def pair_logs(
             recordings.append(_recording(folders[1], options.landmarks))
         except SonarrecError as fault:  # the other logs can be compared
             faults.append(fault)
-            unused.append(f"{fault}; {log_of(folders[1])} is not compared")
+            told.problem(f"{fault}; {log_of(folders[1])} is not compared")
         else:
             pairs.append(folders)
-            notes += remarks
+            told.note(*remarks)
     if not pairs:
         raise faults[0]
 
@@ -111,17 +102,15 @@ def pair_logs(
         except SonarrecError:  # reported when the log is counted
             return np.empty(0, dtype=np.int64)
 
-    told = Diagnostics()
     kept = counted_once([after for _, after in pairs], recordings, frames, "compared", told)
     counted = [pairs[i] for i in kept]
-    truths, truth_notes, without = _truths(counted, len(faults), ground_truth, find_beside)
+    truths = _truths(counted, len(faults), ground_truth, find_beside, told)
     ids = first_ids((after for _, after in counted), options.landmarks)
-    logs = [
+    return [
         LogPair(*folders, truth.ground_truth, truth.log or log_of(folders[1]), options, ids)
         for folders, truth in zip(counted, truths, strict=True)
         if truth is not None
     ]
-    return Pairing(logs, [*notes, *told.notes, *truth_notes], [*unused, *told.problems, *without])
 
 
 def _recording(folder: Path, landmarks: str | None) -> Recording:
@@ -153,14 +142,14 @@ def _check_comparable(pair: Folders, landmarks: str | None) -> list[str]:
     ]
 
 
-def _pair_up(old: Path, new: Path) -> tuple[list[Folders], list[str]]:
-    """The old and the new folder of each log, and a line for each folder without a partner.
+def _pair_up(old: Path, new: Path, told: Diagnostics) -> list[Folders]:
+    """The old and the new folder of each log; each folder without a partner is told.
 
     Folders are paired by name, else by SHA-256. Two folders of one log each are paired anyway.
     """
     before, after = find_logs(old), find_logs(new)
     if len(before) == len(after) == 1:
-        return [(before[0], after[0])], []
+        return [(before[0], after[0])]
 
     def digest(folder: Path) -> tuple[str, str | None] | None:
         with suppress(SonarrecError):  # reported later
@@ -185,13 +174,10 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Folders], list[str]]:
     if not pairs:
         raise SonarrecError(f"{old} and {new} have no log in common, by name or by SHA-256")
     used = {folder for pair in pairs for folder in pair}
-    alone = [
-        f"{log_of(folder)}: is in {side} only; not compared"
-        for side, folders in ((old, before), (new, after))
-        for folder in folders
-        if folder not in used
-    ]
-    return pairs, alone
+    for side, folders in ((old, before), (new, after)):
+        alone = (log_of(folder) for folder in folders if folder not in used)
+        told.problem(*(f"{log}: is in {side} only; not compared" for log in alone))
+    return pairs
 
 
 def _truths(
@@ -199,9 +185,9 @@ def _truths(
     left_out: int,
     ground_truth: Path | Sequence[Pair] | None,
     find_beside: FindBeside | None,
-) -> tuple[list[Pair | None], list[str], list[str]]:
-    """The truth of each pair, None if it has none; a line for each truth that was searched for
-    and found; a line for each pair without a truth.
+    told: Diagnostics,
+) -> list[Pair | None]:
+    """The truth of each pair, None if it has none; what was searched for is told.
 
     left_out: how many other logs were given that cannot be compared.
     """
@@ -213,12 +199,11 @@ def _truths(
                 f"{ground_truth}: {logs} logs are to be compared, so the truth needs a log "
                 "column that names their folders; or give the folders of one log"
             )
-        return [Pair(folder, ground_truth) for folder in folders], [], []
-    where: list[str] = []
+        return [Pair(folder, ground_truth) for folder in folders]
     truths: list[Pair | None]
     if ground_truth is None:
         found, without = find_truths_beside(folders, find_beside)
-        where = [truth_note(pair) for pair in found]
+        told.note(*map(truth_note, found))
         of_folder = {pair.results: pair for pair in found}
         truths = [of_folder.get(folder) for folder in folders]
     else:
@@ -232,7 +217,8 @@ def _truths(
     if not any(truths):
         others = f" (nor for {number_of(len(without) - 1, 'more log')})" if without[1:] else ""
         raise SonarrecError(f"{without[0]}{others}")
-    return truths, where, without
+    told.problem(*without)
+    return truths
 
 
 @dataclass(slots=True)
