@@ -212,6 +212,10 @@ def _verdict(found: Comparison) -> str:
     parts = [f"{', '.join(texts)} ({method}, {protocol})", *_passes(found, protocol, method)]
     if changed:
         parts.append(_test(found, protocol, method, changed[0].rate))
+    elif protocol != "paper":
+        also = [r for rate in RATES if (r := _total(found, "paper", method, rate)) is not None]
+        told = [f"{r.rate.upper()} {change_text(r)}" for r in also if abs(r.worse) >= SAME]
+        parts += [f"but under protocol paper {', '.join(told)}"] if told else []
     missing = [f"{method} is missing" for method in found.lost]
     missing += ["protocol strict cannot be scored any more"] * found.unplaced
     return "; ".join([*missing, f"{found.new} is {word} {found.old}: {parts[0]}", *parts[1:]])

@@ -111,6 +111,15 @@ def test_a_verdict_tells_passes_and_whether_it_may_be_chance(tmp_path: Path) -> 
     assert told(0) == f"as good as {old}: TPR 1.0000, FPR 0.0000 (m, strict)"
 
 
+def test_a_verdict_tells_a_change_that_only_protocol_paper_sees(tmp_path: Path) -> None:
+    """Landmarks that are partly in view count there alone."""
+    truth = [(f, 1, 2.0, 0.0, 1.0 if f < 10 else 0.7) for f in range(20)]
+    old, gt = write_case(tmp_path / "old", range(20), claims({*range(20)}), truth)
+    new, _ = write_case(tmp_path / "new", range(20), claims({*range(10)}), truth)
+    told = "(m, strict); but under protocol paper TPR 1.0000 -> 0.5000"
+    assert compare(old, new, gt).verdict.endswith(told)
+
+
 def test_the_baseline_is_compared_on_request(tmp_path: Path) -> None:
     """It fails no build while the framework is as it was."""
     sides = []
