@@ -14,8 +14,6 @@ from sonarrec.cli.endings import say, tell
 from sonarrec.cli.groups import NEW_FILE, FiniteRange, command, in_geometry
 from sonarrec.errors import UsageError, number_of
 
-MOST_SHOWN = 12
-
 
 @command(short_help="Show a landmark set, and whether its IDs can be told apart.")
 @click.argument(
@@ -89,11 +87,9 @@ def landmarks(
             *(["  IDs          as drawn   as seen"] if found else []),
             *(
                 f"  {f'{d.ids[0]} and {d.ids[1]}':<12} {d.drawn:>8.2f}  {d.seen:>8.2f}"
-                for d in found[:MOST_SHOWN]
+                for d in found
             ),
         )
-        if len(found) > MOST_SHOWN:
-            say(f"  these are the nearest; {len(found) - MOST_SHOWN} more pairs with --json")
         if out is not None:
             say(f"{out}: drawn")
     tell([], [f"{landmark_set}: {warning}" for warning in warnings])
