@@ -187,7 +187,7 @@ class RunWatch(Watch):
 
     def _found(self) -> Iterator[str]:
         """A row for each log: what was found in it."""
-        width = max(3, *(len(task.name) for task in self.tasks[:MOST_ROWS]))
+        width = max(3, *(min(len(task.name), 40) for task in self.tasks[:MOST_ROWS]))
         yield f"{'log':<{width}}  {'frames':>7}  {'notes':>5}  frames with a landmark declared"
         for i, outcome in sorted(self._outcomes.items())[:MOST_ROWS]:
             summary, name = outcome.summary, f"{self.tasks[i].name:<{width}}"
