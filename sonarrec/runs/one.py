@@ -123,7 +123,10 @@ def process(
         with ResultsWriter(
             job.folder, job.landmarks, job.table, sightings, parquet=run_options.parquet
         ) as writer:
-            rings = Rings(job.landmarks, job.recogniser.tracking[0])
+            # The paper's groups lie too unsteadily on their objects to show a ring's edge.
+            of_config = zip(job.recogniser.tracking, run_options.configs, strict=True)
+            steady = [m for m, c in of_config if c.features.measurement != "single"]
+            rings = Rings(job.landmarks, steady[0] if steady else None)
             _recognise(job, writer, plausibility, rings, observe, ahead=ahead)
             job.recogniser.tell(told)
             problems = [renamed(line) for line in told.problems]

@@ -37,8 +37,8 @@ LEAST_SCALE, LEAST_EDGE = 0.035, 0.045
 class Rings:
     """Looks at some frames of a run and the objects in them."""
 
-    def __init__(self, landmarks: LandmarkSet, method: str) -> None:
-        """method: whose objects are looked at."""
+    def __init__(self, landmarks: LandmarkSet, method: str | None) -> None:
+        """method: whose objects are looked at; None: no method's."""
         self._landmarks, self._method = landmarks, method
         self._held: dict[int, Frame] = {}
         self._profiles: list[FloatArray] = []
@@ -46,7 +46,7 @@ class Rings:
 
     def look(self, frame: Frame) -> None:
         """A frame, as it is read."""
-        if frame.index % EVERY or len(self._profiles) >= MOST:
+        if self._method is None or frame.index % EVERY or len(self._profiles) >= MOST:
             return
         if (len(self._held) + 1) * frame.pixels.nbytes <= HELD_BYTES or not self._held:
             self._held[frame.index] = frame

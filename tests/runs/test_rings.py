@@ -36,4 +36,6 @@ def test_objects_that_are_no_landmarks_are_not_doubted(tmp_path: Path) -> None:
     log = SAMPLE.parents[2] / "shared" / "data" / "river" / "pike1.avi"
     if not log.exists():
         pytest.skip(f"test recording not found: {log}")
-    assert "the rings of" not in sonarrec("run", log, "-o", tmp_path).stderr
+    for preset in ("default", "paper"):
+        done = sonarrec("run", log, "-o", tmp_path, "--preset", preset, "--overwrite")
+        assert "the rings of" not in done.stderr
