@@ -127,8 +127,15 @@ class Source:
         return companion(self.place, name, self.up_to)
 
     def others(self, name: str, used: Path | None) -> list[Path]:
-        """The files `name` that might belong to the log, too, but for the one that is used."""
-        return [place for place in companions(self.place, name, self.up_to) if place != used]
+        """The files `name` that might belong to the log, too, but for the one that is used.
+
+        FOLDER.name beside a folder is that of the file FOLDER.mcap, or the like, if there is one.
+        """
+        twins = self.place.parent.glob(f"{glob.escape(self.place.name)}.*")
+        is_theirs = self.place.is_dir() and any(t.suffix not in (".toml", ".csv") for t in twins)
+        left_out = (used, self.place.with_name(f"{self.place.name}.{name}") if is_theirs else used)
+        others = companions(self.place, name, self.up_to)
+        return [place for place in others if place not in left_out]
 
     def stranger(self, name: str) -> str:
         """A remark on a file NAME.name beside the log that is another log's by its name, or ""."""
