@@ -147,6 +147,7 @@ def test_run_toml_gives_the_same_bytes_again(pings: Path) -> None:
         assert (first / name).read_bytes() == (Path("again/pings") / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_settings_change_results(pings: Path) -> None:
     def estimates(*options: str) -> bytes:
         sonarrec("run", pings, *options)
@@ -212,6 +213,7 @@ def test_another_landmark_set(work: Path) -> None:
 # What is said, and what is not
 
 
+@pytest.mark.slow
 def test_silent_where_stderr_is_no_terminal(pings: Path) -> None:
     command = [sys.executable, "-m", "sonarrec", "run", str(pings)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -39,6 +39,7 @@ def numbers(folder: Path) -> list[int]:
         return [int(row["frame"]) for row in csv.DictReader(file)]
 
 
+@pytest.mark.slow
 def test_a_slice_of_the_frames_is_as_python_s(tmp_path: Path) -> None:
     """Frames keep their numbers, run.toml says which, and another slice is not up to date."""
     for text in ("3:7", ":4", "9:", ":"):
@@ -57,6 +58,7 @@ def test_a_slice_of_the_frames_is_as_python_s(tmp_path: Path) -> None:
     assert "up to date" not in whole.stdout
 
 
+@pytest.mark.slow
 def test_run_toml_keeps_the_slice(tmp_path: Path) -> None:
     log, out = tmp_path / "dive", tmp_path / "out"
     log.mkdir()

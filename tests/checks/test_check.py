@@ -71,6 +71,7 @@ def test_red_when_declare_is_raised_then_recorded_then_green() -> None:
     assert back.stdout.startswith("better: TPR 0.")
 
 
+@pytest.mark.slow
 def test_the_record_is_the_same_wherever_it_is_made(
     repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -83,6 +84,7 @@ def test_the_record_is_the_same_wherever_it_is_made(
     assert str(repository).encode() not in first["faint/run.toml"]
 
 
+@pytest.mark.slow
 def test_limits_replace_those_of_the_file() -> None:
     FILE.write_text("least_tpr = { framework = 0.9, smi = 0.01 }\n" + FILE.read_text())
     sonarrec("check", "--update", "-q")
@@ -98,6 +100,7 @@ def test_limits_replace_those_of_the_file() -> None:
     assert "method smj: the results have no such method, but framework, smi" in unknown.stderr
 
 
+@pytest.mark.slow
 def test_in_markdown() -> None:
     sonarrec("check", "--update", "-q")
     told = sonarrec("check", "--markdown", "--set", "features.declare=0.99", code=4)
@@ -110,6 +113,7 @@ def test_in_markdown() -> None:
     assert told.stderr == f"sonarrec: {lines[0].strip('*')}\n"
 
 
+@pytest.mark.slow
 def test_a_log_that_cannot_be_run_leaves_the_record(repository: Path) -> None:
     log(repository, "other", 4)
     FILE.write_text(FILE.read_text() + '[[log]]\npath = "other"\n')
@@ -125,6 +129,7 @@ def test_a_log_that_cannot_be_run_leaves_the_record(repository: Path) -> None:
     assert "unchanged" in partly.stdout
 
 
+@pytest.mark.slow
 def test_a_log_new_in_the_file_and_one_gone_from_it(repository: Path) -> None:
     log(repository, "other", 4)
     sonarrec("check", "--update", "-q")
@@ -140,6 +145,7 @@ def test_a_log_new_in_the_file_and_one_gone_from_it(repository: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_record_of_another_log_is_not_compared(repository: Path) -> None:
     sonarrec("check", "--update", "-q")
     shutil.copy(SAMPLES / "faint" / "000050.png", repository / "faint" / "000000.png")
@@ -150,6 +156,7 @@ def test_the_record_of_another_log_is_not_compared(repository: Path) -> None:
     sonarrec("check", "-q")
 
 
+@pytest.mark.slow
 def test_nothing_is_written_over_the_record() -> None:
     sonarrec("check", "--update", "-q")
     before = contents(RECORD)

@@ -85,6 +85,7 @@ def test_no_change_is_printed_of_a_rate_whose_digits_are_the_same() -> None:
     assert change_text(RateChange("strict", "m", "total", "tpr", 0.99998, 0.99997, 9)) == "1.0000"
 
 
+@pytest.mark.slow
 def test_a_verdict_tells_passes_and_whether_it_may_be_chance(tmp_path: Path) -> None:
     """Of eight passes: by the sign-flip test five that change are p = 2/32, six p = 2/64."""
     starts = range(0, 320, 40)

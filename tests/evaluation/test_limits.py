@@ -132,6 +132,7 @@ def test_a_method_that_is_gone(tmp_path: Path) -> None:
     assert found.sentence == "worse: n: no longer in the results"
 
 
+@pytest.mark.slow
 def test_many_logs_show_what_is_worse_and_the_total(tmp_path: Path) -> None:
     logs = {f"log_{i}": claims(RIGHT) for i in range(MOST_ROWS)}
     logs["log_3"], logs["log_5"] = claims({5}), claims(RIGHT - set(range(5, 15)))

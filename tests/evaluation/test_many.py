@@ -242,6 +242,7 @@ def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) ->
     assert {row["log"] for row in table(files(tmp_path / "e")["passes.csv"])} == {"a", "b"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cores", [2, 1])
 def test_no_process_for_small_logs_nor_beyond_the_cores_it_may_use(
     pairs: Path, monkeypatch: pytest.MonkeyPatch, cores: int

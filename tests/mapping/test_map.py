@@ -447,6 +447,7 @@ def still_pass(rng: np.random.Generator, tracks: int) -> MappedLog:
     return MappedLog("dive", path, passes, FAN, ros_axes=False)
 
 
+@pytest.mark.slow
 def test_tracks_on_one_disc_at_a_time_are_no_more_than_one() -> None:
     """They see the same speckle. As often as is said the truth lies in the ellipse, which is that
     of one track. Taken as independent, as they were, four leave it outside in a fifth of cases."""

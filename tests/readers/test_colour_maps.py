@@ -143,6 +143,7 @@ def in_colour(folder: Path, table: int | np.ndarray) -> Path:
     return log
 
 
+@pytest.mark.slow
 def test_a_log_in_jet_is_recognised_as_its_grey_one(tmp_path: Path) -> None:
     """By luminance its rings are darker than its floor."""
     log = in_colour(tmp_path, cv2.COLORMAP_JET)

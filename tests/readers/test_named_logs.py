@@ -122,6 +122,7 @@ def test_images_and_logs_in_one_folder(campaign: Path) -> None:
         find_log(campaign)
 
 
+@pytest.mark.slow
 def test_a_geometry_serves_a_campaign(campaign: Path) -> None:
     (campaign / "sonar.toml").write_text(SONAR_TOML)
     (campaign / "day2" / "a.sonar.toml").write_text(SONAR_TOML.replace("20.0", "21.0"))

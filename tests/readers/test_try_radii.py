@@ -57,6 +57,7 @@ def test_the_true_radius_is_found_where_nearly_the_diameter_is_stated(
     assert all(t.frames_declared == 0 for t in trials.trials if t.radius_m > 1.2 * TRUE_RADIUS_M)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
@@ -111,6 +112,7 @@ def test_stretches_are_spread_from_begin_to_end(most: int, frames: int | None) -
     assert max(gaps) - min(gaps) <= 1
 
 
+@pytest.mark.slow
 def test_only_few_large_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(radii, "STEPS", 0)
     with open_log(SAMPLE) as log:
@@ -170,6 +172,7 @@ def test_a_log_without_its_geometry_is_described_all_the_same(tmp_path: Path) ->
     assert "Traceback" not in result.output
 
 
+@pytest.mark.slow
 def test_of_several_logs_one_that_fails_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -137,6 +137,7 @@ def test_faults_name_the_server(sonarrec: Sonarrec, s3: Any, day: Path) -> None:
     assert "cache" not in Path("sonarrec_out/cut/run.toml").read_text()
 
 
+@pytest.mark.slow
 def test_results_go_to_a_server_and_are_up_to_date_there(
     sonarrec: Sonarrec, s3: Any, day: Path, tmp_path: Path
 ) -> None:

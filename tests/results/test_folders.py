@@ -106,6 +106,7 @@ def test_the_same_results_are_not_made_again(log: Path, tmp_path: Path) -> None:
     assert (out / "short" / "frames.csv").stat().st_mtime_ns > before
 
 
+@pytest.mark.slow
 def test_what_was_made_of_all_results_is_told_where_some_are_made_anew(
     log: Path, tmp_path: Path
 ) -> None:

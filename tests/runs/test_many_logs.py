@@ -304,6 +304,7 @@ def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
     assert sonarrec(*call, "--retry-failed").stderr == "nothing to do\n"
 
 
+@pytest.mark.slow
 def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path: Path) -> None:
     logs = made(tmp_path, "a", "b", "c", frames=3)
     (logs[2] / "sonar.toml").write_text("[sonar]\nlayout = 3\n")
@@ -347,6 +348,7 @@ def test_a_file_given_for_all_logs_is_told_once(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_refused_namesake_leaves_the_row_of_results_that_stand(tmp_path: Path) -> None:
     """The row became its own: the log that was done was told as failed, and done again."""
     logs = made(tmp_path, "day1/dive", "day2/dive", "other", frames=2)

@@ -129,6 +129,7 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path: Path) 
     assert asis["landmarks"] == laid["landmarks"]
 
 
+@pytest.mark.slow
 def test_what_there_was_no_room_for_and_what_cannot_be_read_is_told_once(tmp_path: Path) -> None:
     scene = replace(random_scene(5, "no_landmark"), frames=4, objects=())
     write_recording(scene, tmp_path / "floor")

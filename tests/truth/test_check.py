@@ -84,6 +84,7 @@ def test_the_samples_are_sound(name: str) -> None:
     assert faults(SAMPLES / name / "gt.csv", SAMPLES / name) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", but_first(["basin_a", "basin_b", "basin_c"]))
 def test_recordings_of_another_simulator_are_sound(name: str) -> None:
     if not (SHARED / name).is_dir():

@@ -242,6 +242,7 @@ def test_faults(tmp_path: Path) -> None:
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
     """Every landmark in view for at least 0.9 is proposed, none that is not there, and in place.
 
