@@ -38,9 +38,10 @@ def in_order(paths: Iterable[str]) -> tuple[list[str], str | None]:
     texts = list(paths)
     if len(texts) < 2:
         return texts, None
-    points = [_POINTED.findall(stem) for stem in _stems(texts)]
+    points: list[list[tuple[str, str]]] = []  # mostly none: empty lists would take much room
     is_count: bool | None = True
-    if any(points):
+    if any(map(_POINTED.search, _stems(texts))):
+        points = [_POINTED.findall(stem) for stem in _stems(texts)]
         is_count = counts_behind_point([(found or [("0", "")])[-1] for found in points])
     ordered = sorted(texts, key=partial(_key, decimals=not is_count))
     counted = partial(_key, decimals=False)
@@ -49,7 +50,7 @@ def in_order(paths: Iterable[str]) -> tuple[list[str], str | None]:
     stems = _stems(ordered)
     if all(re.fullmatch(r" ?\([0-9]+\)", stem.removeprefix(stems[0])) for stem in stems[1:]):
         return ordered, None  # copies, as systems name them
-    return ordered, _doubt(stems, any(points), bool(is_count))
+    return ordered, _doubt(stems, bool(points), bool(is_count))
 
 
 def _key(path: str, decimals: bool) -> str:
