@@ -25,6 +25,8 @@ ALONG = 0.7
 RADII = np.linspace(0.3, 1.7, 57)  # as shares of the stated radius
 FINE = np.linspace(0.0, 2.5, 501)
 SMEARS = (0.03, 0.06, 0.1, 0.14)
+KERNELS = [np.exp(-0.5 * ((RADII[:, None] - FINE) / smear) ** 2) for smear in SMEARS]
+KERNELS = [kernel / kernel.sum(axis=1, keepdims=True) for kernel in KERNELS]
 # In 11 simulated and real recordings with the true set another scale or edge that is LEAST away
 # leaves at least .85 of the misfit; with a radius 7 % off or an inner edge 10 % one of the two
 # leaves .65 at most.
@@ -62,11 +64,12 @@ class Rings:
         if frame.polar is not None:
             frame.polar.forget()
         for one in sure:
-            outlines = [
-                disc_outline(fan, r * self._landmarks.radius_m, one.x_px, one.y_px) for r in RADII
-            ]
-            angle = np.linspace(0, 2 * np.pi, len(outlines[0]), endpoint=False)
-            points = np.stack(outlines)[:, np.abs(np.sin(angle)) > ALONG]
+            # A disc's picture grows in proportion, but for a hundredth of its radius.
+            outline = disc_outline(fan, self._landmarks.radius_m, one.x_px, one.y_px)
+            angle = np.linspace(0, 2 * np.pi, len(outline), endpoint=False)
+            middle = np.array([one.x_px, one.y_px])
+            arms = outline[np.abs(np.sin(angle)) > ALONG] - middle
+            points = middle + RADII[:, None, None] * arms
             column, row = np.moveaxis(np.rint(points).astype(int), 2, 0)
             inside = row.clip(0, fan.rows - 1), column.clip(0, fan.columns - 1)
             profile = image[inside].mean(axis=1)
@@ -103,9 +106,7 @@ def _misfit(profile: FloatArray, edges: Sequence[float]) -> float:
     """
     bounds = (0.0, *edges, np.inf)
     least = np.inf
-    for smear in SMEARS:
-        kernel = np.exp(-0.5 * ((RADII[:, None] - FINE) / smear) ** 2)
-        kernel /= kernel.sum(axis=1, keepdims=True)
+    for kernel in KERNELS:
         inside = [(low <= FINE) & (high > FINE) for low, high in itertools.pairwise(bounds)]
         bands = kernel @ np.stack(inside, axis=1)
         levels = np.linalg.lstsq(bands, profile, rcond=None)[0]
