@@ -8,8 +8,9 @@ from sonarrec.errors import number_of, printable
 from sonarrec.evaluation.comparison import Comparison, rate_table
 
 MOST_LINES = 12
+"""Settings that are listed; compare.json has all."""
 MOST_RUNS = 6
-"""Settings, and runs of changed frames, that are listed; the files have all."""
+"""Runs of changed frames that are listed; changes.csv has all."""
 
 
 def screen(found: Sequence[Comparison]) -> str:

@@ -51,9 +51,14 @@ class RateChange:
         up = float(np.nan_to_num(self.new) - np.nan_to_num(self.old))
         return up if self.rate == "fpr" else -up
 
+    def sign(self, band: float) -> int:
+        """1 if it got worse by more than `band` and than FRAMES_FREE frames, -1 if better, or 0."""
+        least = max(band, FRAMES_FREE / max(self.of, 1)) + 1e-9
+        return int(np.sign(self.worse)) * (abs(self.worse) > least)
+
     def is_regression(self, band: float) -> bool:
-        """Whether it got worse by more than `band` and by more than FRAMES_FREE frames."""
-        return self.worse > max(band, FRAMES_FREE / max(self.of, 1)) + 1e-9
+        """Whether it got worse, as of `sign`."""
+        return self.sign(band) > 0
 
 
 @dataclass(frozen=True, slots=True)

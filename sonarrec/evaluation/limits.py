@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 from sonarrec.errors import UsageError, number_of
 from sonarrec.evaluation.comparison import Comparison, RateChange, rate_text
@@ -88,8 +87,8 @@ class Row:
     protocol: str
     old: Count
     new: Count
-    mark: Literal["worse", "better", ""]
-    """Whether a rate changed by more than the band and two frames."""
+    band: float
+    """As in Limits."""
 
     @property
     def is_total(self) -> bool:
@@ -100,6 +99,12 @@ class Row:
         """TPR before and now, FPR before and now."""
         old, new = self.old, self.new
         return rate_text(old.tpr), rate_text(new.tpr), rate_text(old.fpr), rate_text(new.fpr)
+
+    @property
+    def mark(self) -> str:
+        """ "worse" or "better" if a rate is by more than the band and two frames, else ""."""
+        signs = {r.sign(self.band) for r in self.rates()}
+        return "worse" if 1 in signs else "better" if -1 in signs else ""
 
     def rates(self) -> list[RateChange]:
         """The TPR and the FPR."""
@@ -170,19 +175,12 @@ def _rows(comparison: Comparison, methods: Sequence[str], band: float) -> Iterat
     ]
     per_log = [tuple(s.counts_per_log() for s in pair) for pair in pairs]
 
-    def row(log: str, s: Scored, was: Count, now: Count) -> Row:
-        one = Row(log, s.method, s.protocol, was, now, "")
-        back = Row(log, s.method, s.protocol, now, was, "")
-        worse, better = (any(r.is_regression(band) for r in x.rates()) for x in (one, back))
-        mark: Literal["worse", "better", ""] = "worse" if worse else "better" if better else ""
-        return Row(log, s.method, s.protocol, was, now, mark)
-
     for n, log in enumerate(comparison.logs):
         for (_, s), (was, now) in zip(pairs, per_log, strict=True):
-            yield row(log, s, was[n][-1], now[n][-1])
+            yield Row(log, s.method, s.protocol, was[n][-1], now[n][-1], band)
     if len(comparison.logs) > 1:
-        for was_all, now_all in pairs:
-            yield row(TOTAL, now_all, was_all.count(), now_all.count())
+        for was_all, s in pairs:
+            yield Row(TOTAL, s.method, s.protocol, was_all.count(), s.count(), band)
 
 
 def _sentence(
