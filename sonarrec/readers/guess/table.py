@@ -40,6 +40,6 @@ GUESSES = (
     Guess("height", height_from_images, ("HALF_BEAM_DEG", "LIT", "LEAST"), ("height_m",)),
     Guess("outline", find_outline, ("BACKGROUND", "ON_EDGE", "ON_ARC"), ()),
     Guess("contradictions", Plausibility.contradictions, ("_OUTSIDE", "_APART", "_CUT"), ()),
-    Guess("order of images", in_order, ("_LIMITS",), ()),
+    Guess("order of images", in_order, ("_GAP",), ()),
     Guess("times in names", times_in_names, ("LEAST_STEP_NS", "MOST_COUNTED_NS"), ()),
 )

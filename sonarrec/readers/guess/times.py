@@ -23,7 +23,7 @@ _FRACTION = (
 )
 # From 2004 to 2033. Counters of ten digits begin at 1000000000.
 _SINCE_1970 = re.compile(rf"(?<![0-9])(?P<since_1970>1[1-9][0-9]{{8}}){_FRACTION}(?![0-9])")
-DATE = re.compile(
+_DATE = re.compile(
     r"(?<![0-9])(?P<year>20[0-9]{2})(?P<dash>[-_.]?)(?P<month>[0-9]{2})(?P=dash)(?P<day>[0-9]{2})"
     r"(?:[-_.T ]{0,2}| at )"
     r"(?P<hour>[0-9]{2}|(?<=[-_T ])[0-9](?=[-_.:]))(?P<colon>[-_.:]|h(?=[0-9]{2}m)|)"
@@ -47,7 +47,7 @@ def times_in_names(stems: Iterable[str]) -> IntArray | None:
     if all(map(_NANOSECONDS.match, stems)):
         return np.array(stems, np.int64) if max(stems) < str(2**63) else None
     # Names may hold both: when the recording began, and when the image was taken.
-    found = (_rising_times(form, stems) for form in (DATE, _SINCE_1970))
+    found = (_rising_times(form, stems) for form in (_DATE, _SINCE_1970))
     return next((times for times in found if times is not None), None)
 
 
@@ -82,7 +82,7 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     parts = np.array([int(f"{text:0<9}") for text in fractions], np.int64)
     if alike is not None and _fraction_counts(whole, parts, *alike):
         parts = np.zeros_like(parts)
-    if form is DATE and may_be_half_days(whole // 3600 % 24):
+    if form is _DATE and _may_be_half_days(whole // 3600 % 24):
         return None
     steps = np.diff(times := whole * 10**9 + parts)
     if len(steps) and (steps.min() <= 0 or np.median(steps) < LEAST_STEP_NS):
@@ -91,10 +91,10 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     # hundreds.
     within_a_minute = np.ptp(whole // 60) == 0 and whole[0] % 86400 < 3600
     counts = len(whole) > 1 and within_a_minute and np.ptp(whole) == len(whole) - 1
-    return None if form is DATE and not parts.any() and counts else times
+    return None if form is _DATE and not parts.any() and counts else times
 
 
-def may_be_half_days(hours: IntArray) -> bool:
+def _may_be_half_days(hours: IntArray) -> bool:
     """Whether hours may be those of a clock of 12: 12 and 1 are there, none above, and not all
     between, as in a recording from one to twelve."""
     held = set(hours.tolist())
