@@ -18,7 +18,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from sonarrec.errors import MAX_PROBLEM_LINES, Diagnostics, SonarrecError, number_of, printable
+from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
 from sonarrec.readers.containers.packed import PACKINGS
 from sonarrec.readers.containers.recording import Channel, Message, Recording
 from sonarrec.tables.order import natural_order
@@ -174,15 +174,10 @@ class BagFolder(Recording):
         self.profile = "ros2"
         files, metadata = _listed(path, self.diagnostics)
         self._parts = [_Part(file) for file in files]
-        missing = [part for part in self._parts if not part.path.is_file()]
-        self._tells_each = len(missing) <= MAX_PROBLEM_LINES  # else all in a line
-        if not self._tells_each:
-            names = f"{missing[0].path.name} to {missing[-1].path.name}"
-            self.fault(f"{len(missing)} of its {len(files)} parts are missing, {names}")
         for part in self._parts:
             if part.path.is_file():
                 self._look_into(part)
-            elif self._tells_each:
+            else:
                 self.diagnostics.fault("this part of the bag is missing", part.path.name)
             self.counts.update(part.found)
         if not any(part.numbers for part in self._parts):
@@ -284,12 +279,6 @@ class BagFolder(Recording):
                 advanced(first, run)
             if index is not None:
                 advanced(index, self._messages_of(self._parts[index], channels))
-        for number in channels if not self._tells_each else ():
-            if gone := sum(part.lost[number] for part in self._parts if not part.numbers):
-                topic = self.channels[number].topic
-                self.fault(
-                    f"{gone} messages of {topic} lost with them, by the counts in {METADATA}"
-                )
         self.note_set_back(part.read for part in self._parts if part.read is not None)
 
     def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
@@ -304,7 +293,7 @@ class BagFolder(Recording):
             yield replace(message, channel=number)
         for number in channels:
             gone = part.found[number] + part.lost[number] - passed[number]
-            if part.lost[number] and (self._tells_each or part.numbers):
+            if part.lost[number]:
                 self.diagnostics.fault(
                     f"{number_of(gone, 'message')} of {self.channels[number].topic} lost, by the "
                     f"counts in {METADATA}",

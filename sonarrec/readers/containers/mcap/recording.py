@@ -13,7 +13,6 @@ from __future__ import annotations
 import heapq
 import struct
 from array import array
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,7 +30,6 @@ from sonarrec.readers.containers.mcap.chunks import (
 )
 from sonarrec.readers.containers.mcap.salvage import (
     CHUNK,
-    FIRST_PRIVATE,
     MESSAGE_HEAD,
     McapFile,
     records_in,
@@ -42,7 +40,6 @@ from sonarrec.readers.raw import MAX_FRAME_BYTES
 _MAX_INDEX_BYTES = 2**20
 _INDEX_HEAD = struct.Struct("<HI")  # channel, length of the entries
 _INDEX_ENTRY = struct.Struct("<QQ")  # log time, offset in the chunk
-_OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 
 
@@ -118,25 +115,22 @@ class _Scan:
 
     end: where the last whole record ends. offsets, channels, times: offset of the record in the
     chunk, channel and log time (ns) of each message of the chosen channels; 24 bytes of memory a
-    message. oddities: how many records of each kind should not be there.
+    message. undefined: how many messages are of channels that nothing defines.
     """
 
     def __init__(
         self, contents: Contents, channels: Collection[int], defined: Collection[int]
     ) -> None:
         """defined: the channels that the file defines."""
-        self.end, self.oddities = contents.start, Counter[str]()
+        self.end, self.undefined = contents.start, 0
         self.offsets, self.channels, self.times = array("Q"), array("Q"), array("Q")
         for opcode, body, length in records_in(contents, contents.start):
             self.end = body + length
             if opcode != Opcode.MESSAGE:
-                if opcode not in _OF_CHUNKS and opcode < FIRST_PRIVATE:
-                    self.oddities["records that no chunk may hold"] += 1
                 continue
             contents.file.seek(body)
             head = contents.file.read(min(length, MESSAGE_HEAD.size))
             if len(head) < MESSAGE_HEAD.size:
-                self.oddities["messages too short for a head"] += 1
                 continue
             channel, _, time, _ = MESSAGE_HEAD.unpack(head)
             if channel in channels:
@@ -144,7 +138,7 @@ class _Scan:
                 self.channels.append(channel)
                 self.times.append(time)
             elif channel not in defined:
-                self.oddities["messages of channels that nothing defines"] += 1
+                self.undefined += 1
 
     def agrees(self, index: list[tuple[int, int, int]]) -> bool:
         """Whether it has the messages of an index, or the index knows fewer than there are."""
@@ -260,8 +254,9 @@ class _Pass:
             self._lose(chunk, f"{where} (`mcap recover` may save some)")
             log.store.release(contents)
             return
-        for oddity, number in found.oddities.items():
-            log.fault(f"not read: {number} {oddity}, in the chunk at byte {position}")
+        if found.undefined:
+            number = number_of(found.undefined, "message")
+            log.fault(f"not read: {number} of no channel, in the chunk at byte {position}")
         if count:
             times = np.frombuffer(found.times, np.uint64)
             self.spans.append((position, int(times.min()), int(times.max())))

@@ -38,8 +38,6 @@ _MAX_DEFINITION_BYTES = 4 * 2**20
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQ")  # start, end, position of the chunk
 _CRC = struct.Struct("<I")
 _FOOTER_BYTES = 20
-_LAST_OPCODE = 0x0F
-FIRST_PRIVATE = 0x80  # the first opcode that is free for private records
 
 
 def records_in(contents: Contents, at: int) -> Iterator[tuple[int, int, int]]:
@@ -204,13 +202,10 @@ class McapFile:
         """Register a whole record at `at`. last_times: log time of the last message, by channel."""
         self.file.seek(at + RECORD_HEAD.size)
         if opcode != Opcode.MESSAGE:
-            if _LAST_OPCODE < opcode < FIRST_PRIVATE:
-                self._oddities["records of no known kind"] += 1
             self._define(self.file, opcode, length)
             return
         head = self.file.read(min(length, MESSAGE_HEAD.size))
         if len(head) < MESSAGE_HEAD.size:
-            self._oddities["messages too short for a head"] += 1
             return
         channel, _, time, _ = MESSAGE_HEAD.unpack(head)
         if time < last_times.get(channel, time + 1):
