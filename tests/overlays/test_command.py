@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import re
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.readers import open_log
-from sonarrec.sonar import Sonar
 from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
 from tests.support.foxglove import messages
 from tests.support.logs import cdr_image, image_folder, mcap_file
@@ -72,17 +70,6 @@ def test_the_command(work: Path) -> None:
     assert [p.name for p in (work / "one").iterdir()] == ["000002.png"]
     two = [(work / d / "000002.png").read_bytes() for d in ("one", "shots")]
     assert two[0] == two[1]  # what came before is in its strip all the same
-
-
-@pytest.mark.usefixtures("work")
-def test_a_video_may_be_called_by_its_time() -> None:
-    """What stands before a colon is no protocol; OpenCV dies of a name that is not UTF-8."""
-    sonarrec("overlay", "log", "--video", "12:30:00.mp4", "-q")
-    sonar = Sonar("fan", 1.0, 3.0, 30.0, 20.0)
-    with open_log("12:30:00.mp4", sonar=sonar) as video:
-        assert len(list(video)) == 4
-    told = sonarrec("overlay", "log", "--video", os.fsdecode(b"d\xe9.mp4"), code=1)
-    assert told.stderr.startswith(r"sonarrec: d\xe9.mp4: the name of a video must be UTF-8")
 
 
 @pytest.mark.slow

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import base64
-import json
 import tracemalloc
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
 from sonarrec.drawing.pen import disc_outline, landmark_colours
 from sonarrec.overlays.overlay import Targets, write_overlay
@@ -44,25 +42,6 @@ def test_annotations_carry_the_stamp_of_the_image(tmp_path: Path) -> None:
         times += [e["timestamp"] for e in message["points"] + message["texts"]]
         assert {nanoseconds(t) for t in times} == {stamp}
         assert message["texts"]  # never empty, or old versions hold the image back
-
-
-def test_frames_beyond_the_times_of_ros_2_are_told_once(tmp_path: Path) -> None:
-    """Of Foxglove's own image messages, whose seconds go on: the last of three lies beyond."""
-    recorded = []
-    for n, image in enumerate(noise(3)):
-        time = {"sec": 2**31 - 2 + n, "nsec": 7}
-        message = {"timestamp": time, "width": image.shape[1], "height": image.shape[0],
-                   "encoding": "mono8", "step": image.shape[1],
-                   "data": base64.b64encode(image).decode()}  # fmt: skip
-        recorded.append(("/sonar", nanoseconds(time), json.dumps(message).encode()))
-    kind = {"schema": "foxglove.RawImage", "encoding": "json", "schema_encoding": "jsonschema"}
-    log = mcap_file(tmp_path / "log.mcap", recorded, **kind)
-    results, o = write_results(tmp_path / "results", moving(3)), tmp_path / "o.mcap"
-    [told] = write_overlay(log, Targets(mcap=o), results=results).diagnostics.problems
-    assert f"{o}: 1 frame without /sonarrec/detections" in told
-    assert len(list(messages(o))) == 3
-    with o.open("rb") as file:
-        assert len(list(make_reader(file).iter_messages(topics=["/sonarrec/detections"]))) == 2
 
 
 def test_annotations_lie_on_the_object(tmp_path: Path) -> None:

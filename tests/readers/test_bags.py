@@ -14,9 +14,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from click.testing import CliRunner
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
@@ -122,32 +120,6 @@ def test_a_missing_part(storage: str, tmp_path: Path) -> None:
         read(tmp_path / "dive")
 
 
-def test_very_many_missing_parts_are_two_lines(tmp_path: Path) -> None:
-    """They were a line each, which took longer than by their number."""
-    images = IMAGES[:1] * 60
-    files = split_bag(tmp_path / "dive", parts_of(messages(images), [1] * 60), ".mcap")
-    for file in files[1:-1]:
-        file.unlink()
-    found, problems = read(tmp_path / "dive")
-    assert [f.index for f in found] == [0, 59]
-    assert problems == [
-        f"dive: 58 of its 60 parts are missing, {files[1].name} to {files[-2].name}",
-        "dive: 58 messages of /sonar lost with them, by the counts in metadata.yaml",
-    ]
-
-
-def test_losses_that_cannot_be_placed(tmp_path: Path) -> None:
-    """Old bags count no messages by file: of two parts that are gone none knows which had what."""
-    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS))
-    told = tmp_path / "dive" / "metadata.yaml"
-    told.write_text(told.read_text().replace("  files:", "  other:"))
-    files[1].unlink()
-    files[2].unlink()
-    found, problems = read(tmp_path / "dive")
-    assert [f.index for f in found] == list(range(6))
-    assert "counts 10 messages of /sonar, the parts hold 6; in which part" in problems[-1]
-
-
 def test_parts_that_overlap_in_time_come_in_the_order_of_time(tmp_path: Path) -> None:
     """A recorder writes what comes in while it opens the next file into either."""
     timed = messages(IMAGES)
@@ -207,17 +179,6 @@ def test_a_clock_that_was_set(container: str, tmp_path: Path) -> None:
         assert all(told in note for note in notes)
 
 
-def test_another_topic_with_old_times_is_no_clock_that_was_set_back(tmp_path: Path) -> None:
-    """A recorder may repeat what was published once, such as a transform, in every part."""
-    timed = [(time + 10**12, data) for time, data in messages(IMAGES)]
-    files = split_bag(tmp_path / "dive", [timed[:5], timed[5:]])
-    mcap_file(files[1], [("/once", 0, b""), *(("/sonar", *message) for message in timed[5:])])
-    with open_log(tmp_path / "dive", topic="/sonar") as log:
-        assert len(list(log)) == 10
-        assert not log.diagnostics.problems
-        assert not any("clock" in note for note in log.diagnostics.notes)
-
-
 def test_info_and_digest_of_a_bag(tmp_path: Path) -> None:
     files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS), ".mcap", "file")
     assert files[0].name == "dive_0.mcap.zstd"
@@ -232,22 +193,6 @@ def test_info_and_digest_of_a_bag(tmp_path: Path) -> None:
     with open_log(tmp_path / "dive") as opened:
         assert opened.digest_source() == (size, digest.hexdigest())
     assert log["size_bytes"] == size
-
-
-@pytest.mark.slow
-def test_other_commands_see_one_log(tmp_path: Path) -> None:
-    images = [cv2.imread(str(SAMPLE / "pan" / f"{k:06d}.png"), 0) for k in range(12)]
-    split_bag(tmp_path / "dive", parts_of(messages(images), [5, 7]))
-    out = tmp_path / "out"
-    sonarrec("run", tmp_path / "dive", "-o", out)
-    assert "up to date" in sonarrec("run", tmp_path / "dive", "-o", out).stdout
-    sonarrec("overlay", tmp_path / "dive", out / "dive", "--images", tmp_path / "shots")
-    assert len(list((tmp_path / "shots").glob("*.png"))) == 12
-    sonarrec("report", out, "--log", tmp_path / "dive", "-o", tmp_path / "report.html")
-    truth = SAMPLE / "pan" / "gt.csv"
-    checked = ("truth", "check", truth, tmp_path / "dive", "-o", tmp_path / "sheet.png")
-    assert CliRunner().invoke(main, [*map(str, checked)]).exit_code in (0, 3)
-    assert (tmp_path / "sheet.png").exists()
 
 
 def test_poses_of_a_bag(tmp_path: Path) -> None:
@@ -363,27 +308,6 @@ def test_messages_and_chunks_that_inflate_to_more_than_is_read(
     assert len(bz2.compress(bytes(2**20))) < 100  # as small as such a chunk is
 
 
-def test_nothing_in_a_definition_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    bag(tmp_path / "dive", messages(IMAGES))
-    file = tmp_path / "dive" / "dive.db3"
-    evil = "string A=x'+open('ran','w').name+'\nuint8 B=__import__('os').system('touch ran')\n"
-    with sqlite3.connect(file) as db:
-        (text,) = db.execute(
-            "SELECT encoded_message_definition FROM message_definitions"
-        ).fetchone()
-        db.execute("UPDATE message_definitions SET encoded_message_definition = ?", (evil + text,))
-    assert len(read(tmp_path / "dive")[0]) == 10
-    assert not (tmp_path / "ran").exists()
-
-
-@pytest.mark.parametrize("name", ["a?b#c.db3", "with space%20.db3"])
-def test_odd_names_of_databases(name: str, tmp_path: Path) -> None:
-    bag(tmp_path / "dive", messages(IMAGES))
-    file = (tmp_path / "dive" / "dive.db3").rename(tmp_path / "dive" / name)
-    assert len(read(file)[0]) == 10
-
-
 def test_rows_of_a_database_that_are_left_unread_are_told(tmp_path: Path) -> None:
     bag(tmp_path / "dive", messages(IMAGES))
     file = tmp_path / "dive" / "dive.db3"
@@ -394,16 +318,3 @@ def test_rows_of_a_database_that_are_left_unread_are_told(tmp_path: Path) -> Non
     assert len(found) == 6
     assert "dive.db3: 4 messages of topics that it does not list, not read" in problems
     assert any("what its recorder left in dive.db3-journal is not read" in p for p in problems)
-
-
-def test_a_view_without_end_is_no_database_of_a_bag(tmp_path: Path) -> None:
-    bag(tmp_path / "dive", messages(IMAGES[:2]))
-    file = tmp_path / "dive" / "dive.db3"
-    with sqlite3.connect(file) as database:
-        database.execute("ALTER TABLE messages RENAME TO others")
-        database.execute(
-            "CREATE VIEW messages AS WITH RECURSIVE c(id) AS (SELECT 1 UNION ALL SELECT id FROM c)"
-            "SELECT id, 1 AS topic_id, 1 AS timestamp, x'00' AS data FROM c"
-        )
-    with pytest.raises(SonarrecError, match="it has no table messages"):
-        read(file)

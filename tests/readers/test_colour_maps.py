@@ -126,13 +126,6 @@ def test_grey_pictures_and_strange_colours_have_no_map() -> None:
     assert find_map([strange]) is None
 
 
-@pytest.mark.parametrize("top", [(128, 199, 255), (25, 255, 25), (255, 153, 51)])
-def test_ramps_of_one_hue_are_read_by_their_luminance(top: tuple[int, int, int]) -> None:
-    """Copper, green, blue: it rises with the level."""
-    ramp = (np.arange(256)[:, None, None] * np.array(top) / 255).astype(np.uint8)
-    assert find_map([cv2.applyColorMap(picture(), ramp)]) is None
-
-
 def in_colour(folder: Path, table: int | np.ndarray) -> Path:
     log = folder / "drawn" / "pan"
     log.mkdir(parents=True)

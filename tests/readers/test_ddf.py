@@ -374,34 +374,7 @@ def test_a_didson_whose_clock_was_never_set(year: int, tmp_path: Path) -> None:
     assert not problems
 
 
-def test_frames_without_a_time_among_others_do_not_leap_to_1970(tmp_path: Path) -> None:
-    path = didson_file(tmp_path / "d.ddf", frames(6, 64, 48), 3)
-    times = [frame.timestamp_ns for frame in read(path)[0]]
-    data = bytearray(path.read_bytes())
-    for number in (2, 3):
-        at = 512 + number * (256 + 64 * 48) + 24
-        data[at : at + 4] = bytes(4)  # the month
-    path.write_bytes(data)
-    told = [frame.timestamp_ns for frame in read(path)[0]]
-    assert told[:2] + told[4:] == times[:2] + times[4:]
-    assert told[2:4] == [times[1] + 125_000_000, times[1] + 250_000_000]
-
-
 # Files that are not whole
-
-
-def test_a_damaged_header_costs_its_frame_alone(tmp_path: Path) -> None:
-    path = aris_file(tmp_path / "a.aris", frames(5, 64, 48))
-    data = bytearray(path.read_bytes())
-    data[1024 + 2 * 4096 + 12] ^= 1  # the signature of frame 2
-    data[1024 + 3 * 4096 + 464 : 1024 + 3 * 4096 + 468] = struct.pack("<f", np.nan)  # sound speed
-    path.write_bytes(data)
-    found, problems, _ = read(path)
-    assert [frame.index for frame in found] == [0, 1, 4]
-    assert problems == [
-        "frame 2: its header is damaged, skipped",
-        "frame 3: a sound speed of nan m/s, skipped",
-    ]
 
 
 def test_what_follows_the_last_frame_is_told(tmp_path: Path) -> None:

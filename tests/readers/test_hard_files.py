@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import struct
-import subprocess
-import sys
 import time
 import zlib
 from dataclasses import replace
@@ -16,14 +14,11 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from mcap.writer import Writer
 
 from sonarrec.cli import main
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.pixels import decode_image
-from sonarrec.readers.messages import images as mcap_images
-from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
@@ -98,24 +93,6 @@ def test_a_name_that_is_no_utf8(tmp_path: Path) -> None:
         str(caught.value).encode()
 
 
-def test_a_name_beyond_ascii_without_utf8_mode(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", IMAGES)
-    (log / "frame5é.png").write_bytes(b"broken")
-    script = f"""
-from sonarrec.readers import open_log
-with open_log({str(log)!r}) as log:
-    print(len(list(log)), log.diagnostics.problems[0].encode())
-"""
-    told = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0"},
-    )
-    assert told.stdout.startswith(f"6 {'frame5é.png: unreadable image'.encode()!r}"[:-1])
-
-
 @pytest.mark.parametrize(
     "name", ["x" * 5000, "*" * 5000, "a/" * 2500, "9" * 5000 + "/*.png", "\0.png"], ids=range(5)
 )
@@ -179,35 +156,6 @@ def test_what_can_be_unpacked_is_told_how(name: str, says: str, tmp_path: Path) 
         assert "\n" not in told.stderr.strip()
 
 
-def test_channels_that_share_a_definition_parse_it_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "log.mcap"
-    text = b"# a comment\n" * 20_000 + b"uint8[] data\n"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        for copy in range(3):
-            schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", text)
-            odom = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", text)
-            for number in range(100):
-                writer.register_channel(f"/a{copy}_{number}", "cdr", schema)
-                writer.register_channel(f"/o{copy}_{number}", "cdr", odom)
-        writer.finish()
-    calls = []
-    whole = mcap_images.decoder_for
-    monkeypatch.setattr(
-        mcap_images, "decoder_for", lambda *a: calls.append(a) or whole(*a)  # type: ignore[func-returns-value]
-    )  # fmt: skip
-    start = time.process_time()
-    with pytest.raises(UsageError, match="several image channels"):
-        open_log(path)
-    assert len(calls) == 2
-    with pytest.raises(UsageError, match="no pose topic"):
-        read_topic(path, "/nothing", "log")
-    assert time.process_time() - start < 5
-
-
 def jpeg(number: int) -> bytes:
     noise = np.random.default_rng(number).integers(0, 256, (120, 160), dtype=np.uint8)
     return cv2.imencode(".jpg", cv2.GaussianBlur(noise, (0, 0), 2))[1].tobytes()
@@ -231,29 +179,6 @@ def test_a_jpeg_that_is_damaged_inside(tmp_path: Path) -> None:
     assert opened.diagnostics.problems == [
         f"{n}.jpg: a JPEG that is damaged inside, skipped" for n in (2, 4)
     ]  # fmt: skip
-
-
-def test_a_damaged_jpeg_is_found_with_stderr_closed(tmp_path: Path) -> None:
-    data = bytearray(jpeg(0))
-    del data[len(data) // 2 : len(data) // 2 + 300]
-    (tmp_path / "a.jpg").write_bytes(data)
-    script = f"""
-import os
-os.close(2)
-from pathlib import Path
-from sonarrec.readers.decode.pixels import decode_image
-from sonarrec.readers.raw import UnusableError
-from sonarrec.simulation.mcap_writer import McapImageWriter
-from sonarrec.sonar import Sonar
-from tests.support.shapes import peak_of_reading
-for _ in range(2):
-    try:
-        decode_image(Path({str(tmp_path / "a.jpg")!r}).read_bytes())
-    except UnusableError as error:
-        print(error)
-"""
-    told = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=True)
-    assert told.stdout.decode().splitlines() == ["a JPEG that is damaged inside"] * 2
 
 
 def tiff(images: list[np.ndarray], kinds: list[int], order: str, big: bool) -> bytes:
@@ -297,49 +222,6 @@ def test_a_tiff_of_several_images(order: str, big: bool) -> None:
             decode_image(stack)
 
 
-def test_a_tiff_that_leads_nowhere() -> None:
-    """Directories in a circle, beyond the file or beyond all memory: it still ends."""
-    images = frames(2)
-    for big in (False, True):
-        stack = bytearray(tiff(images, [0, 1], "<", big))
-        first = 16 if big else 8
-        end = stack.index(images[0].tobytes()) - first // 2  # the offset of the second directory
-        for to in (first, 2**31, 2**64 - 1 if big else 2**32 - 1):
-            stack[end : end + first // 2] = to.to_bytes(first // 2, "little")
-            np.testing.assert_array_equal(decode_image(bytes(stack)), images[0])
-
-
-def test_a_stack_among_images(tmp_path: Path) -> None:
-    images = frames(3)
-    log = image_folder(tmp_path / "log", images, ".tif")
-    (log / "frame1.tif").write_bytes(tiff(images[:2], [0, 0], "<", False))
-    with open_log(log) as opened:
-        assert [frame.index for frame in opened] == [0, 2]
-        assert opened.diagnostics.problems == [
-            "frame1.tif: a TIFF of several images; one image a file is read, skipped"
-        ]
-
-
-CASES = Path(__file__).parents[3] / "shared" / "data" / "cases"
-
-
-def test_a_jpeg_with_stray_bytes_in_its_header() -> None:
-    whole = jpeg(0)
-    at = whole.index(b"\xff\xdb")  # of the tables
-    stray = whole[:at] + b"abc" + whole[at:]
-    np.testing.assert_array_equal(decode_image(stray), decode_image(whole))
-
-
-def test_a_tiff_of_planes_of_16_bit_is_refused() -> None:
-    """The decoder would give garbage."""
-    colour = np.dstack([frame.astype(np.uint16) * 257 for frame in frames(3)])
-    data = bytearray(cv2.imencode(".tiff", colour, [cv2.IMWRITE_TIFF_COMPRESSION, 1])[1].tobytes())
-    at = data.index(struct.pack("<HHI", 284, 3, 1))
-    struct.pack_into("<H", data, at + 8, 2)
-    with pytest.raises(UnusableError, match=r"planes of their own|unreadable"):
-        decode_image(bytes(data))
-
-
 def test_a_bag_that_is_still_recorded_has_a_hint(tmp_path: Path) -> None:
     (tmp_path / "dive.bag.active").write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(SonarrecError, match="`rosbag reindex dive"):
@@ -381,20 +263,6 @@ def test_no_room_is_made_for_what_an_image_claims(image: bytes, tmp_path: Path) 
     assert peak < 150
 
 
-def test_images_cut_short(tmp_path: Path) -> None:
-    rng = np.random.default_rng(2)
-    image = rng.integers(0, 256, (60, 80), dtype=np.uint8)
-    (tmp_path / "whole.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
-    suffixes = (".png", ".jpg", ".tiff", ".bmp", ".pgm")
-    for suffix in suffixes:
-        data = cv2.imencode(suffix, image)[1].tobytes()
-        (tmp_path / f"cut{suffix}").write_bytes(data[: len(data) // 2])
-    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
-    with open_log(tmp_path) as opened:
-        assert len(list(opened)) == 1
-    assert len(opened.diagnostics.problems) == len(suffixes)
-
-
 def test_a_window_too_short_to_be_meant(tmp_path: Path) -> None:
     bearings = tuple(np.linspace(-30, 30, 20).tolist())
     sonar = Sonar(range_min_m=1, range_max_m=2, tilt_deg=20, bearings_deg=bearings).complete("test")
@@ -406,13 +274,3 @@ def test_a_window_too_short_to_be_meant(tmp_path: Path) -> None:
         writer.write(0, np.zeros((100, 20), np.uint8))
     with pytest.raises(SonarrecError, match=r"a window of 0\.00099.* m"), open_log(path) as opened:
         list(opened)
-
-
-@pytest.mark.skipif(not CASES.exists(), reason="the recordings are not here")
-@pytest.mark.parametrize("name", ["drops", "one_pause", "starts_at_5_s"])
-def test_a_matroska_of_uneven_times_is_not_cut(name: str) -> None:
-    sonar = {"range_min_m": 1.0, "range_max_m": 4.0, "field_of_view_deg": 30.0, "tilt_deg": 20.0}
-    with open_log(CASES / "mkv_vfr" / f"{name}.mkv", sonar=sonar) as opened:
-        assert len(list(opened)) == 12
-    assert not opened.diagnostics.problems
-    assert any("frames by its length and rate, 12 read" in n for n in opened.diagnostics.notes)

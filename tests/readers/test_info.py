@@ -6,8 +6,6 @@ import json
 import re
 import shutil
 import tomllib
-from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,7 @@ from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.cli.info_lines import lines
 from sonarrec.readers import open_log
-from sonarrec.readers.info import describe
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.command import SAMPLE, sonarrec
@@ -76,17 +72,6 @@ def test_a_whole_mcap_against_the_package_s_own_account(tmp_path: Path) -> None:
     (note,) = images["notes"]  # ramps from edge to edge are no fan
     assert "of the picture outside of the stated fan holds echoes (is it polar" in note
     assert found["size_bytes"] == path.stat().st_size
-
-
-def test_the_screen_says_the_same(tmp_path: Path) -> None:
-    path = mcap_file(tmp_path / "log.mcap", MESSAGES)
-    text = info(path).output
-    assert f"{datetime.fromtimestamp(START_NS // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC, 4.8 s" in text
-    assert "20 of 20 can be used" in text
-    assert "24 x 30, uint8, fan, 4 Hz" in text
-    assert "1.25 to 3.75 m, 28.8 deg, tilt 20 deg, height 0.68 m" in text
-    assert "yes: footer and checksums" in text
-    assert max(map(len, text.splitlines())) < 120 + len(str(tmp_path))
 
 
 @pytest.mark.parametrize("indexed", [True, False])
@@ -210,19 +195,6 @@ def test_an_mcap_without_images_is_shown_all_the_same(tmp_path: Path) -> None:
     assert "whole     it has a footer; checksums not compared" in text
 
 
-def test_why_no_channel_is_found_is_looked_up(tmp_path: Path) -> None:
-    """Without a summary the channels are in the chunks alone; the only chunk is damaged."""
-    options: dict[str, Any] = {"compression": "none", "indexed": False, "chunk_size": 10**6}
-    path = mcap_file(tmp_path / "log.mcap", MESSAGES[:3], **options)
-    data = bytearray(path.read_bytes())
-    data[data.index(b"/a") + 1] ^= 1
-    path.write_bytes(data)
-    assert table(path, code=1)["faults"] == [
-        "log.mcap: the chunk at byte 42 fails its checksum; its frames are lost"
-    ]
-    assert "whole     no: damaged" in info(path).output
-
-
 def test_folder_glob_and_video(tmp_path: Path) -> None:
     folder = image_folder(tmp_path / "log", IMAGES)
     for path in (folder, folder / "*.png"):
@@ -262,16 +234,6 @@ def test_exit_codes_of_several_logs(tmp_path: Path) -> None:
     assert info(good, "--nonsense").exit_code == 2
 
 
-def test_for_programs(tmp_path: Path) -> None:
-    seen: list[int | None] = []
-    found = describe(mcap_file(tmp_path / "log.mcap", MESSAGES), observe=seen.append)
-    assert seen == [20] * 20
-    assert not found.has_problems
-    assert not found.has_no_frame
-    assert all(line == line.rstrip() for line in lines(found))
-    assert json.loads(json.dumps(asdict(found)))["images"][0]["usable"] == 20
-
-
 def test_a_geometry_is_written_with_what_is_missing_marked(tmp_path: Path) -> None:
     log, file = tmp_path / "log", tmp_path / "sonar.toml"
     log.mkdir()
@@ -309,12 +271,3 @@ def test_what_the_log_states_ping_by_ping_is_written_as_a_comment(tmp_path: Path
     stated = tomllib.loads(file.read_text())["sonar"]
     assert set(stated) == {"tilt_deg", "height_m", "frame_rate_hz", "beam_order"}
     assert "# range_max_m = " in file.read_text()
-
-
-def test_the_cause_leads_the_message_of_a_damaged_log(tmp_path: Path) -> None:
-    """Before, it stood behind 600 characters of the types that are read."""
-    whole = (SAMPLE.parent / "pan.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[:3000])
-    told = sonarrec("run", tmp_path / "cut.mcap", code=1).stderr
-    assert "cut.mcap: no image channel; cut short or damaged at byte" in told
-    assert len(told) < 250 + len(str(tmp_path))

@@ -19,7 +19,7 @@ from sonarrec.readers.messages.types import decoder_for, read_projected_sonar_im
 from sonarrec.readers.raw import UnusableError
 from sonarrec.sonar import Sonar
 from tests.support import messages
-from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder, mcap_file
+from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder
 from tests.support.messages import (
     BEAMS,
     BEARINGS_DEG,
@@ -202,52 +202,6 @@ def test_damaged_messages_never_escape(name: str, wire: str, data: st.DataObject
 
 
 # One bad message does not end the run
-
-
-def json_decoder(name: str) -> Any:
-    decode = decoder_for(name, "", b"", "json")
-    assert decode is not None
-    return decode
-
-
-def test_beam_directions_of_unequal_lengths() -> None:
-    fields = messages.plain(messages.projected_fields(0, polar_frames(1)[0]))
-    for odd in (
-        {"x": [0.0], "y": [0.0, 1.0], "z": [1.0]},
-        {"x": 0.0, "y": 0.0, "z": 1.0},
-        [[0.0, 1.0], [1.0]],
-        [{"x": [0.0], "y": 1.0}],
-    ):
-        message = json.dumps(fields | {"beam_directions": odd}).encode()
-        with pytest.raises(UnusableError, match="malformed message"):
-            json_decoder(PROJECTED)(memoryview(message))
-
-
-@pytest.mark.parametrize("step", [0, 3, 2**31, 2**63, 2**69, 10**300])
-def test_a_single_row_of_any_step(step: int) -> None:
-    table = {"height": 1, "width": 3, "encoding": "mono8", "step": step, "data": "AQID"}
-    ping = json_decoder("foxglove.RawImage")(memoryview(json.dumps(table).encode()))
-    assert ping.pixels.tolist() == [[1, 2, 3]]
-
-
-@pytest.mark.parametrize("digits", [11, 19, 40, 400, 4299])
-def test_a_stamp_of_many_digits(digits: int, tmp_path: Path) -> None:
-    """By any clock: the run goes on, and a line tells of the one message."""
-    table = {"height": 1, "width": 3, "encoding": "mono8", "step": 3, "data": "AQID"}
-    good, bad = (
-        json.dumps(table | {"timestamp": {"sec": sec, "nsec": 0}}).encode()
-        for sec in (5, 10 ** (digits - 1))
-    )
-    log = mcap_file(
-        tmp_path / "log.mcap", [("/a", 0, good), ("/a", 1, bad), ("/a", 2, good)],
-        schema="foxglove.RawImage", encoding="json",
-    )  # fmt: skip
-    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
-    for time in ("log", "header"):
-        found, problems, _ = read(log, time=time)
-        assert [frame.index for frame in found] == [0, 2]
-        (line,) = problems
-        assert line.startswith("message 1 of /a: malformed message (its stamp ")
 
 
 # The beams' width

@@ -148,8 +148,7 @@ def test_a_geometry_serves_a_campaign(campaign: Path) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        "campaign --recursive", "campaign", "campaign/*", "campaign/*.mcap campaign/locked/a.mcap",
-        "campaign/**/*.mcap", "campaign/*.mcap campaign/*/a.mcap", "campaign/*.mcap campaign/l*/*",
+        "campaign --recursive", "campaign/*", "campaign/**/*.mcap",
     ],
 )  # fmt: skip
 def test_a_folder_that_cannot_be_read_costs_its_own_logs(words: str, campaign: Path) -> None:
@@ -164,29 +163,9 @@ def test_a_folder_that_cannot_be_read_costs_its_own_logs(words: str, campaign: P
     assert len(re.findall(line, told.stderr, re.MULTILINE)) == 1
 
 
-def test_a_glob_of_images_tells_of_a_folder_that_cannot_be_read(campaign: Path) -> None:
-    (campaign / "sonar.toml").write_text(SONAR_TOML)
-    shutil.copytree(campaign / "day2" / "pings", campaign / "locked" / "pings")
-    with locked(campaign / "locked"):
-        logs = [log.path for log in logs_named("campaign/*/pings/*.png")]
-        assert logs == ["campaign/*/pings/*.png", "campaign/locked"]
-        (campaign / "locked").chmod(0o444)  # listed, but what is in it cannot be asked for
-        assert [log.path for log in logs_named("campaign/*/*.mcap")] == [
-            "campaign/day1/a.mcap", "campaign/day2/a.mcap", "campaign/locked",
-        ]  # fmt: skip
-
-
 def test_a_list_from_standard_input(campaign: Path) -> None:
     (campaign / "sonar.toml").write_text(SONAR_TOML)
     told = sonarrec("run", "--from-file", "-", "-o", "out", input="# all\ncampaign\n\n")
-    assert "2 done" in told.stdout
-
-
-def test_a_list_and_a_geometry_of_notepad(campaign: Path) -> None:
-    """Both begin with a byte order mark."""
-    (campaign / "sonar.toml").write_text(SONAR_TOML, encoding="utf-8-sig")
-    Path("list.txt").write_text("campaign/day1\n", encoding="utf-8-sig")
-    told = sonarrec("run", "--from-file", "list.txt", "--sonar", campaign / "sonar.toml")
     assert "2 done" in told.stdout
 
 
@@ -287,9 +266,3 @@ def test_a_link_to_nothing_is_a_log_that_fails(
         "c": "done",
     }
     assert states["b"][1] == line
-
-
-def test_a_folder_of_links_to_nothing(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").symlink_to("gone")
-    told = sonarrec("run", tmp_path, "-o", tmp_path / "out", code=1)
-    assert f"{tmp_path / 'a.mcap'}: a link to a file that is not there" in told.stderr

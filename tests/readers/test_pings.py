@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import re
 import tomllib
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +36,6 @@ from tests.support.messages import (
     OCULUS,
     PROJECTED,
     TILT,
-    directions,
     log_of,
     ping_of,
     polar_frames,
@@ -140,33 +137,6 @@ def test_a_range_that_is_changed_and_back(tmp_path: Path) -> None:
     assert "--height-m H" in "".join(read(log, sonar=TILT)[2])
 
 
-def test_windows_that_differ_by_little_are_laid_out_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As of a sonar that measures the speed of sound; where the difference has grown, anew."""
-    made = []
-    lay_out = PolarToFan.__init__
-    monkeypatch.setattr(PolarToFan, "__init__", lambda *a: (made.append(a), lay_out(*a))[1])
-    image = polar_frames(1)[0]
-    stretches = [0.0, 0.1, -0.2, 0.24, 0.26, 0.4, 0.5, 0.52, 0.0]  # bins, at the far end
-
-    def pings(stretches: Sequence[float]) -> Path:
-        fields = []
-        for n, bins in enumerate(stretches):
-            ping = messages.oculus_interfaces_fields(n, image)
-            fields.append(ping | {"range_resolution": BIN_M * (1 + bins / len(image))})
-        return log_of(tmp_path / f"{len(stretches)}.mcap", fields, OCULUS)
-
-    found, problems, _ = read(pings(stretches), sonar=TILT)
-    assert len(found) == len(stretches)
-    assert not problems
-    (alone,), *_ = read(pings([0.0]), sonar=TILT)
-    laid_out = {id(frame.polar) for frame in found}
-    assert len(laid_out) == 4  # for 0, .26, .52 and 0 again
-    for frame in (found[0], found[3], found[-1]):
-        np.testing.assert_array_equal(frame.image, alone.image)
-
-
 def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
     """Sent before the driver had its settings: ten times as far, or nowhere near."""
     for far, run_options in ((10.0, [0, 1, 2, 3]), (0.1, [1, 2, 3])):
@@ -178,49 +148,6 @@ def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
         assert [f.index for f in found] == run_options
         assert len(problems) == 4 - len(run_options)
         assert found[0].fan.range_max_m == pytest.approx((FIRST_BIN + BINS) * BIN_M)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.3])
-def test_a_narrow_first_ping_does_not_settle_the_field_of_view(
-    share: float, tmp_path: Path
-) -> None:
-    """Sent before the driver had its settings; where it stays so, what is cut is noted."""
-    for narrow in (1, 3):
-        pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(6))]
-        whole = pings[-1]
-        (usual, *_), _, _ = read(log_of(tmp_path / "whole.mcap", pings[narrow:]), sonar=TILT)
-        for ping in pings[:narrow]:
-            turned = np.array([(v["x"], v["y"], v["z"]) for v in ping["beam_directions"]])
-            forward = int(np.argmax(np.abs(turned.mean(axis=0))))
-            across = int(
-                np.argmax([-1 if a == forward else np.ptp(turned[:, a]) for a in range(3)])
-            )
-            angle = np.arctan2(turned[:, across], turned[:, forward]) * share
-            turned[:] = 0
-            turned[:, across], turned[:, forward] = np.sin(angle), np.cos(angle)
-            ping["beam_directions"] = [dict(zip("xyz", v, strict=True)) for v in turned.tolist()]
-        assert whole is pings[-1]
-        found, problems, notes = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
-        assert [f.index for f in found] == list(range(6))
-        assert not problems
-        if narrow == 1:
-            assert found[0].fan == usual.fan
-            assert not notes
-        else:
-            assert found[0].fan != usual.fan
-            (note,) = notes
-            assert "only what is in the fan of the first pings" in note
-
-
-def test_a_topic_of_pings_and_images() -> None:
-    """An image that tells nothing has no place in the fan that pings made."""
-    image = polar_frames(1)[0]
-    told = ping_of(PROJECTED, messages.projected_fields(0, image)).sonar
-    make = FrameMaker(Sonar(layout="polar", tilt_deg=20.0), "log", Diagnostics("log"))
-    for _ in range(2):
-        with pytest.raises(UnusableError, match="does not tell its geometry"):
-            make(RawFrame("image", 0, image))
-        assert make(RawFrame("ping", 0, image, None, told))[0].any()
 
 
 @pytest.mark.parametrize("layout", ["fan", "polar"])
@@ -242,27 +169,6 @@ def test_a_topic_of_pings_and_images_whose_geometry_is_stated(layout: Any) -> No
         assert (again[2] is None) == (first is picture and layout == "fan")
 
 
-def test_polar_images_that_cannot_be_drawn_are_named_by_their_log(tmp_path: Path) -> None:
-    folder = image_folder(tmp_path / "long", [np.zeros((6000, 8), np.uint8)])
-    sonar = Sonar(layout="polar", field_of_view_deg=130.0)
-    with (
-        open_log(folder, sonar=sonar) as log,
-        pytest.raises(SonarrecError, match=f"^{re.escape(str(folder))}: polar images of 6000 "),
-    ):
-        next(iter(log))
-
-
-def test_a_first_ping_with_a_window_too_far_to_draw(tmp_path: Path) -> None:
-    """Sixty bins at a thousand kilometres would be a fan of 10^14 pixels."""
-    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames())]
-    far = 1e6 + np.arange(BINS) * 0.25
-    pings[0]["ranges"] = far.astype(np.float32)
-    found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
-    assert [f.index for f in found] == [1, 2]
-    assert len(problems) == 1
-    assert "m in 60 bins, makes a fan of" in problems[0]
-
-
 def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
     pings = [messages.projected_fields(0, polar_frames(1)[0])]
     path = log_of(tmp_path / "log.mcap", pings)
@@ -271,19 +177,6 @@ def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
         read(path, sonar=TILT.updated(Sonar(bearings_deg=(-1.0, 1.0))))
     with pytest.raises(SonarrecError, match="height_m = 3 must be above 0 and below"):
         read(path, sonar=TILT.updated(Sonar(height_m=3.0)))
-
-
-def test_the_number_of_beams_and_bins_may_change(tmp_path: Path) -> None:
-    few = messages.projected_fields(1, np.full((30, 12), 50, np.uint8))
-    few |= {
-        "beam_directions": directions(np.linspace(-14, 14, 12)),
-        "ranges": ((FIRST_BIN + (np.arange(30) + 0.5) * 2) * BIN_M).astype(np.float32),
-    }
-    pings = [messages.projected_fields(0, polar_frames(1)[0]), few]
-    found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
-    assert not problems
-    assert found[1].image.shape == found[0].image.shape
-    assert found[1].image.max() == 50
 
 
 def test_the_number_of_even_bins_may_change(tmp_path: Path) -> None:
@@ -362,31 +255,6 @@ def test_beam_order(tmp_path: Path) -> None:
         assert not np.array_equal(frame.image, odd.image)
 
 
-def test_blank_pings_do_not_settle_the_beam_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """More than those that settle the fan, and than those read before run.toml is begun."""
-    monkeypatch.setattr("sonarrec.readers.log.SETTLING_WITHIN", 3)
-    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(9))]
-    expected, _, _ = read(log_of(tmp_path / "usual.mcap", pings), sonar=TILT)
-    blank = np.zeros(BINS * BEAMS, np.uint8)
-    for fields in pings[:6]:
-        fields["image"] = fields["image"] | {"data": blank}
-    other = log_of(tmp_path / "other.mcap", [beam_major(fields) for fields in pings])
-    with open_log(other, sonar=TILT) as log:
-        for frame, same in zip(log, expected, strict=True):
-            # Nor do they show where the floor begins.
-            assert (frame.fan.height_m, frame.fan) == (None, replace(same.fan, height_m=None))
-            if frame.index < 6:
-                assert not frame.image.any()
-                assert "beam_order" not in log.reading()
-            else:
-                np.testing.assert_array_equal(frame.image, same.image)
-        assert log.reading()["beam_order"] == "beam-major"
-        (note,) = log.diagnostics.notes
-        assert note == f"{other}: read as beam-major, found from its first ping with echoes"
-
-
 def test_blank_pings_settle_nothing(tmp_path: Path) -> None:
     """Neither the fan, where their window is another, nor the height."""
     pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(9))]
@@ -444,18 +312,6 @@ def test_beam_order_of_as_many_bins_as_beams_is_assumed(tmp_path: Path, stated: 
         assert log.diagnostics.notes == ([] if stated else told)
     (images,) = describe(path, sonar=sonar).images
     assert images.origins["beam_order"] == ("flag" if stated else "assumed")
-
-
-def test_beam_order_of_a_shared_recording() -> None:
-    folder = Path(__file__).parents[3] / "shared" / "data" / "basin_b"
-    files = sorted(folder.glob("*.png"))[::25]
-    if not files:
-        pytest.skip(f"no recording {folder}")
-    for file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-        bins, beams = image.shape
-        assert not looks_beam_major(image)
-        assert looks_beam_major(np.ascontiguousarray(image.T).reshape(bins, beams))
 
 
 def test_polar_images_with_a_row_per_beam(tmp_path: Path) -> None:
@@ -568,21 +424,6 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
 
 
 # What a user types
-
-
-def test_simulate_refuses(tmp_path: Path) -> None:
-    polar = ("--schema", "oculus_interfaces/msg/Ping")
-    to = ("--out", tmp_path / "x.mcap")
-    assert (
-        "needs a polar scene"
-        in sonarrec("simulate", "--format", "mcap", *polar, *to, code=2).stderr
-    )
-    assert (
-        "one of sensor_msgs/msg/Image, "
-        in sonarrec("simulate", "--format", "mcap", "--schema", "x", *to, code=2).stderr
-    )
-    assert "--format mcap" in sonarrec("simulate", *polar, "--out", tmp_path / "y", code=2).stderr
-    assert not list(tmp_path.iterdir())
 
 
 def test_run_with_the_flags(tmp_path: Path) -> None:

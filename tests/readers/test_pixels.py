@@ -336,12 +336,3 @@ def test_an_image_is_turned_as_viewers_turn_it(kind: str, mode: str) -> None:
         shown = np.asarray(ImageOps.exif_transpose(Image.open(file)).convert(picture.mode))
         found = single_channel(decode_image(file.getvalue()))
         np.testing.assert_allclose(found, shown, atol=2)
-
-
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
-def test_alpha_is_left_out(kind: type) -> None:
-    grey = np.random.default_rng(2).uniform(0, 200, (20, 30)).astype(kind)
-    levels = np.dstack([grey, grey, grey, np.full_like(grey, 7)])
-    for suffix in (".png", ".tiff") if kind != np.float32 else (".tiff",):
-        data = cv2.imencode(suffix, levels)[1]
-        np.testing.assert_allclose(single_channel(decode_image(data)), grey, rtol=1e-6)

@@ -232,15 +232,6 @@ def test_polar_pixels_are_seen_as_in_their_fan_image() -> None:
     np.testing.assert_allclose(cells[:, outermost], of_fan[:, outermost], atol=2.5)
 
 
-def test_only_the_first_frames_are_looked_at() -> None:
-    fan = make_fan(rows=120)
-    plausibility = Plausibility()
-    for _ in range(FRAMES):
-        plausibility.look(Frame(0, 0, floor(fan), fan))
-    plausibility.look(Frame(0, 0, np.full((fan.rows, fan.columns), 255, np.uint8), fan))
-    assert plausibility.contradictions() == []
-
-
 # What the commands make of it
 
 

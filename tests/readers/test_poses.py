@@ -108,11 +108,6 @@ def test_a_pose_between_two_rows_lies_on_the_line_between_them(tmp_path):
     assert table.motion(11_000_000_000, 11_000_000_000) == Motion(0.0, 0.0, 0.0)
 
 
-def test_other_columns_beside_a_position_are_not_looked_at(tmp_path):
-    text = "timestamp,yaw,x,y,lat,roll\n0,1,2,3,x,\n1,1,2,3,,\n"
-    assert read_poses(rows(tmp_path / "o.csv", text)).pose.shape == (2, 3)
-
-
 def test_times_in_iso_8601_are_those_of_a_clock(tmp_path):
     cells = ["2024-05-01T12:00:00Z", "2024-05-01 14:00:00.5+02:00", "2024-05-01T07:00:01-0500"]
     text = "timestamp,yaw\n" + "".join(f"{cell},{n}\n" for n, cell in enumerate(cells))
@@ -157,15 +152,6 @@ def test_seconds_and_nanoseconds_are_told_by_the_time_between_rows(tmp_path, sta
     motion = table.motion(first, first + 500_000_000)
     assert motion is not None
     assert motion.pan_deg == pytest.approx(10, abs=1e-4)  # 10 rows; 1970's seconds are rounded
-
-
-@pytest.mark.parametrize(("column", "step_ns"), [("timestamp", 10**6), ("timestamp_ns", 10**5)])
-def test_nanoseconds_of_a_fast_sensor(tmp_path, column, step_ns):
-    lines = [f"{i * step_ns},{i}" for i in range(40)]
-    table = read_poses(rows(tmp_path / "o.csv", "\n".join([f"{column},yaw", *lines])))
-    motion = table.motion(3 * step_ns, 13 * step_ns)
-    assert motion is not None
-    assert motion.pan_deg == pytest.approx(10)
 
 
 def test_rows_may_come_in_any_order_and_twice(tmp_path):

@@ -26,7 +26,6 @@ from sonarrec.readers import open_log
 from sonarrec.readers.containers.images import ImagePaths
 from sonarrec.readers.info import describe
 from sonarrec.readers.log import _of_one_size, _to_settle
-from sonarrec.readers.named_logs import NamedLog, logs_named
 from sonarrec.readers.raw import RawFrame
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.sonar import Sonar, load_sonar
@@ -35,7 +34,6 @@ from tests.support.bags import bag, messages, ros1_bag, split_bag
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 from tests.support.sonar_files import aris_file, gemini_log, gemini_record, oculus_ping
 
-DATA = Path(__file__).parents[3] / "shared" / "data"
 Maker = Callable[[Path, list[np.ndarray]], Path]
 
 
@@ -352,14 +350,6 @@ def test_lossy_video(suffix: str, codec: str, tmp_path: Path) -> None:
         assert np.abs(frame.image.astype(int) - image).mean() < 3
 
 
-def test_jpeg(tmp_path: Path) -> None:
-    images = [cv2.GaussianBlur(i, (0, 0), 5) for i in frames(3)]
-    found, problems = read(image_folder(tmp_path / "log", images, ".jpeg"))
-    assert not problems
-    for frame, image in zip(found, images, strict=True):
-        assert np.abs(frame.image.astype(int) - image).max() < 12
-
-
 def test_polar_becomes_a_fan(tmp_path: Path) -> None:
     images = frames(3, 60, 24)
     log = image_folder(tmp_path / "log", images)
@@ -387,20 +377,6 @@ def test_many_images_take_little_room_and_lie_in_order() -> None:
     assert most < 250 * len(paths)
     assert list(paths) == [Path("/dives/today", f"ping{i}.png") for i in range(20_000)]
     assert paths[-2:] == [Path("/dives/today/ping19998.png"), Path("/dives/today/ping19999.png")]
-
-
-@pytest.mark.slow
-def test_a_folder_of_many_images_is_looked_through_one_by_one(tmp_path: Path) -> None:
-    """What logs it holds is asked of every name in it; a list of paths took 380 bytes an image."""
-    for i in range(3000):
-        (tmp_path / f"{i:06d}.png").symlink_to("nowhere.png")
-    logs_named(str(tmp_path))  # loads what it needs
-    tracemalloc.start()
-    logs = logs_named(str(tmp_path))
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert logs == [NamedLog(str(tmp_path))]
-    assert most < 100 * 3000
 
 
 @given(st.lists(st.text("019.aZ-_/ é\u0663", max_size=8), max_size=12))
@@ -488,11 +464,6 @@ def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
     with open_log(one) as opened:
         assert opened.digest_source()[1] == hashlib.sha256(one.read_bytes()).hexdigest()
         assert [f.index for f in opened] == [0]
-
-
-def test_a_folder_whose_name_looks_like_a_glob(tmp_path: Path) -> None:
-    found, _ = read(image_folder(tmp_path / "log[1]", frames(2)))
-    assert len(found) == 2
 
 
 def test_times(tmp_path: Path) -> None:
@@ -692,13 +663,3 @@ def test_memory_is_flat(name: str, tmp_path: Path) -> None:
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < peaks[0] + 200_000
-
-
-@pytest.mark.parametrize("name", ["basin_a", "basin_b", "river/pike1.avi"])
-def test_shared_recordings(name: str) -> None:
-    if not (DATA / name).exists():
-        pytest.skip(f"no recording {DATA / name}")
-    with open_log(DATA / name) as log:
-        first = next(iter(log))
-        assert first.image.shape == (first.fan.rows, first.fan.columns)
-        assert log.diagnostics.problems == []

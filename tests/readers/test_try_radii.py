@@ -113,14 +113,6 @@ def test_stretches_are_spread_from_begin_to_end(most: int, frames: int | None) -
 
 
 @pytest.mark.slow
-def test_only_few_large_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(radii, "STEPS", 0)
-    with open_log(SAMPLE) as log:
-        monkeypatch.setattr(radii, "MOST_BYTES", 20 * next(iter(log)).pixels.nbytes)
-        assert try_radii(log, landmarks_of(0.15), 128, ignore).frames == 16
-
-
-@pytest.mark.slow
 def test_no_disc_is_tried_that_the_sonar_cannot_see() -> None:
     with open_log(str(SAMPLE / "00000*.png")) as log:
         trials = try_radii(log, landmarks_of(3.0), 10, ignore)
@@ -170,20 +162,6 @@ def test_a_log_without_its_geometry_is_described_all_the_same(tmp_path: Path) ->
     assert "3 of 3 can be used" in result.stdout
     assert "lacks range_min_m" in result.stderr
     assert "Traceback" not in result.output
-
-
-@pytest.mark.slow
-def test_of_several_logs_one_that_fails_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(radii, "MOST_FRAMES", 8)
-    monkeypatch.setattr(radii, "STEPS", 0)
-    folder = image_folder(tmp_path / "log", frames(3, 30, 24))
-    (folder / "sonar.toml").unlink()
-    for logs in ((folder, SAMPLE), (SAMPLE, folder)):
-        result = sonarrec("info", "--quick", *logs, "--try-radii", code=3)
-        assert result.stdout.count("  radii ") == 1
-        assert result.stderr.count("lacks range_min_m") == 1
 
 
 def test_a_run_that_declares_nothing_names_the_option(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -95,22 +94,6 @@ def test_names_with_wildcards_are_names(sonarrec: Sonarrec, s3: Any, day: Path) 
     assert {p.name for p in Path("sonarrec_out").iterdir()} == {"a", "b", *ODD, "logs.csv"}
     upload(s3, day / "a.mcap", "day [2]/c.mcap")
     assert [log.name for log in find("s3://dives/day [2]/")] == ["c"]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("s3")
-def test_results_with_wildcards_in_their_name_replace_no_others(
-    sonarrec: Sonarrec, day: Path
-) -> None:
-    names = ("a1", "a[1]", "a*")
-    for name in names:
-        shutil.copy(day / "a.mcap", day / f"{name}.mcap")
-    logs = [str(day / f"{name}.mcap") for name in names]
-    for seed in ("0", "1"):
-        done = sonarrec("run", *logs, "--seed", seed, "-o", "s3://dives/out", "-q")
-        assert done.exit_code == 0
-    held = sonarrec("run", *logs, "--seed", "1", "-o", "s3://dives/out")
-    assert held.stdout.splitlines()[-1] == "3 up to date"
 
 
 @pytest.mark.usefixtures("day")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import threading
 import time
 from pathlib import Path
@@ -153,18 +151,6 @@ def test_a_name_leads_back_to_its_file(name: str, site: Path, cache: Cache) -> N
                 assert found.path.read_bytes() == data
 
 
-def test_a_plus_is_asked_for_as_it_is_listed(site: Path, cache: Cache) -> None:
-    """Quoted in the index page; to S3, and servers like it, a bare one is a space."""
-    data = noise(site / "dives" / "a+b.mcap", 10)
-    with web_server(site) as web:
-        for url in ("dives/", "dives/*.mcap", "dives/a%2Bb.mcap"):
-            (log,) = find(f"{web.url}/{url}")
-            with fetched(log, cache) as found:
-                assert found.path.read_bytes() == data
-        files = {path for _, path, _ in web.asked if path.endswith("b.mcap")}
-        assert files == {"/dives/a%2Bb.mcap"}
-
-
 def test_images_are_fetched_as_a_folder_or_by_a_glob(site: Path, cache: Cache) -> None:
     for k in range(12):
         noise(site / f"pings/{k}.png", 10)
@@ -266,22 +252,6 @@ def test_two_at_once_fetch_it_once(site: Path, cache: Cache) -> None:
         assert len(web.gets("a.mcap")) == 1
 
 
-def test_an_entry_that_is_damaged_serves_all_the_same(site: Path, cache: Cache) -> None:
-    data = [noise(site / f"{n}.mcap", seed=n) for n in range(2)]
-    with web_server(site) as web:
-        for text in ("", "many", "-1"):
-            for n in range(2):
-                with fetched(f"{web.url}/{n}.mcap", cache) as log:
-                    assert log.path.read_bytes() == data[n]
-            for count in cache.folder.rglob("bytes"):
-                count.write_text(text)
-        for cut in cache.folder.rglob("*.mcap"):
-            cut.write_bytes(b"cut")
-        for n in range(2):
-            with fetched(f"{web.url}/{n}.mcap", cache) as log:
-                assert log.path.read_bytes() == data[n]
-
-
 def test_a_cache_that_cannot_be_written_is_told(site: Path, tmp_path: Path) -> None:
     noise(site / "a.mcap")
     (tmp_path / "file").write_text("no folder")
@@ -289,24 +259,6 @@ def test_a_cache_that_cannot_be_written_is_told(site: Path, tmp_path: Path) -> N
         web_server(site) as web,
         pytest.raises(SonarrecError, match="choose another --cache"),
         fetched(f"{web.url}/a.mcap", Cache(tmp_path / "file" / "cache", 10**7)),
-    ):
-        pass
-
-
-def test_a_full_disk_costs_the_log_that_is_fetched(
-    site: Path, cache: Cache, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    noise(site / "a.mcap")
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Path, "write_text", full)
-    told = r"cannot be written \(No space left on device\); choose another --cache"
-    with (
-        web_server(site) as web,
-        pytest.raises(SonarrecError, match=told),
-        fetched(f"{web.url}/a.mcap", cache),
     ):
         pass
 

@@ -112,14 +112,6 @@ def test_bars_cover_their_frames(count: int) -> None:
         assert columns.max() == 1000 * height.max()
 
 
-def test_bars_are_seen_beside_a_pause_of_a_day() -> None:
-    start = np.array([0.0, 0.25, 0.5, 86_400.0, 86_400.25])
-    path = svg.bars(svg.Axis(0.0, 86_400.5), start, 0.25, np.array([0, 1, 0, 0, 0.5]))
-    columns = painted(path)
-    assert np.flatnonzero(columns).tolist() == [0, svg.WIDTH - 1]
-    assert columns[[0, -1]].tolist() == [1000, 500]
-
-
 def test_the_landmark_drawn_is_the_landmark() -> None:
     """Each glyph's path, filled by the even-odd rule, against the set's own pattern."""
     landmarks = load_landmarks("basin")

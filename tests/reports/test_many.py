@@ -122,23 +122,6 @@ def plain_logs(root: Path, estimates: dict[str, list[str]], truth: list[str]) ->
     return root / "out"
 
 
-def test_a_log_named_twice_has_one_panel(tmp_path: Path) -> None:
-    """By the truth named first, by which it is scored."""
-    plain_logs(tmp_path, {"dive": [PLACED, *RIGHT]}, [f"dive,{n},1,2.0,0" for n in range(10, 20)])
-    (tmp_path / "other.csv").write_text("frame,landmark,range_m,bearing_deg\n10,2,2.0,0\n")
-    (tmp_path / "pairs.csv").write_text(
-        "results,ground_truth\nout/dive,gt.csv\nout/dive,other.csv\nout/dive,gt.csv\n"
-    )
-    page = tmp_path / "page.html"
-    done = sonarrec("report", "--pairs", tmp_path / "pairs.csv", "-o", page, code=3)
-    assert done.stderr.count("its other truth") == 1
-    text = page.read_text(encoding="utf-8")
-    assert "<h1>dive</h1>" in text
-    assert "Landmarks recognised in a recorded sonar log, scored against pairs.csv." in text
-    assert "<h3>dive</h3>" not in text  # panels have names where there are several
-    assert "False claim" not in text
-
-
 @pytest.mark.parametrize(("logs", "scored"), [(3, True), (11, True), (11, False)])
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, logs: int, scored: bool) -> None:
     """The last two, which would have no panel of many; where no other is left it is an error."""

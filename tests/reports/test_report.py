@@ -16,7 +16,6 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.judge import PROTOCOLS
-from sonarrec.reports.page import settings_tables
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import DECLARED, PLACED, Page, tables
@@ -227,25 +226,6 @@ def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Pa
     fault = sonarrec("report", tmp_path, code=1).stderr
     assert fault.startswith("sonarrec: ")
     assert "logs a and b were run with different landmark IDs" in fault
-
-
-def test_settings_of_several_presets_and_odd_values() -> None:
-    run = {
-        "finished": True,
-        "config": [
-            {"preset": "paper", "smi": {"declare": 0.6}},
-            {"preset": "default", "smi": {"declare": 0.5}},
-        ],
-        "landmarks": {"ring": [0.8, 1.0], "landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 2}]},
-    }
-    assert list(settings_tables(run)) == [
-        ("run", [("finished", "true")]),
-        ("config[0]", [("preset", "paper")]),
-        ("config[0].smi", [("declare", "0.6")]),
-        ("config[1]", [("preset", "default")]),
-        ("config[1].smi", [("declare", "0.5")]),
-        ("landmarks", [("ring", "0.8, 1.0"), ("landmark", "id 1, sectors 1, 0; id 2")]),
-    ]
 
 
 def test_a_log_without_sightings(results: Path, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import resource
@@ -10,7 +9,6 @@ import shutil
 import signal
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -19,12 +17,9 @@ from hypothesis import strategies as st
 from sonarrec import run
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import (
-    LockedError,
     exchange,
     folder_names,
-    lock,
     part_of,
-    release,
     restore,
 )
 from sonarrec.results.read import find_logs
@@ -104,21 +99,6 @@ def test_the_same_results_are_not_made_again(log: Path, tmp_path: Path) -> None:
     assert (out / "short" / "frames.csv").stat().st_mtime_ns == before
     sonarrec("run", "-q", short, "-o", out, "--overwrite")
     assert (out / "short" / "frames.csv").stat().st_mtime_ns > before
-
-
-@pytest.mark.slow
-def test_what_was_made_of_all_results_is_told_where_some_are_made_anew(
-    log: Path, tmp_path: Path
-) -> None:
-    short, out = shorter(log, tmp_path / "short"), tmp_path / "out"
-    assert sonarrec("run", "-q", short, "-o", out).stderr == ""
-    (out / "evaluation").mkdir()
-    (out / "evaluation" / "evaluation.json").touch()
-    (out / "report.html").touch()
-    assert sonarrec("run", "-q", short, "-o", out).stderr == ""
-    done = sonarrec("run", "-q", short, "-o", out, "--overwrite")
-    line = f"{out}: report.html, evaluation: made of earlier results; make anew"
-    assert done.stderr == f"sonarrec: note: {line}\n"
 
 
 def test_the_other_sonar_of_a_bag_does_not_replace_the_results_of_the_first(tmp_path: Path) -> None:
@@ -279,21 +259,6 @@ def frames_now(folder: Path) -> list[str]:
     return (folder / "frames.csv").read_text().splitlines()[1:]
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("frames_processed", '"six"'), ("candidates", "-1"), ("problems", '"cut"')]
-)
-def test_counts_that_cannot_be_meant_are_one_line(
-    key: str, value: str, log: Path, tmp_path: Path
-) -> None:
-    """Of results that are up to date: they went into logs.csv, which nobody could read again."""
-    call = ["run", log, "--frames", ":1", "-o", tmp_path, "-q"]
-    sonarrec(*call)
-    path = tmp_path / "dive" / "run.toml"
-    path.write_text(re.sub(f"(?m)^{key} = .*", f"{key} = {value}", path.read_text()))
-    assert f"{path}: input.{key} must be " in sonarrec(*call, code=1).stderr
-    assert (tmp_path / "logs.csv").read_text().count(",done,1,0,") == 1
-
-
 def test_a_file_in_the_place_of_results_is_refused(log: Path, tmp_path: Path) -> None:
     """It was moved to a hidden name unsaid, and no run could replace the results after that."""
     mine = tmp_path / "dive"
@@ -318,26 +283,6 @@ def test_a_second_run_into_the_same_folder_is_refused(log: Path, tmp_path: Path)
     assert "another run writes here now" in told
     assert first.wait() == 0
     assert frames(out / "dive") == list(range(FRAMES))
-
-
-def test_a_lock_released_as_another_run_takes_it_still_holds_a_third(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """That run has opened a file that is taken away before it is locked."""
-    folder = tmp_path / "dive"
-    held, flock = [lock(folder)], fcntl.flock
-
-    def late(*arguments: Any) -> None:
-        while held:
-            release(folder, held.pop())
-        flock(*arguments)
-
-    monkeypatch.setattr(fcntl, "flock", late)
-    second = lock(folder)
-    with pytest.raises(LockedError, match="another run writes here now"):
-        lock(folder)
-    release(folder, second)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_part_beside_finished_results_is_not_counted_with_them(tmp_path: Path) -> None:

@@ -44,16 +44,6 @@ def test_estimates_of_another_program(tmp_path: Path) -> None:
 HEAD = "frame,method,x_px,y_px,landmark,score,declared"
 
 
-def test_a_method_is_chosen_from_the_first_rows_that_have_it(tmp_path: Path) -> None:
-    """Of a long table the rest is read once, by who needs it: here it cannot be."""
-    rows = [f"{n},framework,1,1,1,0.5,0" for n in range(2000)]
-    path = csv_file(tmp_path / "e.csv", HEAD, *rows, "1,2,3,4,5,6,7,8,9")
-    assert choose_method(path, None) == "framework"
-    assert choose_method(path, "framework") == "framework"
-    with pytest.raises(SonarrecError, match="line 2002: 9 cells"):
-        choose_method(path, "smi")
-
-
 def test_choice_of_method(tmp_path: Path) -> None:
     def chosen(*methods: str, wanted: str | None = None) -> str:
         rows = [f"{n},{m},1,1,1,0.5,0" for n, m in enumerate(methods)]

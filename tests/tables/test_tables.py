@@ -63,13 +63,6 @@ def test_rows_of_commas_alone_are_no_rows(tmp_path: Path, end: str, rows: int | 
         list(read_tables(path, kinds, ("b",), "b", rows))
 
 
-def test_blank_lines_within_a_cell_end_no_row(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text('a,b\n1,"note\n,,\n\n"\n,,\n2,"\n"\nx,3\n')
-    with pytest.raises(SonarrecError, match="line 9: a must be a whole number, not 'x'"):
-        read_table(path, {"a": "whole"}, ("a",), "a,b")
-
-
 @pytest.mark.parametrize("header", ["a,b,a", "a ,b, a", '"a",b,a'])
 def test_one_of_two_columns_of_a_name_is_not_chosen(tmp_path: Path, header: str) -> None:
     path = tmp_path / "t.csv"
@@ -105,19 +98,6 @@ def test_a_workbook_is_told(tmp_path: Path, magic: bytes) -> None:
     path.write_bytes(magic + 100_000 * b"\xff")
     with pytest.raises(SonarrecError, match="a workbook or an archive, not a CSV table"):
         read_table(path, {"a": "whole"}, ("a",), "a,b")
-
-
-def test_many_lines_that_end_as_on_old_macs_are_no_wide_header(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_bytes(b"a,b\r" + 2_000 * b"1,2\r")
-    table = read_table(path, {"a": "whole"}, ("a",), "a,b")
-    assert len(table["a"]) == 2_000
-
-
-def test_lines_behind_a_cell_beyond_all_measure_are_counted_on(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text('a,b\n1,2\n3,"' + 50_000 * "long\n" + '"\n')
-    assert [line_number(path, row) for row in (0, 1)] == [2, 3]
 
 
 @pytest.mark.parametrize("text", ["x" * 200_000, '"a\n' + 200_000 * "b\n", "a," * 5_000])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -68,12 +67,6 @@ def kinds(path: Path, log: Path, max_pan_deg: float = 5.0) -> list[tuple[int, st
 
 def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, ["truth", "check", *map(str, arguments)])
-
-
-def test_lines_are_counted_behind_a_cell_of_two(tmp_path: Path, log: Path) -> None:
-    rows = ['0,1,2.0,0,"a', 'b"', "", "1,9,2.0,0,"]
-    path = truth(tmp_path, rows, "frame,landmark,range_m,bearing_deg,remark")
-    assert (5, "landmark") in kinds(path, log)
 
 
 # --- No false alarm ------------------------------------------------------------------------------
@@ -220,15 +213,6 @@ def test_a_range_of_nothing_or_less_is_outside(tmp_path: Path, log: Path) -> Non
 )
 def test_found(tmp_path: Path, log: Path, rows: list[str], expected: list[tuple[int, str]]) -> None:
     assert kinds(truth(tmp_path, rows, HEADER), log) == expected
-
-
-def test_several_faults_of_one_row_are_all_told(tmp_path: Path, log: Path) -> None:
-    path = truth(tmp_path, ["0,9,2.0,40,7"], HEADER)
-    assert Counter(fault.kind for fault in faults(path, log)) == {
-        "landmark": 1,
-        "visible": 1,
-        "outside": 1,
-    }
 
 
 def test_pixels_edited_beside_range_and_bearing(tmp_path: Path, log: Path) -> None:

@@ -98,16 +98,6 @@ def test_truth_without_position_is_scored_under_the_paper_protocol_only(case: Pa
     assert "strict protocol is not scored" in done.output
 
 
-def test_nan_in_columns_that_are_not_scored(case: Path) -> None:
-    text = (
-        "frame,method,orientation_deg,landmark,score,declared\n0,m,nan,1,0.5,1\n1,m,3.5,1,0.5,1\n"
-    )
-    (case / "out" / "estimates.csv").write_text(text)
-    log = read_log(case / "out")
-    assert log.score.tolist() == [0.5, 0.5]
-    assert log.position is None
-
-
 # --- Matching by time ----------------------------------------------------------------------------
 
 
@@ -161,18 +151,6 @@ def test_times_of_another_unit_are_told_as_that(
     times = "".join(f"{at // unit_ns},1\n" for at in frames)
     (case / "gt.csv").write_text("timestamp_ns,landmark\n" + times)
     assert f"fit the frames of out only if they are {unit}" in failure(run(case))
-
-
-def test_denser_truth_shows_a_landmark_once_per_frame(case: Path) -> None:
-    stamps(case, *range(950, 1800, 10))
-    truth = matched(case, 0.1)
-    assert truth.frame_index.tolist() == [0, 1, 2]
-    assert truth.between + truth.unprocessed == truth.rows - 3
-
-
-def test_equally_near_stamps_take_the_earlier_with_all_its_rows(case: Path) -> None:
-    (case / "gt.csv").write_text("timestamp_ns,landmark\n1010000000,1\n990000000,2\n990000000,3\n")
-    assert sorted(matched(case).landmark_index.tolist()) == [1, 2]
 
 
 def test_time_matching_against_brute_force(case: Path) -> None:
