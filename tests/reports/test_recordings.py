@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import csv
-import os
 import re
 import shutil
 from dataclasses import replace
@@ -13,7 +12,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import zstandard
 
 from sonarrec.reports import frames
 from sonarrec.truth.table import read_truth
@@ -138,14 +136,3 @@ def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
     assert "no log of the name gone" in Page(tmp_path / "out" / "report.html").text
     (log,) = held_frames(tmp_path / "out" / "report.html")
     assert (log["name"], log["in_all"]) == ("pan", 128)
-
-
-def test_a_packed_log_of_any_name_is_found_in_a_folder_of_logs(tmp_path: Path) -> None:
-    packed = tmp_path / "logs" / os.fsdecode(b"d\xe9ve.mcap.zst")
-    packed.parent.mkdir()
-    packed.write_bytes(zstandard.compress(SAMPLE.with_suffix(".mcap").read_bytes()))
-    shutil.copy(SAMPLE / "sonar.toml", packed.parent)
-    sonarrec("run", "-q", packed, "--frames", "0:3", "-o", tmp_path / "out")
-    sonarrec("report", tmp_path / "out", "--log", tmp_path / "logs")
-    [log] = held_frames(tmp_path / "out" / "report.html")
-    assert log["name"] == r"d\xe9ve"

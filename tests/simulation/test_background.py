@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -304,21 +303,3 @@ def test_amplitudes_have_the_range_that_the_reader_gave_them(
         words = ("--pixel-scale", scale, "--count", "1", "-o", out)
         told = sonarrec("simulate", "--background", folder, *words).stderr
         assert ("grey is taken as 50 dB" in told) == noted
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [((), 80.0), (("--full-scale", "159"), 49.88), (("--dynamic-range-db", "60"), 60.0)],
-)
-def test_an_aris_file_tells_its_range(
-    words: tuple[str, ...], expected: float, tmp_path: Path
-) -> None:
-    """Its samples are 0 to 80 dB; a stated range goes before."""
-    out = tmp_path / "out"
-    told = sonarrec("simulate", "--background", ARIS, *words, "--count", "1", "-o", out).stderr
-    assert "grey is taken as" not in told
-    written = tomllib.loads((out / "background.toml").read_text())["background"]
-    assert written["dynamic_range_db"] == pytest.approx(expected, abs=0.01)
-    sonar = tomllib.loads((out / "sonar.toml").read_text())["sonar"]
-    assert sonar["dynamic_range_db"] == written["dynamic_range_db"]

@@ -41,11 +41,6 @@ def sloping(scene: Scene, slope: float, towards: float) -> Scene:
     return replace(scene, floor=floor)
 
 
-def test_a_slope_rises_the_way_it_says() -> None:
-    assert in_space(0, 2, 8, 0)[2] == pytest.approx(2 * math.sin(math.radians(8)))
-    assert in_space(2, 0, 8, 90)[2] == pytest.approx(2 * math.sin(math.radians(8)))
-
-
 @pytest.mark.parametrize("towards", [0.0, 180.0, 90.0, -140.0])
 def test_truth_and_echo_lie_where_the_slope_puts_them(towards: float) -> None:
     target = PlacedObject("filled", 2.1, 7.0, size_m=0.03, bright_db=30)

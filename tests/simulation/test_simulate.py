@@ -163,30 +163,6 @@ def test_more_floor_than_memory_holds_is_one_clear_line(tmp_path, text: str) -> 
     assert not (tmp_path / "log").exists()
 
 
-def test_visible_share_against_monte_carlo() -> None:
-    scene = replace(
-        BARE,
-        landmarks=tuple(
-            PlacedLandmark(i, g, a)
-            for i, g, a in [(1, 1.9, 13.0), (2, 3.65, 0.0), (3, 1.1, -5.0), (4, 2.2, -16.0)]
-        ),
-    )
-    rng = np.random.default_rng(0)
-    radius, angle = 0.15 * np.sqrt(rng.random(200_000)), 2 * np.pi * rng.random(200_000)
-    rows = {row.landmark: row.visible for row in next(render(scene)).truth}
-    assert len(rows) == 4
-    for item in scene.landmarks:
-        place = math.radians(item.azimuth_deg)
-        x = item.ground_m * math.sin(place) + radius * np.cos(angle)
-        y = item.ground_m * math.cos(place) + radius * np.sin(angle)
-        slant = np.sqrt(x**2 + y**2 + 0.68**2)
-        bearing = np.degrees(np.arctan2(x, y))
-        seen = (slant > 1.25) & (slant < 3.75) & (np.abs(bearing) < 14.4)
-        seen &= slant * np.cos(np.radians(bearing)) > 1.25  # the image's last row
-        assert rows[item.id] == pytest.approx(seen.mean(), abs=0.005)
-        assert 0 < rows[item.id] < 1
-
-
 def test_what_the_image_of_a_wide_fan_cuts_off_is_not_visible() -> None:
     """Its rows end at range_min_m straight ahead, far above the fan's near corners."""
     landmarks = tuple(

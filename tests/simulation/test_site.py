@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -21,7 +20,6 @@ from sonarrec.simulation.site.results import ContrastResults, sentences
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.browser import look
 from tests.support.command import sonarrec
-from tests.support.logs import PERIOD_NS, cdr_image, mcap_file
 
 
 @pytest.fixture(scope="module")
@@ -149,32 +147,6 @@ def test_what_there_was_no_room_for_and_what_cannot_be_read_is_told_once(tmp_pat
     for text in (room, "000001.png: unreadable image, skipped"):
         assert text in document["notes"]
         assert page.count(text) == 1
-
-
-@pytest.mark.slow
-def test_a_run_toml_of_the_log_tells_topic_and_time(tmp_path: Path) -> None:
-    scene = replace(random_scene(5, "no_landmark"), frames=6, objects=())
-    write_recording(scene, tmp_path / "floor")
-    images = [cv2.imread(str(p), 0) for p in sorted((tmp_path / "floor").glob("*.png"))]
-    messages = [
-        (topic, 10**9 + k * PERIOD_NS, cdr_image(image, stamp=(500 + k, 0)))
-        for k, image in enumerate(images)
-        for topic in ("/a", "/b")
-    ]
-    log = mcap_file(tmp_path / "dive" / "dive.mcap", messages)
-    (tmp_path / "floor" / "sonar.toml").replace(tmp_path / "dive" / "sonar.toml")
-    earlier = tmp_path / "earlier"
-    sonarrec("run", log, "--topic", "/b", "--time", "header", "-o", earlier, "-q")
-    out = tmp_path / "out"
-    sonarrec(
-        *("site", log, "--config", earlier / "dive" / "run.toml", "--contrast", "10", "-o", out),
-        *("--layouts", "1", "--count", "1", "-q"),
-    )
-    asis = rows(out / "results" / "as_it_is" / "frames.csv")
-    assert [int(row["timestamp_ns"]) for row in asis] == [(500 + k) * 10**9 for k in range(6)]
-    assert json.loads((out / "site.json").read_text())["frames"] == 6
-    laid = tomllib.loads((out / "recordings/layout_1/contrast_10/sonar.toml").read_text())
-    assert laid["sonar"]["frame_rate_hz"] == 1  # by the header's time
 
 
 @pytest.mark.slow

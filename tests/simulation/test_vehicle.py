@@ -13,7 +13,6 @@ from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
-from tests.studies.learning.random_scenes import random_scene
 from tests.support.bare import POLAR, power
 
 BIN_M = 2.5 / 512
@@ -107,19 +106,6 @@ def test_attitude_stays_within_what_is_stated() -> None:
     path = poses(on_vehicle(200, pitch_deg=3.0, roll_deg=2.0))
     for values, most in (([p.pitch_deg for p in path], 3.0), ([p.roll_deg for p in path], 2.0)):
         assert np.max(np.abs(values)) == pytest.approx(most, rel=0.02)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_random_runs_keep_within_half_a_metre_and_twenty_degrees_a_second(seed: int) -> None:
-    scene = random_scene(seed, "vehicle")
-    path = path_of(scene)
-    speed = np.hypot(*np.diff(path[:, 1:], axis=0).T) * scene.rate_hz
-    jitter = 6 * scene.motion.yaw_jitter_deg * scene.rate_hz
-    assert 0.03 < speed.max() < 0.5
-    assert np.abs(np.diff(path[:, 0])).max() * scene.rate_hz < 20 + jitter
-    few = random_scene(seed, "vehicle", frames=10)
-    assert few.landmarks == scene.landmarks
-    np.testing.assert_allclose(path_of(few), path[:10], atol=1e-9)
 
 
 def test_too_long_a_run_is_one_clear_line_and_leaves_nothing(tmp_path) -> None:

@@ -73,18 +73,6 @@ def _overlapping(path: Path, size: int, compression: str, chunks: int) -> None:
             log.chunk(messages[chunk::chunks], compression)
 
 
-def _loose(path: Path, size: int, backwards: bool = False) -> None:
-    with HardLog(path) as log:
-        log.loose(_timed(size, backwards))
-
-
-def _tiny(path: Path, size: int) -> None:
-    """Messages without a single byte, 31 bytes each with their heads."""
-    with HardLog(path) as log:
-        log.chunk(((number, b"") for number in range(size // 31)), indexed=False)
-        log.loose(_timed(10**6))
-
-
 def _cut(path: Path, write: Callable[[], None]) -> None:
     write()
     with path.open("r+b") as file:
@@ -94,27 +82,12 @@ def _cut(path: Path, write: Callable[[], None]) -> None:
 def shapes(path: Path, size: int) -> dict[str, Callable[[], None]]:
     """Writers of logs of about `size` bytes, by what is hard about them."""
     return {
-        "chunks of 1 MB, zstd": lambda: _chunked(path, size, "zstd"),
-        "chunks of 1 MB, zstd, cut": lambda: _cut(path, lambda: _chunked(path, size, "zstd")),
         "no index, no footer, lz4": lambda: _chunked(
             path, size, "lz4", indexed=False, finished=False
         ),
-        "no chunks": lambda: _loose(path, size),
-        "no chunks, backwards": lambda: _loose(path, size, backwards=True),
         "one chunk, uncompressed": lambda: _one_chunk(path, size, ""),
-        "one chunk, lz4": lambda: _one_chunk(path, size, "lz4"),
-        "one chunk, zstd": lambda: _one_chunk(path, size, "zstd"),
         "one chunk, lz4, cut": lambda: _cut(path, lambda: _one_chunk(path, size, "lz4")),
-        "one chunk, zstd, cut": lambda: _cut(path, lambda: _one_chunk(path, size, "zstd")),
         "one chunk, zstd, backwards": lambda: _one_chunk(path, size, "zstd", backwards=True),
         "1000 overlapping chunks, zstd": lambda: _overlapping(path, size, "zstd", 1000),
         "10 overlapping chunks, lz4": lambda: _overlapping(path, size, "lz4", 10),
-        "10 overlapping chunks, uncompressed": lambda: _overlapping(path, size, "", 10),
-        "empty messages by the million": lambda: _tiny(path, size),
-        "one message": lambda: _message_of(path, size),
     }
-
-
-def _message_of(path: Path, size: int) -> None:
-    with HardLog(path) as log:
-        log.loose([(0, noise_images(count=1)[0]), (1, bytes(size))])

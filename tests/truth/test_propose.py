@@ -166,19 +166,6 @@ def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
     assert f"a run that did not finish left {part}" in done.stderr
 
 
-def test_of_many_tracks_those_of_most_rows_are_printed(tmp_path: Path) -> None:
-    """More than a terminal shows: the last one, which is the longest, among them."""
-    for n in range(50):
-        results(tmp_path / "out" / f"log{n:02d}", track(n, range(10 + (n == 49))))
-    done = run(tmp_path / "out", "--out", tmp_path / "gt.csv")
-    assert done.exit_code == 0
-    head, *lines, end = done.stdout.splitlines()
-    assert head.endswith("501 rows from 50 tracks")
-    assert len(lines) == 40
-    assert lines[-1].startswith("  log49  ID.1  track 49")
-    assert end == "  these have the most rows; 10 more tracks"
-
-
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     """Where no other is left there is no file, and no half of one."""
     results(tmp_path / "out" / "a", track(1, range(10)))
