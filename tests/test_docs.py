@@ -9,6 +9,7 @@ here: tests/remote has servers.
 from __future__ import annotations
 
 import csv
+import json
 import os
 import re
 import shlex
@@ -218,7 +219,32 @@ def test_help_lists_and_prints_the_pages() -> None:
     listed = CliRunner().invoke(main, ["help"]).stdout
     for name, page in PAGES.items():
         assert re.search(rf"^  {name} +\S", listed, re.MULTILINE)
-        assert CliRunner().invoke(main, ["help", name]).stdout == page.read_text(encoding="utf-8")
+        told, text = CliRunner().invoke(main, ["help", name]).stdout, page.read_text("utf-8")
+        assert not re.search(r"`|^#|^```", told, re.MULTILINE)
+        words = [re.findall(r"\w+", one) for one in (told, re.sub("```[a-z]*|`", "", text))]
+        assert words[0] == words[1]
+
+
+def test_help_as_html(tmp_path: Path) -> None:
+    """Every page is there, its links lead to pages, and no file needs another or a network."""
+    folder = tmp_path / "manual"
+    for _ in range(2):
+        told = CliRunner().invoke(main, ["help", "--html", str(folder)]).stdout
+        assert told == f"{folder / 'index.html'}: {len(PAGES)} pages\n"
+    files = {path.stem: path.read_text(encoding="utf-8") for path in folder.iterdir()}
+    assert set(files) == {*PAGES, "index"}
+    for name, text in files.items():
+        links = re.findall(r' (?:href|src|action)="(.*?)"', text)
+        assert {link.partition(".html")[0] for link in links} <= set(files), name
+        assert "`" not in re.sub(r"<script>.*", "", text, flags=re.DOTALL), name
+    assert sum(map(len, files.values())) < 10**6
+    found, _ = json.JSONDecoder().raw_decode(files["index"].partition("const found = ")[2])
+    assert {row["page"] for row in found} == set(PAGES)
+    assert all(f'id="{row["at"]}"' in files[row["page"]] for row in found if row["at"])
+    (folder / "run.html").write_text("mine")
+    refused = CliRunner().invoke(main, ["help", "--html", str(folder)])
+    assert refused.exit_code == 2
+    assert "run.html: exists and is no manual of sonarrec" in refused.stderr
 
 
 def test_an_unknown_page_names_the_known_ones() -> None:

@@ -23,7 +23,16 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import IMAGE_SUFFIXES
 
 Kind = Literal[
-    "report", "comparison", "picture", "overlay", "video", "model", "table", "JSON", "graph"
+    "report",
+    "comparison",
+    "manual",
+    "picture",
+    "overlay",
+    "video",
+    "model",
+    "table",
+    "JSON",
+    "graph",
 ]
 OVERLAY_LIBRARY = "sonarrec overlay"
 """Library name in the header of an overlay's MCAP."""
@@ -40,6 +49,7 @@ _HEAD = 4096
 _MARKS: dict[Kind, bytes] = {
     "report": b"sonarrec report</title>",
     "comparison": b"sonarrec comparison</title>",
+    "manual": b"sonarrec manual</title>",
     "picture": b"Software\0sonarrec",
     "overlay": OVERLAY_LIBRARY.encode(),
     "video": VIDEO_MARK,
