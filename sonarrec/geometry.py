@@ -247,11 +247,9 @@ class PolarToFan(PolarImages):
         self.fan = fan = fan or self._own
         if fan.rows * fan.columns > MAX_FAN_PIXELS:
             raise SonarrecError(
-                f"polar images of {range_bins} range bins from {fan.range_min_m:.6g} to "
-                f"{fan.range_max_m:.6g} m over {fan.bearing_max_deg - fan.bearing_min_deg:.4g} deg "
-                f"make a fan image of {fan.columns} x {fan.rows} pixels, one range bin each; it "
-                f"may have no more than {MAX_FAN_PIXELS}: crop the images or shrink them to fewer "
-                "range bins"
+                f"polar images of {range_bins} range bins up to {fan.range_max_m:.6g} m make a fan "
+                f"image of {fan.columns} x {fan.rows} pixels, more than {MAX_FAN_PIXELS}; crop or "
+                "shrink the images to fewer range bins"
             )
         if max(range_bins, beams, fan.rows, fan.columns) > MAX_SIDE:
             raise SonarrecError(

@@ -114,10 +114,9 @@ class Sonar:
         if low is None or high is None or tilt is None or view is None:
             missing = self.missing()
             raise SonarrecError(
-                f"{where}: sonar geometry lacks {', '.join(missing)}. `sonarrec info` tells what "
-                "the images show of it. Put a sonar.toml beside the log, or into it if it is a "
-                f"folder (or use --sonar FILE, or flags such as --{missing[0].replace('_', '-')}); "
-                f"like this:\n{EXAMPLE_SONAR_TOML}"
+                f"{where}: sonar geometry lacks {', '.join(missing)}; write a sonar.toml beside "
+                f"the log, or give options such as --{missing[0].replace('_', '-')}; `sonarrec "
+                f"info` shows what is known; like this:\n{EXAMPLE_SONAR_TOML}"
             )
         wrong = self.contradiction()
         if wrong is not None:

@@ -206,7 +206,8 @@ def test_a_command_has_help_an_example_a_page_and_a_place_in_the_readme(name: st
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_fit_for_a_terminal(name: str) -> None:
     text = PAGES[name].read_text(encoding="utf-8")
-    assert re.match(rf"# {name}: \S.*\n\n", text)
+    assert re.match(rf"# {name}: \S.*\n\n\S", text)  # then what it is for, in a sentence
+    assert len(text.splitlines()) <= (220 if name in ("formats", "results") else 150)
     shown = {line for _, lines in examples(PAGES[name]) for line in lines}
     assert not [
         line

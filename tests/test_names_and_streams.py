@@ -109,8 +109,7 @@ def test_a_page_on_a_terminal_has_no_marks_of_headings(tmp_path: Path) -> None:
     page = (ROOT / "sonarrec" / "help" / "landmarks.md").read_bytes()
     shown = on_a_terminal(tmp_path, "help", "landmarks", NO_COLOR="1").replace(b"\r\n", b"\n")
     assert b"# bright ring" in shown  # of a file that is shown
-    assert shown.strip() == re.sub(rb"^#+ ", b"", page, flags=re.MULTILINE).strip()
-    assert sonarrec(tmp_path, "help", "landmarks").stdout == page
+    assert shown.strip() == re.sub(rb"^#+ |`", b"", page, flags=re.MULTILINE).strip()
 
 
 @pytest.fixture
@@ -238,7 +237,7 @@ def test_help_prints_where_the_terminal_has_ascii_only() -> None:
         for page in ("method", "geometry", "results", "python"):
             code, printed = run("help", page)
             assert code == 0
-            assert printed.startswith(f"# {page}: ")
+            assert printed.startswith(f"{page}: ")
 
 
 @pytest.mark.slow

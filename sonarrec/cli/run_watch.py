@@ -210,7 +210,8 @@ class RunWatch(Watch):
         older = [name for name in PAGES if (self.out / name).exists()]
         older += [name for name, made in MADE.items() if (self.out / name / made[-1]).is_file()]
         if older:
-            tell([], [f"{self.out}: {', '.join(older)}: made of earlier results; make anew"])
+            stale = f"{', '.join(older)} show the results of before; make them again"
+            tell([], [f"{self.out}: {stale}"])
 
     def _prefix(self, i: int) -> str:
         return f" ({i + 1} of {len(self.tasks)})" if len(self.tasks) > 1 else ""

@@ -162,8 +162,8 @@ def _scored_before(*sides: Path) -> Iterator[str]:
             if b'"min_visible"' in text and f'"{PAPER_KEY}"'.encode() not in text:
                 yield (
                     f"{path}: scored by an earlier version, whose protocol paper ignored landmarks "
-                    "partly in view; now every frame counts, so its figures of protocol paper "
-                    "differ from those here; run `sonarrec evaluate` again"
+                    "partly in view, so its figures differ from those here; run `sonarrec "
+                    "evaluate` again"
                 )
 
 

@@ -57,9 +57,8 @@ def open_log(
         elif not resolved.states_floor:
             raise SonarrecError(
                 f"{where}: the log states the sonar's geometry except for its tilt; give "
-                "--tilt-deg (downward, to within some 10 deg) or --height-m, or put tilt_deg or "
-                "height_m under [sonar] in a sonar.toml beside it "
-                "(in it, if it is a folder)"
+                "--tilt-deg (downward, to within some 10 deg) or --height-m, or write one of the "
+                "two into a sonar.toml beside it"
             )
     except SonarrecError:
         raw.close()

@@ -126,10 +126,9 @@ def check_same_log(log: RecordedLog, folder: Path, run: RunFile) -> None:
         size, digest = log.digest_source()
         if (size, digest) != (made_from.bytes, made_from.sha256):
             raise SonarrecError(
-                f"{folder}: results of another log, {made_from.name} with "
-                f"{made_from.bytes} bytes and SHA-256 {made_from.sha256[:12]}..., not of "
-                f"{log.path} with {size} and {digest[:12]}...; give the log they were made from, "
-                f"or `sonarrec run {log.path}`"
+                f"{folder}: results of another log, {made_from.name} (SHA-256 "
+                f"{made_from.sha256[:12]}...), not of {log.path} ({digest[:12]}...); give the log "
+                f"they were made from, or `sonarrec run {log.path}`"
             )
         return
     last = last_frame(folder)

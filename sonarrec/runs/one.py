@@ -200,7 +200,7 @@ def _tell_notes(
         look = f"`sonarrec info {log.path} --preview FILE.png`, with the same geometry"
         note(f"{'; '.join(doubts)}; look at {look}")
     if doubt := rings.doubt():
-        note(f"{doubt}; `sonarrec info {log.path} --try-radii`, with the same options, tries both")
+        note(f"{doubt}; `sonarrec info {log.path} --try-radii` with the same options tries both")
     if restored.static:
         note(
             f"{restored.static:.1%} of the picture never changes, like drawn lines and text, or "

@@ -235,5 +235,7 @@ def _poses(source: Source, log_options: LogOptions, earlier: RunFile) -> PoseTab
     else:
         return None
     if earlier.odometry and earlier.odometry != poses.source:
-        source.diagnostics.note(f"that run used other poses than {poses.name}", about=earlier.path)
+        source.diagnostics.note(
+            f"the earlier run used other poses than {poses.name}", about=earlier.path
+        )
     return poses

@@ -68,14 +68,14 @@ def plan_task(task: Task) -> str:
         prepare(path, Path(task.out), log_options, task.run_options, task.name) as job,
     ):
         if task.overwrite:
-            return "done anew (asked for)"
+            return "done again (asked for)"
         existing = existing_results(job.folder, job.table)
         if existing.up_to_date:
             return "up to date"
         if existing.reason:
-            return f"done anew ({existing.reason})"
+            return f"done again ({existing.reason})"
         stopped = part_of(job.folder).exists()
-        return "done anew (it was stopped before its end)" if stopped else "new"
+        return "done again (it was stopped before its end)" if stopped else "new"
 
 
 def run_task(

@@ -47,8 +47,8 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
         return (
             f"{table.path}: none of its {len(outside)} positions lies in the image of {log.name} "
             f"({log.fan.range_min_m:g} to {log.fan.range_max_m:g} m, {log.fan.bearing_min_deg:g} "
-            f"to {log.fan.bearing_max_deg:g} deg), the first at {range_m:.4g} m and "
-            f"{bearing_deg:.4g} deg; are these the units, and is this the log?"
+            f"to {log.fan.bearing_max_deg:g} deg); the first is {range_m:.4g} m, "
+            f"{bearing_deg:.4g} deg; are the units and the log right?"
         )
     return None
 

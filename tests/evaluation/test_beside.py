@@ -247,7 +247,7 @@ def test_positions_outside_the_image_are_refused(tmp_path: Path, unit: float) ->
     (results / "run.toml").write_text(RUN_TOML)
     (line,) = command("--ground-truth", gt, results, code=1).stderr.splitlines()
     assert "none of its 12 positions lies in the image of out (1.25 to 3.75 m" in line
-    assert f"the first at {2 * unit:.4g} m and 1 deg" in line
+    assert f"the first is {2 * unit:.4g} m, 1 deg" in line
 
 
 def test_one_log_whose_truth_cannot_be_its_own_does_not_stop_the_others(logs: Path) -> None:

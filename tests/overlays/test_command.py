@@ -181,7 +181,7 @@ def test_truth_of_another_log_is_told(lines: tuple[str, ...], told: str, work: P
 def test_results_of_another_log(work: Path) -> None:
     cv2.imwrite("log/frame0.png", noise(1)[0] + 1)
     told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
-    assert "results of another log, log with" in told.stderr
+    assert "results of another log, log (SHA-256" in told.stderr
     assert len(told.stderr.splitlines()) == 1
     # Tables of another program tell of no input: their frame numbers do.
     (work / "sonarrec_out" / "log" / "run.toml").unlink()

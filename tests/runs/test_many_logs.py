@@ -321,10 +321,10 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path: Path) -> N
     before = sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*"))
     assert told("--dry-run")[:2] == ["up to date", "new"]
     anew = told("--dry-run", "--overwrite")
-    assert anew[:2] == ["done anew (asked for)"] * 2
+    assert anew[:2] == ["done again (asked for)"] * 2
     assert anew[2].startswith("fails (")
     changed = told("--dry-run", "--set", "features.declare=.9", "--seed", "3")
-    assert changed[0] == "done anew (other settings: seed, features.declare)"
+    assert changed[0] == "done again (other settings: seed, features.declare)"
     assert sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*")) == before
 
 

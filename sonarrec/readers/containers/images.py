@@ -124,9 +124,8 @@ class ImageFiles(RawLog):
         if self.files.doubt is not None:
             return (
                 f"the order of its {len(stems)} images, from {self.files[0].name} to "
-                f"{self.files[-1].name}, is a guess by the numbers in their names: "
-                f"{self.files.doubt}; if it is wrong, name them by one counter (000000, 000001, "
-                "...)"
+                f"{self.files[-1].name}, is a guess: {self.files.doubt}; if it is wrong, name them "
+                "by one counter (000000, 000001, ...)"
             )
         if (uncounted := _not_as_numbered(self.files)) is not None:
             index, name = uncounted

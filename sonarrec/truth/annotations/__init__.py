@@ -37,6 +37,6 @@ def read_annotations(path: Path, name: str | None = None) -> tuple[str, Annotati
             f"{path}: a folder without LabelMe JSON files"
             if path.is_dir()
             else f"{path}: not an annotation file this program reads (CVAT XML 1.1, COCO JSON, "
-            "MOTChallenge gt.txt, LabelMe JSON or a folder of it); unpack an archive first"
+            "MOTChallenge gt.txt, LabelMe JSON); unpack an archive first"
         )
     return name, FORMATS[name].read(path)
