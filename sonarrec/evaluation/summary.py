@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -11,6 +12,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import number_of, printable
 from sonarrec.evaluation import metrics, unit_sums
+from sonarrec.evaluation.behaviour import BINS
 from sonarrec.evaluation.count import Counts, Units
 from sonarrec.evaluation.curves import ratio
 from sonarrec.evaluation.intervals import (
@@ -22,6 +24,7 @@ from sonarrec.evaluation.intervals import (
     bootstrap_weights,
     coin_tosses,
     differences,
+    interval,
     intervals,
     macro,
     replicates,
@@ -32,6 +35,11 @@ from sonarrec.nouns import follows
 _PLURAL = {"pass": "es", "log": "s"}
 FEW = 10
 """Bins with fewer estimates are not joined by the curve: their share is too uncertain."""
+TOO_BOLD = 0.05
+"""Of beliefs in an ID that are clearly right less often than they state, a lead of less is not
+told."""
+BOLD_BINS = ((7, 9), (9, 10))
+"""The bins whose beliefs are looked at together: 0.7 to 0.9, and 0.9 to 1."""
 SEED = 0
 """Of the random draws, so that the same input gives the same intervals."""
 
@@ -84,10 +92,12 @@ def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
     tosses = coin_tosses(units.count, rng)
     figures: list[Figure] = []
     curves: list[Reliability] = []
+    notes = _notes(counts, units)
     # Tallies of one kind and protocol, which can be compared.
     alike: dict[tuple[str, object], list[Tally]] = defaultdict(list)
     for kind in metrics.KINDS:
         per_id: list[tuple[Tally, FloatArray]] = []
+        beliefs: list[FloatArray] = []
         for counted in kind(counts, units):
             tally = metrics.tally(kind, counted)
             drawn = replicates(tally, weights)
@@ -99,12 +109,17 @@ def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
                 mean = ratio(record.stated[0], number)
                 name = "top" if tally.landmark_text == "total" else tally.landmark_text
                 curves.append(Reliability(tally.method, name, number.astype(np.int64), mean, right))
+                if name == "top":
+                    notes += _too_bold(tally.method, beliefs, weights, units)
+                elif name != "none":
+                    beliefs.append(counted.sums[:, 1:])
             if tally.landmark_text != "total":
                 per_id.append((tally, drawn))
                 continue
             if kind is unit_sums.rates:
                 figures += macro(*zip(*per_id, strict=True))
             per_id.clear()
+            beliefs.clear()
             alike[tally.protocol, kind].append(tally)
     return Summary(
         units=units,
@@ -118,7 +133,7 @@ def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
             for difference in differences(a, b, weights, tosses)
         ),
         reliability=tuple(curves),
-        notes=_notes(counts, units),
+        notes=tuple(map(printable, notes)),
     )
 
 
@@ -134,7 +149,30 @@ def over_units(summary: Summary) -> str:
     return f"; {LEVEL:.0%} intervals over {units_text(summary.units)}"
 
 
-def _notes(counts: Counts, units: Units) -> tuple[str, ...]:
+def _too_bold(
+    method: str, beliefs: Sequence[FloatArray], weights: FloatArray, units: Units
+) -> Iterator[str]:
+    """A line for each range of beliefs in an ID that are right clearly less often than they state.
+
+    beliefs: of each ID, (U, 3 * BINS) as of `behaviour.calibration`. weights: of the bootstrap.
+    """
+    for first, end in BOLD_BINS:
+        sums = np.sum(beliefs, axis=0).reshape(-1, 3, BINS)[:, :, first:end].sum(axis=2)
+        if np.count_nonzero(sums[:, 0]) < MIN_UNITS:
+            continue
+        count, stated, right = sums.sum(axis=0)
+        drawn = weights @ sums
+        least, _ = interval(ratio(drawn[:, 1] - drawn[:, 2], drawn[:, 0]), units.count)
+        if least > 0 and stated - right > TOO_BOLD * count:
+            yield (
+                f"{method}: IDs are stated too boldly: of {count:.0f} beliefs of "
+                f"{first / BINS:g} to {end / BINS:g}, on average {stated / count:.2f}, "
+                f"{right / count:.2f} are right ({LEVEL:.0%} sure over {units_text(units)}); see "
+                "`sonarrec help calibrate`"
+            )
+
+
+def _notes(counts: Counts, units: Units) -> list[str]:
     """Notes on missing intervals and figures, a line each."""
     notes = []
     if units.count < MIN_UNITS:
@@ -149,4 +187,4 @@ def _notes(counts: Counts, units: Units) -> tuple[str, ...]:
         listed = ", ".join(untimed[:5]) + f" and {len(untimed) - 5} more" * (len(untimed) > 5)
         lack = "are not given" if len(untimed) == len(counts.parts) else f"leave out {listed}"
         notes.append(f"claims per minute {lack}: frames.csv has no timestamp_ns, or a single time")
-    return tuple(map(printable, notes))
+    return notes
