@@ -13,8 +13,7 @@ from sonarrec.readers.open import find_log
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs.one import result_names
 from sonarrec.tables.toml import Share, checked, from_table, read_toml
-
-TRUTH_FILE = "gt.csv"
+from sonarrec.truth.table import TRUTH_FILE
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,9 @@ from sonarrec.cli.options_log import LogChoice, log_options
 
 @command(short_help="Learn from labelled logs how landmarks look.")
 @click.argument("log", shell_complete=file_names, nargs=-1, required=True)
-@options.ground_truth("gt.csv with positions.", required=True)
+@options.ground_truth(
+    "gt.csv with positions, in place of the NAME.gt.csv or gt.csv beside each log."
+)
 @log_options(time=True)
 @options.landmarks
 @in_learning(
@@ -29,7 +31,7 @@ from sonarrec.cli.options_log import LogChoice, log_options
 @options.quiet
 def calibrate(
     log: tuple[str, ...],
-    ground_truth: Path,
+    ground_truth: Path | None,
     log_choice: LogChoice,
     landmarks: str | None,
     from_scratch: bool,
@@ -40,13 +42,13 @@ def calibrate(
     """Learn from LOG, whose landmarks are labelled, how landmarks look to this sonar.
 
     The model distinguishes each landmark from the others and from "none of these". It starts from
-    the built-in model; a few hundred labelled frames adapt it. For several LOGs the ground truth
-    needs a log column. Frames without a row count as frames without a landmark, except where a
-    track lies on a landmark before or after.
+    the built-in model; a few hundred labelled frames adapt it. Truth is found beside each LOG, or
+    given; one for several LOGs needs a log column. Frames without a row count as frames without a
+    landmark, except where a track lies on a landmark before or after.
 
     \b
     Examples:
-      sonarrec calibrate sample_data/pan --ground-truth sample_data/pan/gt.csv -o model.toml
+      sonarrec calibrate sample_data/pan -o model.toml
       sonarrec run next.mcap --model model.toml
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """

@@ -21,9 +21,8 @@ from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
 from sonarrec.tables.read import line_numbers, read_header, read_table
-from sonarrec.truth.table import HEADER
+from sonarrec.truth.table import HEADER, TRUTH_FILE
 
-TRUTH_FILE = "gt.csv"
 FindBeside = Callable[[str, str], tuple[Path | None, int | None]]
 """Takes a log's URL and a file name; gives that file beside it, or None, and the log's size."""
 

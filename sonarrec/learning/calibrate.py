@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
 from sonarrec.landmarks import LandmarkSet
@@ -25,13 +26,15 @@ from sonarrec.results.run_file import LogOptions
 from sonarrec.tables.outputs import MODEL_MARK
 from sonarrec.truth.fits import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
 from sonarrec.truth.match import Truth, match_truth
-from sonarrec.truth.table import TruthTable, read_truth
+from sonarrec.truth.table import HEADER, TRUTH_FILE, TruthTable, read_truth
 
 Gain = tuple[float, float, float]
 """Mean log likelihood by the built-in and the learned model, and standard error of the gain."""
 Labelled = tuple[tuple[int, int], tuple[int, int]]
 """(positions at which truth has something to be seen, landmarks: IDs of each log, whose discs are
 taken for one), then the same of those on which a track lay."""
+Strangers = tuple[int, float, float]
+"""Frames of tracks on strangers, and the mean belief in an ID by the built-in and learned model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +44,9 @@ class LearningReport:
     frames: of all logs. seen: per ID of the set, then for 'none of these', the frames in which a
     track showed it and the number of such tracks. gain: by models learned without the landmark or
     other track; None if it is not measured, see `gain_on_the_rest`. labelled: in the frames that
-    were read. diagnostics: what could not be used, and what the recordings do not teach.
+    were read. strangers: mean belief in any ID where the truth has a stranger, by the built-in and
+    by the learned model; None without. diagnostics: what could not be used, and what the recordings
+    do not teach.
     """
 
     model: AppearanceModel
@@ -51,6 +56,7 @@ class LearningReport:
     seen: tuple[tuple[int, int], ...]
     gain: Gain | None
     labelled: Labelled
+    strangers: Strangers | None
     diagnostics: Diagnostics
 
     def summary(self) -> list[str]:
@@ -70,6 +76,12 @@ class LearningReport:
             f"{landmarks_met} of {number_of(landmarks, 'landmark')} (each ID of a log counts as "
             "one)"
         )
+        if self.strangers is not None:
+            frames, before, after = self.strangers
+            lines.append(
+                f"strangers in {number_of(frames, 'frame')}: mean belief in an ID by the built-in "
+                f"model {before:.3f}, learned {after:.3f}"
+            )
         if self.gain is None:
             return [
                 *lines,
@@ -97,7 +109,7 @@ class LearningReport:
 
 def learn(
     paths: Sequence[str | Path],
-    ground_truth: Path,
+    ground_truth: Path | None,
     config: Config,
     landmarks: LandmarkSet,
     log_options: LogOptions,
@@ -107,8 +119,9 @@ def learn(
 ) -> LearningReport:
     """Learn an appearance model from logs and their gt.csv.
 
-    log_options: how the logs are read; poses and frames do not count. from_scratch: do not start
-    from the built-in model. observe: called at every frame.
+    ground_truth: one for all; None: that beside each log. log_options: how the logs are read; poses
+    and frames do not count. from_scratch: do not start from the built-in model. observe: called at
+    every frame.
     Raises SonarrecError if logs or truth cannot be used or hold too little.
     """
     if config.features.measurement != "track":
@@ -116,18 +129,21 @@ def learn(
             "the appearance model serves features.measurement = track; this preset measures "
             "single frames by the published model and learns nothing"
         )
-    table = read_truth(ground_truth)
-    if table.position is None:
-        raise SonarrecError(
-            f"{ground_truth}: learning needs positions; add x_px,y_px or range_m,bearing_deg"
-        )
-    if len(paths) > 1 and table.log is None:
-        raise UsageError(
-            f"{ground_truth}: of {len(paths)} logs, the truth needs a log column that names them"
-        )
+    truths = [ground_truth or _truth_beside(path) for path in paths]
+    tables = {file: read_truth(file) for file in dict.fromkeys(truths)}
+    for file, table in tables.items():
+        if table.position is None:
+            raise SonarrecError(
+                f"{file}: learning needs positions; add x_px,y_px or range_m,bearing_deg"
+            )
+        if (many := truths.count(file)) > 1 and table.log is None:
+            raise UsageError(
+                f"{file}: of {many} logs, the truth needs a log column that names them"
+            )
     told = Diagnostics()
     lessons: list[_Lesson] = []
-    for path in paths:
+    for path, file in zip(paths, truths, strict=True):
+        table = tables[file]
         with open_log(path, **log_options.arguments()) as log:
             # Results are named by the log's name, with folders in front if another has the same.
             name = table.name_of(possible_names(log.name, find_log(log.path).place.resolve()))
@@ -138,12 +154,14 @@ def learn(
     names = [lesson.log for lesson in lessons]
     if not any(lesson.rows for lesson in used):
         misfits = [lesson.misfit for lesson in lessons if lesson.misfit is not None]
-        why = without_rows(ground_truth, len(table.at), names, "it shows no landmark")
+        why = without_rows(file, len(table.at), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
-    if len(paths) > 1:  # of one log a truth of several is used as it is
-        tell_other_logs(told, table, names, "they teach nothing")
+    for file, table in tables.items():
+        if truths.count(file) > 1:  # of one log a truth of several is used as it is
+            tell_other_logs(told, table, names, "they teach nothing")
     parts = [lesson.samples for lesson in used]
-    prior = None if from_scratch else built_in_model()
+    built_in = built_in_model()
+    prior = None if from_scratch else built_in
     model = fit(parts, prior)
     seen = []  # frames and tracks of each ID, then of 'none of these'
     for label_index in range(len(landmarks.ids) + 1):
@@ -153,19 +171,39 @@ def learn(
     told.note(*_not_taught(landmarks, seen, gain))
     labelled = np.sum([lesson.labelled for lesson in used], axis=0).tolist()
     logs, frames = tuple(lesson.log for lesson in used), sum(lesson.frames for lesson in used)
-    return LearningReport(model, landmarks, logs, frames, tuple(seen), gain, labelled, told)
+    strange = [part_of(lesson.samples, lesson.strange) for lesson in used]
+    before, after = (
+        np.concatenate([1 - m.probabilities(s.features, s.smear)[:, -1] for s in strange])
+        for m in (built_in, model)
+    )
+    strangers = (len(after), float(before.mean()), float(after.mean())) if len(after) else None
+    return LearningReport(
+        model, landmarks, logs, frames, tuple(seen), gain, labelled, strangers, told
+    )
+
+
+def _truth_beside(path: str | Path) -> Path:
+    """The truth of a log where none is named. Raises UsageError if none lies beside it."""
+    truth = find_log(path).beside(TRUTH_FILE)
+    if truth is None:
+        raise UsageError(
+            f"{path}: no {TRUTH_FILE} in or beside it; label it ({HEADER}), or give --ground-truth"
+        )
+    return truth
 
 
 @dataclass(frozen=True, slots=True)
 class _Lesson:
     """What one log teaches.
 
-    log: its name. samples: of its tracks. frames: how many were read. rows: of truth for it.
-    misfit: why its truth cannot be that of the log, so that nothing is learned; None if it can.
+    log: its name. samples: of its tracks. strange: (n,) which of them lie on a stranger. frames:
+    how many were read. rows: of truth for it. misfit: why its truth cannot be that of
+    the log, so that nothing is learned; None if it can.
     """
 
     log: str
     samples: Samples
+    strange: BoolArray
     frames: int
     rows: int
     labelled: Labelled
@@ -197,7 +235,8 @@ def _lesson(
 
     tracks = describe(observed(), own, landmarks, name=name)
     truth = match_truth(table, tracks)
-    samples = _labelled(tracks, truth)
+    strangers = match_truth(table, tracks, strangers=True)
+    samples, strange = _labelled(tracks, truth, strangers)
     unlike = misfit(table, tracks, truth) or _no_track_on_a_row(table, tracks, truth, samples)
     told.note(*(f"{name}: {line}" for line in beams))
     told.problem(*log.diagnostics.problems)
@@ -212,7 +251,8 @@ def _lesson(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
                 f"was read of {name}; they teach nothing"
             )
-    return _Lesson(name, samples, len(tracks.frame), truth.rows, _counted(tracks, truth), unlike)
+    rows, counted = truth.rows + strangers.rows, _counted(tracks, truth)
+    return _Lesson(name, samples, strange, len(tracks.frame), rows, counted, unlike)
 
 
 def _counted(tracks: Tracks, truth: Truth) -> Labelled:
@@ -246,19 +286,28 @@ def _not_taught(
         )
 
 
-def _labelled(tracks: Tracks, truth: Truth) -> Samples:
-    """The samples of one log.
+def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, BoolArray]:
+    """The samples of one log, and which of them lie on a stranger.
 
     People do not label every frame. So if a track shows a landmark in one frame, its frames without
     a label are left out: they do not count as "none of these". A row whose `visible` is 0 teaches
     no ID: scoring ignores it too.
     """
     assert truth.position is not None
+    assert strangers.position is not None
+    ids = len(tracks.landmarks.ids)
     landmark = np.where(truth.visible > 0, truth.landmark_index, HIDDEN)
-    samples = label(tracks, truth.frame_index, landmark, truth.position)
-    other = samples.label == len(tracks.landmarks.ids)
-    unsure = other & np.isin(samples.track, samples.track[~other])
-    return part_of(samples, ~unsure & (samples.label != HIDDEN))
+    samples = label(
+        tracks,
+        np.append(truth.frame_index, strangers.frame_index),
+        np.append(landmark, strangers.landmark_index + 1),  # apart from unlabelled tracks
+        np.concatenate([truth.position, strangers.position]),
+    )
+    other = samples.label == ids
+    unsure = other & np.isin(samples.track, samples.track[samples.label < ids])
+    samples = part_of(samples, ~unsure & (samples.label != HIDDEN))
+    strange = samples.label > ids
+    return replace(samples, label=np.minimum(samples.label, ids)), strange
 
 
 def _no_track_on_a_row(

@@ -20,6 +20,7 @@ from sonarrec.tables.parquet import PARQUET, read_names, read_parts
 
 Kind = Literal[
     "whole",
+    "whole or none",
     "number",
     "time",
     "place",
@@ -44,6 +45,8 @@ POSITION_KINDS: dict[str, Kind] = {
     "range_m": "blank or place",
     "bearing_deg": "blank or place",
 }
+NONE = -(2**62)
+"""The number that stands for the word none."""
 LARGEST = 10**9
 """Larger positions (pixels, m, deg) are invalid; their squares could not be used."""
 MOST_SHOWN = 300
@@ -66,6 +69,7 @@ _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
 _WORDS = {
     "whole": "a whole number",
+    "whole or none": "a whole number, or none",
     "time": "a finite number, or a time with its UTC offset such as 2024-05-01T12:00:00Z",
     "share": "0 to 1",
     "flag": "0 or 1",
@@ -245,7 +249,7 @@ def _table(
         end = first_bad[name]
         wrong = _wrong_cell(columns[name].iloc[end], values[name][0][end], kinds[name])
         fault = SonarrecError(f"{path} line {line_number(path, first + end)}: {name} {wrong}")
-    types = {"whole": np.int64, "flag": np.bool_, "label": np.int64}
+    types = {"whole": np.int64, "whole or none": np.int64, "flag": np.bool_, "label": np.int64}
     table = {
         name: array[:end]
         if kinds[name] in _TEXTS
@@ -259,7 +263,7 @@ def _wrong_cell(cell: object, value: Any, kind: Kind) -> str:
     """What an invalid cell must be, and what it is. value: the cell as a number, else NaN."""
     found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell)[:40])
     size, bounds = np.abs(value), ""
-    if kind == "whole" and size >= 2.0**63:
+    if kind.startswith("whole") and size >= 2.0**63:
         bounds = " below 2^63"
     elif kind in _PLACES and np.isfinite(size):
         bounds = " from -1e9 to 1e9"
@@ -351,9 +355,12 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
         bad |= np.abs(values) > LARGEST
     if kind == "share":
         bad |= (values < 0) | (values > 1)
-    elif kind == "whole" and values.dtype.kind == "f":
+    elif kind.startswith("whole") and values.dtype.kind == "f":
         # Larger floats would overflow without an error.
         bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
+        if kind == "whole or none":
+            is_none = (column == "none").to_numpy(dtype=bool, na_value=False)
+            values, bad = np.where(is_none, NONE, values), bad & ~is_none
     elif kind == "flag":
         bad |= (values != 0) & (values != 1)
     return values, bad

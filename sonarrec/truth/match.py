@@ -20,7 +20,7 @@ from sonarrec.geometry import (
 )
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
-from sonarrec.tables.read import line_number
+from sonarrec.tables.read import NONE, line_number
 from sonarrec.truth.table import TruthTable
 
 
@@ -31,7 +31,7 @@ class Truth:
     frame_index: IntArray
     """(T,) into ReadLog.frame."""
     landmark_index: IntArray
-    """(T,) into the set's ids."""
+    """(T,) into the set's ids; the number of IDs for a stranger."""
     visible: FloatArray
     """(T,) share of the disc, 0 to 1."""
     position: FloatArray | None
@@ -86,17 +86,20 @@ class ReadLog(Protocol):
     def timestamp_ns(self) -> IntArray | None: ...
 
 
-def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = None) -> Truth:
+def match_truth(
+    table: TruthTable, log: ReadLog, tolerance_s: float | None = None, *, strangers: bool = False
+) -> Truth:
     """The truth of one log, cut to the frames in its frames.csv.
 
     By time, a row belongs to the frame nearest to it, if that is within the tolerance (default:
     half the median time between frames). A frame takes only the rows of the time nearest to it:
-    truth denser than the frames must not show one landmark many times.
+    truth denser than the frames must not show one landmark many times. strangers: match the rows on
+    objects that are no landmark instead; their landmark_index is the number of IDs.
     Raises SonarrecError on an ID outside the landmark set, or if times cannot be compared.
     """
-    mine = table.rows_of(log.name)
+    mine = table.rows_of(log.name, strangers=strangers)
     ids = np.asarray(log.landmarks.ids)
-    known = np.isin(table.landmark[mine], ids)
+    known = np.isin(table.landmark[mine], [*ids, NONE])
     if not known.all():
         bad = int(mine[np.argmin(known)])
         raise SonarrecError(
@@ -124,7 +127,9 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
     chosen = mine[kept]
     return Truth(
         frame_index=row[kept],
-        landmark_index=log.landmarks.indices(table.landmark[chosen]),
+        landmark_index=np.full(len(chosen), len(ids))
+        if strangers
+        else log.landmarks.indices(table.landmark[chosen]),
         visible=table.visible[chosen],
         position=None if position is None else position[chosen],
         orientation=None if table.orientation is None else table.orientation[chosen],

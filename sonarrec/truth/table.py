@@ -16,6 +16,7 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
 from sonarrec.tables.outputs import replaced
 from sonarrec.tables.read import (
+    NONE,
     POSITION_KINDS,
     Kind,
     line_number,
@@ -24,13 +25,15 @@ from sonarrec.tables.read import (
     read_table,
 )
 
+TRUTH_FILE = "gt.csv"
+"""Beside a log, as such or as NAME.gt.csv: its truth."""
 HEADER = "frame,landmark,x_px,y_px,visible"
 TRACKED, FILLED_IN = "tracked", "interpolated"
 """In the column `source` of a proposal: what its rows are."""
 _KINDS: dict[str, Kind] = {
     "frame": "whole",
     "timestamp_ns": "whole",
-    "landmark": "whole",
+    "landmark": "whole or none",
     "visible": "blank or number",
     "orientation_deg": "blank or number",
     "log": "text",
@@ -49,7 +52,7 @@ class TruthTable:
     at: IntArray
     """(R,) its values."""
     landmark: IntArray
-    """(R,) IDs."""
+    """(R,) IDs; NONE for an object that is no landmark of the set: a stranger."""
     visible: FloatArray
     """(R,) share of the disc, 0 to 1."""
     log: Any
@@ -67,11 +70,10 @@ class TruthTable:
     timestamp_ns: IntArray | None
     """(R,) times beside frame numbers; None without."""
 
-    def rows_of(self, name: str) -> IntArray:
-        """(n,) the rows on a log, rising."""
-        if self.log is None:
-            return np.arange(len(self.at))
-        return np.flatnonzero(self.log == name)
+    def rows_of(self, name: str, *, strangers: bool = False) -> IntArray:
+        """(n,) the rows on a log that name a landmark, or those on strangers; rising."""
+        wanted = (self.landmark == NONE) == strangers
+        return np.flatnonzero(wanted if self.log is None else wanted & (self.log == name))
 
     def name_of(self, names: Sequence[str]) -> str:
         """The name by which the log column calls a log; the first if it names none.

@@ -167,6 +167,7 @@ HEAD = "frame,landmark,range_m,bearing_deg"
         (f"{HEAD}\n1,1,2,0\n", ("--set", "features.measurement=single"), 2, "learns nothing"),
         (f"{HEAD}\n1,1,2,0\n", ("TWO",), 2, "log column"),
         (f"log,{HEAD}\npan,1,1,2,0\n", ("SAME",), 2, "second log 'pan'"),
+        (f"{HEAD}\n1,none,2,0\n", (), 1, "hold no landmark"),
     ],
 )
 def test_what_cannot_teach_is_told_in_one_line(tmp_path, text, arguments, code, told):
@@ -243,11 +244,49 @@ def test_rows_that_teach_nothing_are_told(tmp_path):
     assert "of pan" in told.stdout
 
 
+@pytest.mark.slow
+def test_truth_lies_beside_each_log_and_a_stranger_is_unlearned(tmp_path):
+    """A disc with a wedge of 120 degrees is taken for ID.1 or 3, until the truth calls it none."""
+    wedges = tuple(tuple(np.repeat(row, 3).tolist()) for row in BASIN.sectors)
+    five = replace(BASIN, ids=(*BASIN.ids, 5), sectors=(*wedges, (1,) * 4 + (0,) * 8))
+    paths = {}
+    for name, seed in (("one", 2501), ("two", 2502), ("next", 2503)):
+        scene = random_scene(seed, "plain", frames=60)
+        like = scene.landmarks[0]
+        strange = tuple(
+            replace(like, id=5, ground_m=o.ground_m, azimuth_deg=o.azimuth_deg)
+            for o in scene.objects[3:]
+        )
+        sonar = replace(scene.sonar, range_bins=256)
+        objects, landmarks = scene.objects[:3], (*scene.landmarks, *strange)
+        scene = replace(scene, sonar=sonar, objects=objects, landmarks=landmarks)
+        paths[name] = tmp_path / name
+        write_recording(replace(scene, landmark_set=five, name=name), paths[name])
+        truth = paths[name] / "gt.csv"
+        head, *rows = truth.read_text().splitlines()
+        at = head.split(",").index("landmark")
+        cells = [row.split(",") for row in rows]
+        named = [[*c[:at], "none" if c[at] == "5" else c[at], *c[at + 1 :]] for c in cells]
+        truth.write_text("\n".join([head, *map(",".join, named), ""]))
+    model = tmp_path / "model.toml"
+    told = sonarrec("calibrate", paths["one"], paths["two"], "-o", model).stdout
+    assert "learned from 120 frames of one, two" in told
+    line = next(line for line in told.splitlines() if line.startswith("strangers in"))
+    before, after = (float(word.strip(",")) for word in line.split() if word[:2] == "0.")
+    assert after < 0.7 * before
+    # In a log it has not seen: the evaluation takes the stranger's rows for none.
+    false = {}
+    for name, more in (("built_in", ()), ("learned", ("--model", model))):
+        sonarrec("run", paths["next"], "-o", tmp_path / name, "-q", *more)
+        _, false[name] = strict(tmp_path / name / "next", paths["next"] / "gt.csv")
+    assert false["learned"] < 0.7 * false["built_in"]
+
+
 def test_names_of_logs_do_not_break_the_model_file():
     model = built_in_model()
     seen = ((1, 1),) * 4 + ((9, 2),)
     logs, none = ("day\n1", "d\x07y_2", "dïve"), ((0, 0), (0, 0))
-    report = LearningReport(model, BASIN, logs, 10, seen, None, none, Diagnostics())
+    report = LearningReport(model, BASIN, logs, 10, seen, None, none, None, Diagnostics())
     parse_model(report.as_toml(), "it")
     assert report.summary()[0] == r"learned from 10 frames of day\n1, d\x07y_2, dïve"
 

@@ -189,9 +189,11 @@ def test_a_hidden_landmark_teaches_neither_its_id_nor_none():
     tracks = in_two_frames(
         [0, 0, 0, 1, 1, 1], [7, 8, 9] * 2, np.array([[0.0, 2], [1, 2], [2, 2]] * 2)
     )
-    samples = _labelled(tracks, truth((0, 0, 0.0, 0.0), (0, 1, 0.3, 1.0)))
+    on_landmarks, stranger = truth((0, 0, 0.0, 0.0), (0, 1, 0.3, 1.0)), truth((1, 4, 1.0, 2.0))
+    samples, strange = _labelled(tracks, on_landmarks, stranger)
     taught = list(zip(samples.track.tolist(), samples.label.tolist(), strict=True))
     assert taught == [(8, 1), (9, 4), (9, 4)]
+    assert strange.tolist() == [False, False, True]
 
 
 def test_how_much_of_the_truth_a_track_lay_on_is_counted():
