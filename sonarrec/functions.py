@@ -172,6 +172,7 @@ def evaluate(
     method: str | Sequence[str] = (),
     min_visible: float = 0.9,
     tolerance_s: float | None = None,
+    within_m: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | Mapping[str, Any] | None = None,
     unit: UnitKind | None = None,
@@ -195,9 +196,9 @@ def evaluate(
 
     Protocol "strict": a landmark with visible >= min_visible is a positive; with less it is
     ignored. A claim belongs to the truth of its ID that is nearest in that frame, if
-    its centre is within half a disc diameter of it in the fan plane. The first claim of a
-    positive (the one of highest score) is TP; every further one, and every claim that belongs to
-    no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
+    its centre is within half a disc diameter, or within_m, of it in the fan plane. The first claim
+    of a positive (the one of highest score) is TP; every further one, and every claim that belongs
+    to no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
     (FN and FP). Claims of a partly visible landmark are not counted. TN: a frame and ID of which
     nothing shows and which is not claimed. So an FP replaces a TN the first time an absent ID is
     claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
@@ -208,7 +209,7 @@ def evaluate(
     many logs are read at once, each in its own process.
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
-    scoring = _scoring(method, min_visible, tolerance_s, landmarks, sonar)
+    scoring = _scoring(method, min_visible, tolerance_s, landmarks, sonar, within_m)
     logs = str(results) if pairs is None else read_pairs(Path(pairs))
     found = evaluate_logs(logs, ground_truth, scoring, unit=unit, jobs=jobs)
     if out is not None:
@@ -383,6 +384,8 @@ def _scoring(
     tolerance_s: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | Mapping[str, Any] | None = None,
+    within_m: float | None = None,
 ) -> ScoringOptions:
     methods = (method,) if isinstance(method, str) else tuple(method)
-    return ScoringOptions(min_visible, tolerance_s, landmarks, sonar_from(sonar), methods)
+    geometry = sonar_from(sonar)
+    return ScoringOptions(min_visible, tolerance_s, landmarks, geometry, within_m, methods)

@@ -1,4 +1,4 @@
-"""Landmark sets: what the discs look like, as data. A new set is one TOML file."""
+"""Landmark sets: what the discs or plates look like, as data. A new set is one TOML file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.tables.toml import (
     Positive,
@@ -22,6 +22,11 @@ from sonarrec.tables.toml import (
 )
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
+MOST_CELLS = 64
+"""Along the side of a drawing; an image is reduced to at most IMAGE_CELLS."""
+IMAGE_CELLS = 28
+Hand = Literal["no", "yes", "either"]
+PlatePose = Literal["floor", "free"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +99,50 @@ class LandmarkSet:
 
 
 @dataclass(frozen=True, slots=True)
+class DrawnSet(LandmarkSet):
+    """Square plates, a drawing of rough (bright) and smooth (dark) cells on each.
+
+    radius_m: half of a plate's side. ring, symbol, sectors: of discs alone, empty here. cells: K
+    drawings, each n rows of n zeros and ones, top row first, as one reads them. mirrored: whether
+    the sonar shows drawings mirrored. pose: plates lie on the floor, or are held anyhow.
+    """
+
+    cells: tuple[tuple[tuple[int, ...], ...], ...] = ()
+    mirrored: Hand = "either"
+    pose: PlatePose = "free"
+
+    def drawings(self) -> list[BoolArray]:
+        """K arrays, (n, n): `cells`."""
+        return [np.asarray(cells, bool) for cells in self.cells]
+
+    def pattern(self, k: int, x: FloatArray, y: FloatArray) -> FloatArray:
+        drawing = self.drawings()[k]
+        n = len(drawing)
+        row, column = (np.floor((1 - s * v) * n / 2).astype(int) for s, v in ((1, y), (-1, x)))
+        within = (np.abs(x) < 1) & (np.abs(y) < 1)
+        cell = drawing[row.clip(0, n - 1), column.clip(0, n - 1)]
+        return np.asarray(np.where(within, cell, 0.0))
+
+    def periods_deg(self) -> FloatArray:
+        turns = [
+            next(n for n in (1, 2, 4) if np.array_equal(np.rot90(drawing, n), drawing))
+            for drawing in self.drawings()
+        ]
+        return np.asarray(turns, dtype=float) * 90
+
+    def as_table(self) -> dict[str, Any]:
+        rows = [["".join(map(str, row)) for row in cells] for cells in self.cells]
+        return {
+            "name": self.name,
+            "kind": "drawn",
+            "size_m": 2 * self.radius_m,
+            "mirrored": self.mirrored,
+            "pose": self.pose,
+            "landmark": [{"id": i, "cells": c} for i, c in zip(self.ids, rows, strict=True)],
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class _Row:
     """One [[landmark]] of a file."""
 
@@ -110,6 +159,29 @@ class _LandmarkSetFile:
     ring: tuple[Share, Share]
     symbol: tuple[Share, Share]
     landmark: tuple[_Row, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawing:
+    """One [[landmark]] of a drawn set's file."""
+
+    id: Whole
+    cells: tuple[str | tuple[Literal[0, 1], ...], ...] = ()
+    image: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _DrawnSetFile:
+    """A set of drawn plates as its file states it. family, ids: taken from a built-in set."""
+
+    name: str
+    kind: str
+    size_m: Positive
+    landmark: tuple[_Drawing, ...] = ()
+    family: str = ""
+    ids: tuple[Whole, ...] = ()
+    mirrored: Hand = "either"
+    pose: PlatePose = "free"
 
 
 def load_landmarks(source: str | Path) -> LandmarkSet:
@@ -130,6 +202,10 @@ def landmarks_from_table(
     table: object, where: str, error: type[SonarrecError] = SonarrecError
 ) -> LandmarkSet:
     """A LandmarkSet from the keys of its TOML. where: names it in errors, which are `error`s."""
+    if isinstance(table, dict) and table.get("kind", "disc") != "disc":
+        return _drawn_from_table(table, where, error)
+    if isinstance(table, dict):
+        table = {key: value for key, value in table.items() if key != "kind"}
     stated = from_table(_LandmarkSetFile, table, where, error=error)
     ids = tuple(row.id for row in stated.landmark)
     sectors = tuple(row.sectors for row in stated.landmark)
@@ -154,3 +230,89 @@ def landmarks_from_table(
             )
         first[turned] = number
     return LandmarkSet(stated.name, stated.radius_m, stated.ring, stated.symbol, ids, sectors)
+
+
+def _drawn_from_table(table: dict[str, Any], where: str, error: type[SonarrecError]) -> DrawnSet:
+    """A DrawnSet, as landmarks_from_table."""
+    if table["kind"] != "drawn":
+        raise error(f'{where}: kind must be "disc" or "drawn", not {brief(table["kind"])}')
+    stated = from_table(_DrawnSetFile, table, where, error=error)
+    ids = tuple(row.id for row in stated.landmark)
+    drawings = [_drawing(row, where, error) for row in stated.landmark]
+    if stated.family:
+        family = load_landmarks(stated.family)
+        if ids or not isinstance(family, DrawnSet):
+            raise error(f"{where}: family must name a drawn set, in place of any [[landmark]]")
+        ids = stated.ids or family.ids
+        if unknown := set(ids) - set(family.ids):
+            raise error(f"{where}: {stated.family} has no ID {min(unknown)}")
+        drawings = [family.drawings()[k] for k in family.indices(np.asarray(ids))]
+    elif stated.ids:
+        raise error(f"{where}: ids chooses among those of a family, and none is named")
+    if not ids or len(set(ids)) < len(ids):
+        raise error(f"{where}: every [[landmark]] needs an id, a whole number of its own")
+    first: dict[tuple[int, bytes], int] = {}
+    for number, drawing in zip(ids, drawings, strict=True):
+        if drawing.all() or not drawing.any():
+            raise error(f"{where}: the drawing of ID {number} is all of one kind")
+        same = min(v.tobytes() for v in views(drawing, stated.mirrored))
+        if (other := first.setdefault((len(drawing), same), number)) != number:
+            how = "turned or mirrored (state mirrored)" if stated.mirrored == "either" else "turned"
+            raise error(
+                f"{where}: IDs {other} and {number} are the same drawing {how}, so no image can "
+                "tell them apart"
+            )
+    cells = tuple(tuple(map(tuple, d.astype(int).tolist())) for d in drawings)
+    half, none = stated.size_m / 2, (0.0, 0.0)
+    hand, pose = stated.mirrored, stated.pose
+    return DrawnSet(stated.name, half, none, none, ids, (), cells, hand, pose)
+
+
+def views(drawing: BoolArray, mirrored: Hand) -> list[BoolArray]:
+    """The drawing in every quarter turn and hand in which it may show."""
+    hands = {"no": [drawing], "yes": [drawing[:, ::-1]], "either": [drawing, drawing[:, ::-1]]}
+    return [np.rot90(hand, turn) for hand in hands[mirrored] for turn in range(4)]
+
+
+def _drawing(row: _Drawing, where: str, error: type[SonarrecError]) -> BoolArray:
+    """(n, n) cells of a [[landmark]], filled up with dark ones to a square."""
+    if bool(row.cells) == bool(row.image):
+        raise error(f"{where}: ID {row.id} needs cells, or an image, and not both")
+    if row.image:
+        return _drawing_of_image(Path(where).parent / row.image, where, error)
+    rows = [[*map(str, line)] for line in row.cells]
+    if any(cell not in "01" for line in rows for cell in line):
+        raise error(f"{where}: cells of ID {row.id} must be rows of 0 and 1")
+    if len({len(line) for line in rows}) > 1 or not rows[0]:
+        raise error(f"{where}: rows of cells of ID {row.id} must be equally long")
+    cells = np.array(rows) == "1"
+    if max(cells.shape) > MOST_CELLS:
+        raise error(f"{where}: ID {row.id} has more than {MOST_CELLS} cells along a side")
+    return np.asarray(_squared(cells), bool)
+
+
+def _drawing_of_image(path: Path, where: str, error: type[SonarrecError]) -> BoolArray:
+    """The cells of a picture: one a pixel where it is small, else IMAGE_CELLS along its side."""
+    import cv2  # not for commands that read no picture
+
+    try:
+        data = np.fromfile(path, np.uint8)
+        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    except (OSError, ValueError, cv2.error):
+        picture = None
+    if picture is None:
+        raise error(f"{where}: image {path} cannot be read")
+    grey: ByteImage = _squared(np.asarray(picture, np.uint8))
+    if len(grey) > IMAGE_CELLS:
+        grey = np.asarray(cv2.resize(grey, (IMAGE_CELLS,) * 2, interpolation=cv2.INTER_AREA))
+    return np.asarray(grey > (int(grey.min()) + int(grey.max())) / 2)
+
+
+def _squared(cells: Any) -> Any:
+    """(n, n) an array in the middle of a dark square."""
+    rows, columns = cells.shape
+    side = max(rows, columns)
+    square = np.zeros((side, side), cells.dtype)
+    top, left = (side - rows) // 2, (side - columns) // 2
+    square[top : top + rows, left : left + columns] = cells
+    return square

@@ -6,13 +6,14 @@ import math
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
-from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
+from sonarrec.landmarks import DrawnSet, LandmarkSet, landmarks_from_table, load_landmarks
 
 TABLE: dict[str, Any] = {
     "name": "two",
@@ -138,7 +139,7 @@ def test_a_set_that_cannot_be_meant(change: dict[str, Any], says: str) -> None:
 
 
 def test_files(tmp_path: Path) -> None:
-    with pytest.raises(SonarrecError, match=r"neither a file nor built in \(basin"):
+    with pytest.raises(SonarrecError, match=r"neither a file nor built in \(.*basin"):
         load_landmarks("besin")
     path = tmp_path / "set.toml"
     path.write_text(
@@ -146,3 +147,113 @@ def test_files(tmp_path: Path) -> None:
         "[[landmark]]\nid = 1\nsectors = [1, 0]\n"
     )
     assert load_landmarks(path).sectors == ((1, 0),)
+
+
+LETTERS: dict[str, Any] = {
+    "name": "letters",
+    "kind": "drawn",
+    "size_m": 0.3,
+    "mirrored": "no",
+    "pose": "free",
+    "landmark": [
+        {"id": 7, "cells": ["100", "100", "111"]},
+        {"id": 3, "cells": ["110", "101", "110"]},
+    ],
+}
+
+
+def drawn(**changed: Any) -> DrawnSet:
+    found = landmarks_from_table({**LETTERS, **changed}, "here")
+    assert isinstance(found, DrawnSet)
+    return found
+
+
+def test_drawn_set_comes_back_from_its_table() -> None:
+    letters = drawn()
+    assert letters.as_table() == LETTERS
+    assert (letters.radius_m, letters.ids) == (0.15, (7, 3))
+    lists = [{"id": 7, "cells": [[1, 0, 0], [1, 0, 0], [1, 1, 1]]}, LETTERS["landmark"][1]]
+    assert drawn(landmark=lists) == letters
+    assert letters.periods_deg().tolist() == [360, 360]
+
+
+def test_pattern_of_a_plate_is_its_drawing_as_one_reads_it() -> None:
+    middles = np.array([-2 / 3, 0, 2 / 3])
+    x, y = np.meshgrid(middles, -middles)
+    for k, row in enumerate(LETTERS["landmark"]):
+        read = np.array([[*map(int, cells)] for cells in row["cells"]])
+        assert np.array_equal(drawn().pattern(k, x, y), read)
+    assert drawn().pattern(0, np.array([-1.1]), np.array([0.5])) == 0
+
+
+def test_images_and_small_pictures_become_cells(tmp_path: Path) -> None:
+    picture = np.zeros((120, 80), np.uint8)
+    picture[20:100, 10:30] = 200
+    assert cv2.imwrite(str(tmp_path / "bar.png"), picture)
+    assert cv2.imwrite(str(tmp_path / "tag.png"), np.array([[255, 0], [0, 0]], np.uint8))
+    file = tmp_path / "set.toml"
+    file.write_text(
+        'name = "p"\nkind = "drawn"\nsize_m = 0.2\n[[landmark]]\nid = 1\nimage = "bar.png"\n'
+        '[[landmark]]\nid = 2\nimage = "tag.png"\n'
+    )
+    found = load_landmarks(file)
+    assert isinstance(found, DrawnSet)
+    bar, tag = found.drawings()
+    assert tag.tolist() == [[True, False], [False, False]]
+    assert bar.shape == (28, 28)
+    assert bar.mean() == pytest.approx(80 * 20 / 120**2, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"landmark": []}, "needs an id"),
+        ({"landmark": [{"id": 1, "cells": ["11", "11"]}]}, "all of one kind"),
+        ({"landmark": [{"id": 1, "cells": ["12", "11"]}]}, "rows of 0 and 1"),
+        ({"landmark": [{"id": 1, "cells": ["1", "11"]}]}, "equally long"),
+        ({"landmark": [{"id": 1}]}, "cells, or an image"),
+        ({"landmark": [{"id": 1, "image": "no.png"}]}, "cannot be read"),
+        ({"kind": "painted"}, "kind must be"),
+        ({"family": "actag24h10"}, "in place of"),
+        ({"family": "actag24h10", "landmark": [], "ids": [9]}, "has no ID 9"),
+        ({"family": "basin", "landmark": []}, "name a drawn set"),
+        ({"ids": [7]}, "none is named"),
+        ({"size_m": 0}, "size_m"),
+    ],
+)
+def test_what_no_plate_can_be_is_refused(changed: dict[str, Any], words: str) -> None:
+    with pytest.raises(SonarrecError, match=words):
+        drawn(**changed)
+
+
+def test_drawings_that_no_image_tells_apart_are_refused() -> None:
+    left = {"id": 1, "cells": ["110", "010", "010"]}
+    right = {"id": 2, "cells": ["011", "010", "010"]}
+    turned = {"id": 3, "cells": ["001", "111", "000"]}
+    assert drawn(landmark=[left, right]).ids == (1, 2)
+    for other, hand in ((turned, "no"), (right, "either")):
+        with pytest.raises(SonarrecError, match="same drawing"):
+            drawn(landmark=[left, other], mirrored=hand)
+
+
+def test_families_keep_their_published_hamming_distance() -> None:
+    """AcTag24hN: N of the 24 data cells at least, in every quarter turn."""
+    for name, least, take in (("actag24h10", 10, 7), ("actag24h4", 4, 150)):
+        family = load_landmarks(name)
+        assert isinstance(family, DrawnSet)
+        tags = np.stack(family.drawings()[:take])
+        assert tags.shape[1:] == (7, 7)
+        assert tags[:, 2:5, 2:5].all()
+        for turn in range(4):
+            other = np.rot90(tags, turn, axes=(1, 2))
+            differ = (tags[:, None] != other[None]).sum(axis=(2, 3))
+            np.fill_diagonal(differ, 49)
+            assert differ.min() >= least
+
+
+def test_a_family_lends_its_drawings() -> None:
+    few = drawn(family="actag24h4", landmark=[], ids=[31, 0], mirrored="yes")
+    family = load_landmarks("actag24h4")
+    assert isinstance(family, DrawnSet)
+    assert few.ids == (31, 0)
+    assert few.cells == (family.cells[31], family.cells[0])

@@ -64,6 +64,7 @@ MAY_IMPORT = {
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
         "geometry",
+        "landmarks",  # pictures of drawn plates
         "drawing",
         "recogniser",
         "readers.guess.order",

@@ -24,7 +24,7 @@ from sonarrec.errors import UsageError, number_of
     metavar="M",
     type=FiniteRange(0, 1e4),
     default=3.0,
-    help="Distance of the discs from the sonar, m.",
+    help="Distance of the landmarks from the sonar, m.",
 )
 @in_geometry(
     "--beam-width beam_width_deg",
@@ -33,7 +33,11 @@ from sonarrec.errors import UsageError, number_of
     default=0.6,
     help="Width of a beam between half-power points, deg; `sonarrec run` tells that of a log.",
 )
-@options.out(NEW_FILE, "Draw every disc, as drawn and as the beams show it, into this PNG.")
+@options.out(
+    NEW_FILE,
+    "Draw every disc or plate, as drawn and as the beams show it, into this PNG. An SVG: a sheet, "
+    "to scale, to cut plates from.",
+)
 @options.json()
 @options.quiet
 def landmarks(
@@ -47,28 +51,37 @@ def landmarks(
     """Print how far the IDs of a landmark set are apart, and what makes them hard to recognise.
 
     SET is a TOML file or a built-in name (default: basin). Two IDs are as far apart as the share of
-    the symbol's area in which they differ, at the rotation at which they differ least: as drawn,
-    and as seen by a sonar whose beams smear the discs.
+    the symbol's area (of a drawn plate's cells) in which they differ, at the rotation at which they
+    differ least: as drawn, and as seen by a sonar whose beams smear them.
 
     \b
     Examples:
       sonarrec landmarks
       sonarrec landmarks my_set.toml --distance 8 --beam-width 1 -o my_set.png
+      sonarrec landmarks actag24h10 -o plates.svg
     """
     from sonarrec.drawing.landmarks import distances, doubts, draw_landmarks
     from sonarrec.drawing.pen import write_png
-    from sonarrec.landmarks import load_landmarks
-    from sonarrec.tables.outputs import check_output
+    from sonarrec.drawing.plates import SHEET_MARK, sheet
+    from sonarrec.landmarks import DrawnSet, load_landmarks
+    from sonarrec.tables.outputs import check_output, write_text
 
     chosen = load_landmarks(landmark_set)
+    drawn = isinstance(chosen, DrawnSet)
     if out is not None:
-        if out.suffix.lower() != ".png":
-            raise UsageError(f"--out {out}: the name must end in .png")
-        check_output(out, "picture", [landmark_set])
+        if out.suffix.lower() not in (".png", ".svg"[: 4 * drawn]):
+            also = ", or in .svg for a sheet to cut plates from" if drawn else ""
+            raise UsageError(f"--out {out}: the name must end in .png{also}")
+        if out.suffix.lower() == ".svg":
+            check_output(out, "table", [landmark_set], header=SHEET_MARK)
+        else:
+            check_output(out, "picture", [landmark_set])
     beam_m = distance_m * math.radians(beam_width_deg)
     found = distances(chosen, beam_m)
     warnings = doubts(chosen, beam_m, found)
-    if out is not None:
+    if out is not None and isinstance(chosen, DrawnSet) and out.suffix.lower() == ".svg":
+        write_text(out, sheet(chosen))
+    elif out is not None:
         write_png(out, draw_landmarks(chosen, beam_m))
     if as_json:
         document = {
@@ -80,7 +93,8 @@ def landmarks(
         click.echo(json.dumps(document, indent=2))
     elif not quiet:
         beams = f"beams {1000 * beam_m:.0f} mm wide ({beam_width_deg:g} deg)"
-        size = f"{number_of(len(chosen.ids), 'ID')}, discs of {2 * chosen.radius_m:g} m"
+        what = "plates" if drawn else "discs"
+        size = f"{number_of(len(chosen.ids), 'ID')}, {what} of {2 * chosen.radius_m:g} m"
         say(
             f"{chosen.name}: {size}",
             f"  at {distance_m:g} m, with {beams}",

@@ -145,6 +145,13 @@ _SCORING = {
         help="Protocol strict: share of the disc that must be in view for a landmark to count; "
         "with less it is ignored.",
     ),
+    "within_m": in_scoring(
+        "--within within_m",
+        type=float,
+        metavar="M",
+        help="Protocol strict: how far a claim may lie from the truth, m.  "
+        "[default: half a disc or plate]",
+    ),
     "tolerance_s": in_scoring(
         "--tolerance tolerance_s",
         type=float,

@@ -14,7 +14,10 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.pen import TRUTH, Pen
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.drawing.plates import NEAR as NEAR_PLATES
+from sonarrec.drawing.plates import NEAR_SEEN as NEAR_PLATES_SEEN
+from sonarrec.drawing.plates import draw_plates, plate_distances, plate_doubts
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 
 GRID = 40  # cells across a disc
 TURN_DEG = 5  # of one disc against the other; of both against the line of sight three times that
@@ -47,6 +50,10 @@ def distances(landmarks: LandmarkSet, beam_m: float) -> list[Distance]:
 
     beam_m: width of a beam at the disc, between half-power points.
     """
+    if isinstance(landmarks, DrawnSet):
+        alike = plate_distances(landmarks, beam_m, MOST_PAIRS)
+        ids = landmarks.ids
+        return [Distance((ids[a], ids[b]), *shares.tolist()) for a, b, shares in alike]
     signs = np.where(np.asarray(landmarks.sectors, bool), 1.0, -1.0)
     count, spectra = signs.shape[1], np.fft.rfft(signs, axis=1)
     pairs: list[tuple[float, int, int]] = []
@@ -55,15 +62,15 @@ def distances(landmarks: LandmarkSet, beam_m: float) -> list[Distance]:
         agreement = np.fft.irfft(spectra[a + 1 :] * one.conj(), count, axis=1).max(axis=1)
         differ = np.round((count - agreement) / 2) / count
         pairs += [(float(share), a, a + 1 + n) for n, share in enumerate(differ)]
-    alike = nsmallest(MOST_PAIRS, pairs)
+    nearest = nsmallest(MOST_PAIRS, pairs)
     smear = beam_m / landmarks.radius_m
     views = {
-        k: _views(landmarks, k, smear) for k in sorted({k for _, *pair in alike for k in pair})
+        k: _views(landmarks, k, smear) for k in sorted({k for _, *pair in nearest for k in pair})
     }
     inner, outer = landmarks.symbol
     cells = math.pi * (outer**2 - inner**2) / (2 / GRID) ** 2
     found = []
-    for drawn, a, b in alike:
+    for drawn, a, b in nearest:
         one, other = (
             views[a][: 180 // TURN_DEG : 3],
             views[b],
@@ -93,6 +100,27 @@ def _views(landmarks: LandmarkSet, k: int, smear: float) -> FloatArray:
 
 def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[str]:
     """What makes a set hard to recognise, a few words each. near: from `distances`."""
+    least, of_what, seen = NEAR, "an eighth of their symbol", NEAR_SEEN
+    if isinstance(landmarks, DrawnSet):
+        found = plate_doubts(landmarks, beam_m)
+        least, of_what, seen = NEAR_PLATES, f"{NEAR_PLATES:.0%} of their cells", NEAR_PLATES_SEEN
+    else:
+        found = _doubts_of_discs(landmarks, beam_m)
+    for alike, how in (
+        ([d for d in near if d.drawn < least], f"differ in less than {of_what}"),
+        (
+            [d for d in near if d.seen < seen and d.drawn >= least],
+            "look alike through the beams",
+        ),
+    ):
+        pairs = ", ".join(f"{d.ids[0]} and {d.ids[1]}" for d in alike[:3])
+        more = f" and {len(alike) - 3} more pairs" if len(alike) > 3 else ""
+        found += [f"IDs {pairs}{more} {how}"] if alike else []
+    return found
+
+
+def _doubts_of_discs(landmarks: LandmarkSet, beam_m: float) -> list[str]:
+    """What makes discs hard to recognise, whatever else there is in the set."""
     found = []
     width = landmarks.ring[1] - landmarks.ring[0]
     if width < THINNEST_SHARE:
@@ -106,21 +134,13 @@ def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[
         if len(set(code)) == 1:
             kind = "a filled disc" if code[0] else "a blank disc"
             found.append(f"ID {number} is {kind}, which other round things look like as well")
-    for alike, how in (
-        ([d for d in near if d.drawn < NEAR], "differ in less than an eighth of their symbol"),
-        (
-            [d for d in near if d.seen < NEAR_SEEN <= NEAR <= d.drawn],
-            "look alike through the beams",
-        ),
-    ):
-        pairs = ", ".join(f"{d.ids[0]} and {d.ids[1]}" for d in alike[:3])
-        more = f" and {len(alike) - 3} more pairs" if len(alike) > 3 else ""
-        found += [f"IDs {pairs}{more} {how}"] if alike else []
     return found
 
 
 def draw_landmarks(landmarks: LandmarkSet, beam_m: float) -> ByteImage:
     """(rows, columns, 3) uint8 BGR: every disc as drawn, and below it as beams show it."""
+    if isinstance(landmarks, DrawnSet):
+        return draw_plates(landmarks, beam_m)
     columns = min(len(landmarks.ids), MOST_COLUMNS)
     rows = -(-len(landmarks.ids) // columns)
     cell, height = DISC_PX + MARGIN_PX, 2 * DISC_PX + 2 * MARGIN_PX

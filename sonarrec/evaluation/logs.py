@@ -169,7 +169,7 @@ def score_log(reading: LogToScore) -> LogScore | UnreadableLog:
         truth = match_truth(table, log, options.tolerance_s)
         check = check_fit(table, log, truth)
         if check.fault is None:
-            matched = match(log, truth, options.min_visible, reading.ids)
+            matched = match(log, truth, options.min_visible, reading.ids, within_m=options.within_m)
             if (doubt := _no_claim_right(matched)) is not None:
                 check.notes.append(f"{table.path}: {doubt}")
             counts = count_log(matched)

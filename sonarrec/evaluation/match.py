@@ -37,6 +37,8 @@ class ScoringOptions:
     """Landmark set, in place of that of run.toml."""
     sonar: Sonar | None = None
     """Geometry that takes precedence over run.toml."""
+    within_m: float | None = None
+    """Under protocol strict a claim must lie this near; None: within half a disc or plate."""
     methods: tuple[str, ...] = ()
     """Those that are scored or shown, the leading one first; all if none is named."""
 
@@ -50,6 +52,8 @@ class ScoringOptions:
             raise UsageError(
                 f"--tolerance is a time in seconds, 0 or more, not {self.tolerance_s:g}"
             )
+        if self.within_m is not None and not 0 < self.within_m < math.inf:
+            raise UsageError(f"--within is a distance in metres above 0, not {self.within_m:g}")
 
 
 DEFAULT = ScoringOptions()
@@ -110,11 +114,18 @@ class Matched:
     """Whether positions are known wherever the strict protocol needs them."""
 
 
-def match(log: LogResults, truth: Truth, min_visible: float, ids: tuple[int, ...] = ()) -> Matched:
+def match(
+    log: LogResults,
+    truth: Truth,
+    min_visible: float,
+    ids: tuple[int, ...] = (),
+    *,
+    within_m: float | None = None,
+) -> Matched:
     """Match one log with its truth.
 
-    ids: the log's IDs in the wanted order; others are not used. A truth with `visible` 0 is none:
-    nothing of the landmark is in view.
+    within_m: as of ScoringOptions. ids: the log's IDs in the wanted order; others are not used. A
+    truth with `visible` 0 is none: nothing of the landmark is in view.
     """
     ids = ids if set(ids) == set(log.landmarks.ids) else log.landmarks.ids
     methods = in_order(log.methods)
@@ -141,7 +152,7 @@ def match(log: LogResults, truth: Truth, min_visible: float, ids: tuple[int, ...
         truth_orientation=orientation[seen],
         truth_positive=truth.visible[seen] >= min_visible,
         truth_half_in_view=truth.visible[seen] >= PAPER_MIN_VISIBLE,
-        gate_m=log.landmarks.radius_m,
+        gate_m=within_m or log.landmarks.radius_m,
         method_index=of_method[log.method],
         claim_frame_index=log.frame_index,
         claim_landmark_index=of_id[log.landmark_index],

@@ -258,8 +258,8 @@ def count_pair(pair: LogPair) -> CountedPair | UnreadableLog:
         old_truth = match_truth(table, replace(new, fan=old.fan or new.fan), options.tolerance_s)
     except SonarrecError as fault:  # the other logs can be compared
         return UnreadableLog(pair.name, fault)
-    before = match(old, old_truth, options.min_visible, pair.ids)
-    after = match(new, truth, options.min_visible, pair.ids)
+    before = match(old, old_truth, options.min_visible, pair.ids, within_m=options.within_m)
+    after = match(new, truth, options.min_visible, pair.ids, within_m=options.within_m)
     counted.counts = count_log(before, rates_only=True), count_log(after, rates_only=True)
     counted.changes = changed_frames(before, after)
     return counted

@@ -42,9 +42,14 @@ class CandidateSelector:
     """Finds circles of the landmarks' size in working images of one plane."""
 
     def __init__(
-        self, config: Candidates, plane: Plane, landmarks: LandmarkSet, beam_width_deg: float
+        self,
+        config: Candidates,
+        plane: Plane,
+        landmarks: LandmarkSet,
+        beam_width_deg: float,
+        detector: Detector | None = None,
     ) -> None:
-        """beam_width_deg: of the sonar's beams, as in Features."""
+        """beam_width_deg: of the sonar's beams, as in Features. detector: None: the settings'."""
         self._config = config
         self._inside = plane.inside
         self._cells = max(1, int(np.count_nonzero(plane.inside)))
@@ -55,7 +60,9 @@ class CandidateSelector:
         self._diameter = 2 * np.array(plane.axes)
         self._surroundings = Surroundings(plane)
         self._detector: Detector
-        if config.detector == "edge":
+        if detector is not None:
+            self._detector = detector
+        elif config.detector == "edge":
             self._detector = EdgeScore(config, plane)
         else:
             share = gap_share(landmarks, plane.fan, beam_width_deg)

@@ -10,6 +10,7 @@ import cv2
 
 from sonarrec.nouns import Frame, FrameResult, Selection
 from sonarrec.recogniser.between_stages import AfterStage2, WorkingImage
+from sonarrec.recogniser.drawn.three_stages import DrawnStages
 from sonarrec.recogniser.motion.odometry import PoseTally
 from sonarrec.recogniser.three_stages import ThreeStages
 
@@ -65,7 +66,7 @@ class Burst(NamedTuple):
 class Together:
     """The stages of several recognisers, in step."""
 
-    def __init__(self, recognisers: Sequence[ThreeStages]) -> None:
+    def __init__(self, recognisers: Sequence[ThreeStages | DrawnStages]) -> None:
         self._recognisers = recognisers
         self._tracked: list[list[AfterStage2]] = []  # frames that wait for stage 3
 

@@ -124,7 +124,7 @@ def read_logs(
             truth = match_truth(one.truth, results, options.tolerance_s)
         tracker = wanted[0] if wanted else leading(results.methods)
         passes = [s for s in sightings if s.method == tracker]
-        logs.append(_reported_log(one.folder, results, truth, options.min_visible, tracker, passes))
+        logs.append(_reported_log(one.folder, results, truth, options, tracker, passes))
     if not logs:
         raise unread[0][1]
     for log in logs:
@@ -141,7 +141,7 @@ def _reported_log(
     folder: Path,
     log: LogResults,
     truth: Truth | None,
-    min_visible: float,
+    options: ScoringOptions,
     tracker: str,
     passes: Sequence[Sighting],
 ) -> ReportedLog:
@@ -151,13 +151,13 @@ def _reported_log(
         time, clock = (stamps - stamps[0]) / 1e9, "s"
     in_view = matched = near = None
     if truth is not None:
-        matched = match(log, truth, min_visible)
+        matched = match(log, truth, options.min_visible, within_m=options.within_m)
         if matched.placed:
             beneath = truth_beneath(matched)
             near = np.full(len(beneath), -1, dtype=np.int64)
             near[beneath >= 0] = matched.truth_landmark_index[beneath[beneath >= 0]]
         in_view = np.zeros((len(log.frame), len(log.landmarks.ids)), dtype=bool)
-        whole = truth.visible >= min_visible
+        whole = truth.visible >= options.min_visible
         in_view[truth.frame_index[whole], truth.landmark_index[whole]] = True
     run = read_run(folder / "run.toml")
     ordered = sorted(passes, key=lambda s: (s.first_frame, s.last_frame))

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.drawing.pen import Colour
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 
 WIDTH, HEIGHT = 2000, 1000
 STYLES = 4
@@ -171,6 +171,12 @@ def glyph(landmarks: LandmarkSet, k: int) -> str:
 
     To be filled by the even-odd rule.
     """
+    if isinstance(landmarks, DrawnSet):
+        drawing = landmarks.drawings()[k]
+        side = 98 / len(drawing)
+        square = f"h{side:g}v{side:g}h{-side:g}z"
+        cells = np.argwhere(drawing).tolist()
+        return "".join(f"M{1 + c * side:g} {1 + r * side:g}{square}" for r, c in cells)
     ring = "".join(
         f"M{50 - r:g} 50a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0z"
         for r in (49 * share for share in landmarks.ring)

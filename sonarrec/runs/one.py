@@ -11,6 +11,7 @@ from pathlib import Path
 
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import SonarrecError, number_of
+from sonarrec.landmarks import DrawnSet
 from sonarrec.nouns import Frame, FrameResult, Stamps
 from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.open import find_log, log_name, results_name
@@ -126,6 +127,8 @@ def process(
             # The paper's groups lie too unsteadily on their objects to show a ring's edge.
             of_config = zip(job.recogniser.tracking, run_options.configs, strict=True)
             steady = [m for m, c in of_config if c.features.measurement != "single"]
+            if isinstance(job.landmarks, DrawnSet):  # which has no rings
+                steady = []
             rings = Rings(job.landmarks, steady[0] if steady else None)
             _recognise(job, writer, plausibility, rings, observe, ahead=ahead)
             job.recogniser.tell(told)

@@ -14,7 +14,7 @@ from typing import Any
 from sonarrec.config import Config
 from sonarrec.drawing.landmarks import distances, doubts
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
-from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
 from sonarrec.nouns import Fan, Frame
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
@@ -80,6 +80,8 @@ def prepare(
     log_options = _with_companions(source, log_options, again=same_log)
     landmarks, from_where = chosen_landmarks(source, run_options.landmarks, earlier)
     learned = _model(run_options, earlier)
+    if learned is not None and isinstance(landmarks, DrawnSet):
+        raise UsageError(f"--model: it is of discs, and {landmarks.name} has drawn plates")
     poses = _poses(source, log_options, earlier if same_log else read_run(None))
     with open_log(source, **log_options.arguments()) as log:
         span = log_options.frames or (0, None)

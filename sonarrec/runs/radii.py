@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.errors import UsageError
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.runs.frames import Recogniser
@@ -80,6 +81,8 @@ def try_radii(
     used. observe: called after each frame of each trial with the number of all these frames.
     Raises SonarrecError if no frame can be used.
     """
+    if isinstance(landmarks, DrawnSet):
+        raise UsageError(f"landmark set {landmarks.name}: other radii are tried of discs alone")
     first = next(iter(log))
     most = max(min(MOST_FRAMES, MOST_BYTES // first.pixels.nbytes), STRETCHES)
     frames = [frame for span in _spans(most, frame_count) for frame in log.within(span)]

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.poses import PoseTable
+from sonarrec.recogniser.drawn.three_stages import DrawnStages
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
@@ -46,6 +47,7 @@ class SideBySide:
         model: Classifier | None = None,
         poses: PoseTable | None = None,
     ) -> None:
+        drawn = isinstance(landmarks, DrawnSet)  # there is no single-frame method for plates
         suffixes = [f":{c.preset}" if len(configs) > 1 else "" for c in configs]
         self.tracking = [FRAMEWORK + suffix for suffix in suffixes]
         # The ring's candidates depend on the beams' width as well.
@@ -54,7 +56,7 @@ class SideBySide:
             for c in configs
         ]
         single = [
-            SMI + suffix if same not in candidates[:i] else None
+            SMI + suffix if same not in candidates[:i] and not drawn else None
             for i, (same, suffix) in enumerate(zip(candidates, suffixes, strict=True))
         ]
         both = zip(single, self.tracking, strict=True)
@@ -64,10 +66,14 @@ class SideBySide:
             replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs
         ]
         self._recogniser_of = [stages.index(config) for config in stages]
-        self._recognisers = {
-            i: ThreeStages(configs[i], fan, landmarks, model, self.tracking[i], single[i], poses)
-            for i in dict.fromkeys(self._recogniser_of)
-        }
+        self._recognisers: dict[int, ThreeStages | DrawnStages] = {}
+        for i in dict.fromkeys(self._recogniser_of):
+            config, method = configs[i], self.tracking[i]
+            self._recognisers[i] = (
+                DrawnStages(config, fan, landmarks, method, poses)
+                if isinstance(landmarks, DrawnSet)
+                else ThreeStages(config, fan, landmarks, model, method, single[i], poses)
+            )
         self._hindsight = [
             Hindsight(method, config, landmarks) if config.features.lag_frames else None
             for config, method in zip(configs, self.tracking, strict=True)

@@ -1,0 +1,160 @@
+"""What a set's drawings look like to a sonar, and how well a plate's picture matches each of them.
+
+A picture is a square of `size` x `size` grey levels, sampled in the plate's own axes. A drawing may
+show in it in up to eight ways (`ways`): four quarter turns, as drawn or mirrored.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import OrderedDict
+from math import erf
+
+import numpy as np
+
+from sonarrec.arrays import FloatArray, FloatImage, IndexArray
+from sonarrec.landmarks import DrawnSet
+
+RIVALS = 64  # random drawings of the set's kind of cells
+FINE, COARSE = 28, 10  # samples along a picture's side
+LEAST_BLUR = 0.04  # halves of a plate's side: about a sample of a fine picture
+BLUR_STEP = 0.03  # halves; smears that differ by less count as one
+KEPT = 4  # smears whose drawings are kept
+MOST_SOUGHT = 32  # drawings with which a plate is first looked for
+_cumulative = np.frompyfunc(lambda z: 0.5 * (1 + erf(z / 2**0.5)), 1, 1)
+
+
+@functools.cache
+def points(size: int) -> tuple[FloatImage, FloatImage]:
+    """(size, size) u, to the right, and v, down, of a picture's samples in halves of a side."""
+    middles = ((2 * np.arange(size) + 1) / size - 1).astype(np.float32)
+    u, v = np.meshgrid(middles, middles)
+    return u, v
+
+
+def uneven_light(size: int, range_ward: FloatArray) -> FloatImage:
+    """(n, 4, size ** 2) orthonormal: level, two slopes, and the bow along the range.
+
+    range_ward: (n, 2) direction of the range in (u, v).
+    """
+    slopes = _slopes(size)
+    bow = (range_ward.astype(np.float32) @ slopes[1:]) ** 2
+    bow -= (bow @ slopes.T) @ slopes
+    bow /= np.linalg.norm(bow, axis=1, keepdims=True)
+    fixed = np.broadcast_to(slopes, (len(bow), *slopes.shape))
+    return np.concatenate([fixed, bow[:, None]], axis=1)
+
+
+@functools.cache
+def _slopes(size: int) -> FloatImage:
+    """(3, size ** 2) orthonormal: level, and slopes along u and v."""
+    u, v = points(size)
+    rows = np.stack([np.ones_like(u), u, v]).reshape(3, -1)
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
+
+
+def levelled(pictures: FloatImage, light: FloatImage) -> FloatImage:
+    """(n, size ** 2) pictures without uneven light, of norm 1. light: (n, 4, size ** 2)."""
+    share = light @ pictures[..., None]
+    taken = pictures - (share.transpose(0, 2, 1) @ light)[:, 0]
+    norm = np.linalg.norm(taken, axis=1, keepdims=True)
+    return np.asarray(taken / np.maximum(norm, 1e-6), np.float32)
+
+
+def shown(drawing: FloatImage, way: int) -> FloatImage:
+    """(..., n, n) drawings as they show: turned by way % 4 quarters, mirrored from way 4 on."""
+    return np.rot90(drawing[..., ::-1] if way >= 4 else drawing, way % 4, axes=(-2, -1))
+
+
+def as_drawn(picture: FloatImage, way: int) -> FloatImage:
+    """The inverse of `shown`."""
+    turned = np.rot90(picture, -(way % 4), axes=(-2, -1))
+    return turned[..., ::-1] if way >= 4 else turned
+
+
+class Drawings:
+    """The drawings of a set and their rivals; rows: K IDs, then RIVALS."""
+
+    def __init__(self, landmarks: DrawnSet) -> None:
+        drawings = [d.astype(np.float32) for d in landmarks.drawings()]
+        self.count = len(drawings)
+        self.ways = {"no": range(4), "yes": range(4, 8), "either": range(8)}[landmarks.mirrored]
+        self._cells = drawings + _rivals(drawings)
+        # Families have hundreds: these stand for all of them until the pose is known.
+        step = max(1, -(-self.count // MOST_SOUGHT))
+        self.sought = np.arange(0, self.count, step)
+        self._kept: OrderedDict[tuple[int, int, int], FloatImage] = OrderedDict()
+
+    def seen(self, size: int, smear: tuple[float, float]) -> FloatImage:
+        """(rows, size, size) brightness of all drawings through beam and pulse.
+
+        smear: standard deviations of a point along u and v, in halves of a side.
+        """
+        across, down = (round(max(s, LEAST_BLUR) / BLUR_STEP) for s in smear)
+        key = (size, across, down)
+        if key not in self._kept:
+            self._kept[key] = self._smeared(
+                size, *(max(s * BLUR_STEP, LEAST_BLUR) for s in key[1:])
+            )
+            while len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+    def _smeared(self, size: int, across: float, down: float) -> FloatImage:
+        made = np.empty((len(self._cells), size, size), np.float32)
+        sides = np.array([len(cells) for cells in self._cells])
+        for n in set(sides.tolist()):
+            cells = np.stack([c for c in self._cells if len(c) == n])
+            made[sides == n] = _spread(size, n, down) @ cells @ _spread(size, n, across).T
+        return made
+
+    def matches(
+        self, picture: FloatImage, range_ward: FloatArray, smear: tuple[float, float]
+    ) -> FloatImage:
+        """(rows, ways) correlations of a fine picture with all drawings, without uneven light.
+
+        range_ward: (2,), as of `uneven_light`. smear: as of `seen`.
+        """
+        size = len(picture)
+        light = uneven_light(size, range_ward[None])
+        flat = levelled(picture.reshape(1, -1), light)[0].reshape(size, size)
+        planes = light[0].reshape(-1, size, size)
+        found = np.empty((len(self._cells), len(self.ways)), np.float32)
+        for odd in (0, 1):
+            rows = self.seen(size, smear[::-1] if odd else smear).reshape(len(self._cells), -1)
+            columns = [i for i, way in enumerate(self.ways) if way % 2 == odd]
+            both = [as_drawn(np.concatenate([flat[None], planes]), self.ways[i]) for i in columns]
+            product = rows @ np.concatenate(both).reshape(-1, size**2).T
+            product = product.reshape(len(rows), len(columns), -1)
+            left = (rows**2).sum(axis=1)[:, None] - (product[..., 1:] ** 2).sum(axis=2)
+            found[:, columns] = product[..., 0] / np.sqrt(np.maximum(left, 1e-6))
+        return found
+
+
+def _spread(size: int, cells: int, sigma: float) -> FloatImage:
+    """(size, cells) how much of each cell's brightness a sample gets, along one axis."""
+    middles = (2 * np.arange(size) + 1) / size - 1
+    edges = 2 * np.arange(cells + 1) / cells - 1
+    below = _cumulative((edges - middles[:, None]) / sigma).astype(np.float32)
+    return np.asarray(np.diff(below, axis=1))
+
+
+def _rivals(drawings: list[FloatImage]) -> list[FloatImage]:
+    """Random drawings: a cell is as often bright as in the set, nearly, where it has many IDs."""
+    rng = np.random.default_rng(0)
+    rivals: list[FloatImage] = []
+    sides = [len(d) for d in drawings]
+    for n in sorted(set(sides)):
+        same = np.stack([d for d in drawings if len(d) == n])
+        often = (same.sum(axis=0) + 2 * same.mean()) / (len(same) + 2)
+        count = -(-RIVALS * len(same) // len(drawings))
+        made = rng.random((count, n, n)) < often
+        rivals += [*made.astype(np.float32)]
+    return rivals[:RIVALS]
+
+
+def best(matches: FloatImage) -> tuple[IndexArray, FloatImage]:
+    """(rows,) column of the way in which each drawing matches best, and (rows,) how well."""
+    column = matches.argmax(axis=1)
+    return column, matches[np.arange(len(column)), column]

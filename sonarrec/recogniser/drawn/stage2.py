@@ -1,0 +1,145 @@
+"""Stage 2 for plates: the same continuity evaluation, with the plate's pose in the state.
+
+A plate's pose is fitted near that of the frame before. Where its drawing is found there, that is a
+candidate like those of stage 1; the particles gather on both. In a frame that shows nothing, such
+as a blank ping, the pose waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonarrec.arrays import FloatArray, FloatImage, IntArray
+from sonarrec.nouns import Groups, Selection
+from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
+from sonarrec.recogniser.plane import Plane
+
+LEAST_MATCH = 0.55  # of a picture with its drawing: noise reaches .5
+LOST_FRAMES = 12  # without a picture; then the pose is looked for anew
+# A pose is looked for in a track's first FIRST frames, then in every OFTEN-th while none is sure.
+FIRST, OFTEN, SURE_MATCH = 4, 6, 0.75
+BETTER = 0.04  # by how much another pose must match better, to be taken instead
+SEARCHES = 1  # in one frame, at most
+OWN = 0.4  # halves of a side: fits nearer than this are one plate
+EXPLAINED = 1.5  # halves of a side: what lies nearer to a plate's middle is no other plate
+PEAK = 0.25  # halves of a side, of the score of a plate that was found
+SHOWN = 0.8  # least share of a plate inside the fan
+POSE_SPREAD = 0.06  # of a fitted middle, in sides
+
+
+@dataclass
+class _Plate:
+    """A group's plate."""
+
+    fit: Fit
+    seen: bool
+    """In the frame at hand."""
+    began: int
+    """How often its pose was looked for and changed: each time another picture begins."""
+    missed: int = 0
+
+
+class Plates:
+    """The poses of the groups' plates."""
+
+    def __init__(self, fitter: PoseFitter, plane: Plane) -> None:
+        self._fitter, self._plane = fitter, plane
+        self._plates: dict[int, _Plate] = {}
+        self._ages: dict[int, int] = {}
+
+    def follow(self, image: FloatImage) -> None:
+        """Fit every known plate in the next frame."""
+        for plate in self._plates.values():
+            fit = self._fitter.near(image, plate.fit)
+            plate.seen = fit.match >= LEAST_MATCH and self._share(fit.pose) >= SHOWN
+            plate.missed = 0 if plate.seen else plate.missed + 1
+            if plate.seen:
+                plate.fit = fit
+        self._plates = {n: p for n, p in self._plates.items() if p.missed <= LOST_FRAMES}
+
+    def lead(self, selection: Selection) -> Selection:
+        """Stage 1's selection, with the plates that were found as candidates."""
+        seen = [plate.fit for plate in self._plates.values() if plate.seen]
+        if not seen:
+            return selection
+        score, positions = selection.score_map.copy(), selection.positions
+        others = np.ones(len(positions), bool)
+        for fit in seen:
+            self._explain(score, fit)
+            others &= self._halves_off(fit, positions.T) > EXPLAINED
+        middles = np.array([fit.pose[:2] for fit in seen])
+        return replace(
+            selection,
+            score_map=score,
+            positions=np.concatenate([middles, positions[others]]),
+            scores=np.concatenate([[fit.match for fit in seen], selection.scores[others]]),
+        )
+
+    def join(self, image: FloatImage, groups: Groups) -> Groups:
+        """Look for the plates of new groups; the groups, each in the middle of its plate."""
+        numbers = groups.numbers.tolist()
+        self._ages = {n: self._ages.get(n, -1) + 1 for n in numbers}
+        self._plates = {n: self._plates[n] for n in numbers if n in self._plates}
+        searches = 0
+        for number, position in zip(numbers, groups.positions, strict=True):
+            plate, age = self._plates.get(number), self._ages[number]
+            sure = plate is not None and plate.seen and plate.fit.match >= SURE_MATCH
+            if searches < SEARCHES and (age < FIRST or (not sure and age % OFTEN == 0)):
+                searches += 1
+                self._search(image, number, position if plate is None else plate.fit.pose[:2])
+        positions, spread = groups.positions.copy(), groups.spread.copy()
+        shown = np.zeros(len(numbers), bool)
+        for i, number in enumerate(numbers):
+            plate = self._plates.get(number)
+            if plate is not None and plate.seen:
+                positions[i], spread[i], shown[i] = plate.fit.pose[:2], POSE_SPREAD, True
+        return replace(groups, positions=positions, spread=spread, in_view=groups.in_view & shown)
+
+    def of(self, groups: Groups) -> list[tuple[Fit, int] | None]:
+        """For each group the fit in this frame, and the number of its picture; None: not seen."""
+        plates = [self._plates.get(n) for n in groups.numbers.tolist()]
+        return [(p.fit, p.began) if p is not None and p.seen else None for p in plates]
+
+    def believe(self, numbers: IntArray, drawings: Sequence[tuple[int, int] | None]) -> None:
+        """Follow each group by the drawing, (row, way), that its averaged picture matches best."""
+        for number, drawing in zip(numbers.tolist(), drawings, strict=True):
+            if drawing is not None:
+                plate = self._plates[number]
+                plate.fit = replace(plate.fit, row=drawing[0], way=drawing[1])
+
+    def _search(self, image: FloatImage, number: int, place: FloatArray) -> None:
+        fit, plate = self._fitter.search(image, place), self._plates.get(number)
+        if fit.match < LEAST_MATCH or self._share(fit.pose) < SHOWN:
+            return
+        others = [p.fit.pose[:2] for n, p in self._plates.items() if n != number]
+        near = OWN * self._plane.axes[0]
+        if any(np.hypot(*(fit.pose[:2] - other)) < near for other in others):
+            return
+        if plate is None:
+            self._plates[number] = _Plate(fit, seen=True, began=0)
+        elif not plate.seen or fit.match > plate.fit.match + BETTER:
+            self._plates[number] = _Plate(fit, seen=True, began=plate.began + 1)
+
+    def _share(self, pose: FloatArray) -> float:
+        """Share of a plate inside the fan."""
+        inside = self._fitter.sampled(self._plane.inside, pose)
+        return float(inside.mean())
+
+    def _explain(self, score: FloatImage, fit: Fit) -> None:
+        """Put a plate's match into a score map, a peak in its middle, in place of what is there."""
+        column, row = np.rint(fit.pose[:2]).astype(int)
+        reach = int(2 * EXPLAINED * self._plane.axes[0])
+        top, left = max(row - reach, 0), max(column - reach, 0)
+        part = score[top : row + reach + 1, left : column + reach + 1]
+        y, x = np.mgrid[top : top + part.shape[0], left : left + part.shape[1]]
+        off = self._halves_off(fit, np.stack([x, y]).reshape(2, -1)).reshape(part.shape)
+        peak = fit.match * np.exp(-0.5 * (off / PEAK) ** 2)
+        part[off <= EXPLAINED] = peak[off <= EXPLAINED]
+
+    def _halves_off(self, fit: Fit, pixels: FloatArray) -> FloatArray:
+        """(n,) how far (2, n) pixels lie from a plate's middle, in halves of its side as seen."""
+        offset = pixels - fit.pose[:2, None]
+        return np.asarray(np.abs(np.linalg.inv(fit.pose[2:].reshape(2, 2)) @ offset).max(axis=0))

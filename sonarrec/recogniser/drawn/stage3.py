@@ -1,0 +1,159 @@
+"""Stage 3 for plates: the picture averaged along the track, against every drawing and its rivals.
+
+A small model, learned on simulated plates, turns what matches how well into beliefs, 'none of
+these' among them; those of a track's frames are pooled as those of discs are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarrec.arrays import FloatArray, FloatImage, joined
+from sonarrec.nouns import Groups
+from sonarrec.recogniser.drawn.drawings import FINE, Drawings, best, levelled, uneven_light
+from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
+from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
+from sonarrec.recogniser.stage3.opinions import TrackBelief
+from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG
+
+LEAST_FRAMES = 2  # with a picture, from which on an ID is declared
+ANGLE_SIGMA_DEG = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class PlateEvidence(Evidence):
+    """Evidence on n plates. brightness, count: (n, FINE, FINE) averaged pictures."""
+
+    matches: FloatImage
+    """(n, K) of the averaged picture with each ID."""
+    rival: FloatImage
+    """(n,) with the best of the random drawings; 0 where the plate is not seen."""
+    turn_deg: FloatImage
+    """(n, K) orientation of each ID, counter-clockwise from the image's right."""
+    beyond_deg: FloatImage
+    """(n,) the line of sight, the same way."""
+
+
+class PlateMeasurement:
+    """Beliefs from each track's averaged picture, frame after frame."""
+
+    def __init__(
+        self,
+        drawings: Drawings,
+        fitter: PoseFitter,
+        model: PlateModel,
+        memory_frames: float,
+        remember_frames: int,
+    ) -> None:
+        self._drawings, self._fitter, self._model = drawings, fitter, model
+        self._memory = memory_frames
+        self._belief = TrackBelief(drawings.count, remember_frames)
+        self._tracks: dict[int, _Track] = {}
+
+    def gather(
+        self, groups: Groups, fits: Sequence[tuple[Fit, int] | None], sight: FloatArray
+    ) -> tuple[PlateEvidence, list[tuple[int, int] | None]]:
+        """Take in a frame's pictures: the evidence, and the best drawing, (row, way), of each group
+        that shows its plate. fits: from Plates.of. sight: (n,) lines of sight, rad."""
+        numbers = groups.numbers.tolist()
+        self._tracks = {n: self._tracks.get(n, _Track()) for n in numbers}
+        for number, of_frame in zip(numbers, fits, strict=True):
+            if of_frame is not None:
+                self._take(self._tracks[number], *of_frame)
+        tracks = [self._tracks[n] for n in numbers]
+        k, n = self._drawings.count, len(numbers)
+        evidence = PlateEvidence(
+            brightness=np.array([t.picture for t in tracks]).reshape(n, FINE, FINE),
+            count=np.full((n, FINE, FINE), [[[t.weight]] for t in tracks] if n else 0.0),
+            frames=np.array([t.frames for t in tracks], np.int64),
+            chapters=np.array([t.chapter for t in tracks], np.int64),
+            matches=np.array([self._of_ids(t.matches) for t in tracks]).reshape(n, k),
+            rival=np.array([t.rival for t in tracks], np.float32),
+            turn_deg=np.array([self._of_ids(t.turn_deg) for t in tracks]).reshape(n, k),
+            beyond_deg=np.degrees(sight).astype(np.float32),
+        )
+        chosen = [None if f is None else t.drawing for f, t in zip(fits, tracks, strict=True)]
+        return evidence, chosen
+
+    def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
+        """The beliefs, as of Measurement."""
+        assert isinstance(evidence, PlateEvidence)
+        tracked = joined(groups)
+        of_frames = self._model.probabilities(evidence)
+        probabilities = self._belief(groups, evidence, of_frames)
+        row, _ = likeliest(probabilities)
+        turn = evidence.turn_deg[np.arange(len(row)), row] - evidence.beyond_deg
+        sigma = np.full(len(row), ANGLE_SIGMA_DEG / STEP_DEG)
+        earned = (evidence.frames >= LEAST_FRAMES) & tracked.in_view
+        return Beliefs(probabilities, turn / STEP_DEG, sigma, earned)
+
+    def _of_ids(self, values: FloatImage) -> FloatImage:
+        return values if len(values) else np.zeros(self._drawings.count, np.float32)
+
+    def _take(self, track: _Track, fit: Fit, began: int) -> None:
+        """Add a fit's picture to a track's average, and compare that with the drawings."""
+        if began != track.began:
+            track.picture, track.weight, track.began = (
+                np.zeros((FINE, FINE), np.float32),
+                0.0,
+                began,
+            )
+            track.frames = 0
+        beyond, smear = self._fitter.range_ward(fit.pose), self._fitter.smear(fit.pose)
+        light = uneven_light(FINE, beyond[None])
+        flat = levelled(fit.picture.reshape(1, -1), light).reshape(FINE, FINE)
+        share = fit.match**2
+        track.weight = min(track.weight, self._memory) + share
+        track.picture = track.picture + (flat - track.picture) * np.float32(share / track.weight)
+        track.frames += 1
+        found = self._drawings.matches(track.picture, beyond, smear)
+        column, match = best(found)
+        k = self._drawings.count
+        track.matches, track.rival = match[:k], float(match[k:].max())
+        ways = np.array(self._drawings.ways)[column]
+        row = int(track.matches.argmax())
+        track.drawing = row, int(ways[row])
+        across, down = fit.pose[2:].reshape(2, 2).T
+        right = np.array([(1, 0), (0, -1), (-1, 0), (0, 1)])[ways[:k] % 4]
+        right = np.where(ways[:k, None] >= 4, -right, right)
+        x, y = right @ np.stack([across, down])[:, 0], right @ np.stack([across, down])[:, 1]
+        track.turn_deg = np.degrees(np.arctan2(-y, x)).astype(np.float32)
+
+
+class _Track:
+    """One group's averaged picture, and what it matches."""
+
+    def __init__(self) -> None:
+        self.picture: FloatImage = np.zeros((FINE, FINE), np.float32)
+        self.weight, self.frames, self.chapter, self.began = 0.0, 0, 0, 0
+        self.matches: FloatImage = np.empty(0, np.float32)
+        self.turn_deg: FloatImage = np.empty(0, np.float32)
+        self.rival = 0.0
+        self.drawing: tuple[int, int] | None = None
+
+
+class PlateModel:
+    """How likely each ID is by how well it matches."""
+
+    def __init__(self, weights: FloatArray) -> None:
+        self.weights = weights
+
+    def probabilities(self, evidence: PlateEvidence) -> FloatArray:
+        """(n, K + 1): every ID, then 'none of these'; rows sum to 1."""
+        log_odds = features(evidence) @ self.weights
+        log_odds = np.concatenate([log_odds, np.zeros((len(log_odds), 1))], axis=1)
+        odds = np.exp(log_odds - log_odds.max(axis=1, keepdims=True))
+        return np.asarray(odds / odds.sum(axis=1, keepdims=True))
+
+
+def features(evidence: PlateEvidence) -> FloatArray:
+    """(n, K, F) what the model goes by, of every ID: 1, its match, and by how much it is above
+    the best of the others and their rivals."""
+    matches = evidence.matches.astype(float)
+    order = np.sort(np.concatenate([matches, evidence.rival[:, None]], axis=1), axis=1)
+    first, second = order[:, -1:], order[:, -2:-1]
+    margin = matches - np.where(matches >= first, second, first)
+    return np.stack([np.ones_like(matches), matches, margin], axis=2)

@@ -1,0 +1,115 @@
+"""The three stages for drawn plates, on one screen: as `recogniser/three_stages.py` for discs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from sonarrec.config import Config
+from sonarrec.landmarks import DrawnSet
+from sonarrec.nouns import Fan, Frame, FrameResult, Selection
+from sonarrec.poses import PoseTable
+from sonarrec.recogniser.between_stages import AfterStage2, Batch, WorkingImage
+from sonarrec.recogniser.drawn.drawings import Drawings
+from sonarrec.recogniser.drawn.pose import PoseFitter
+from sonarrec.recogniser.drawn.stage1 import PlateScore
+from sonarrec.recogniser.drawn.stage2 import Plates
+from sonarrec.recogniser.drawn.stage3 import PlateMeasurement, PlateModel
+from sonarrec.recogniser.estimates import EstimateMaker
+from sonarrec.recogniser.motion.odometry import Odometry
+from sonarrec.recogniser.plane import working_plane
+from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
+from sonarrec.recogniser.stage1 import CandidateSelector
+from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.recogniser.stage3.appearance import HALF_POWER
+
+HALF_SIDE_PX = 20.0  # half a plate's side in the working image, where the fan is no coarser
+SMOOTH_PX = 0.7  # a picture's samples lie further apart than pixels
+
+
+class DrawnStages:
+    """Frames of one log in, estimates out, in the log's order; as ThreeStages."""
+
+    def __init__(
+        self,
+        config: Config,
+        fan: Fan,
+        landmarks: DrawnSet,
+        method: str,
+        poses: PoseTable | None = None,
+    ) -> None:
+        self.fan = fan
+        rng = np.random.default_rng(config.seed)
+        features = config.features
+        # Without height there is no floor below the sonar: the plane is that of the fan itself.
+        seen = replace(fan, height_m=0.0) if landmarks.pose == "free" else fan
+        plane = working_plane("floor", seen, landmarks.radius_m, HALF_SIDE_PX)
+        self._plane, self._inside = plane, plane.inside > 0
+        beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
+        self._select = CandidateSelector(
+            config.candidates, plane, landmarks, beam_width_deg, PlateScore(plane)
+        )
+        # A plate may be held: how the floor moves in the images says nothing of it.
+        continuity = replace(config.continuity, motion="random_walk")
+        self.odometry = Odometry(plane, continuity, None if landmarks.pose == "free" else poses)
+        self._continuity = ContinuityFilter(continuity, plane, rng)
+        drawings = Drawings(landmarks)
+        beam_sigma = float(np.radians(beam_width_deg / HALF_POWER))
+        fitter = PoseFitter(drawings, plane, landmarks.pose, beam_sigma)
+        self._plates = Plates(fitter, plane)
+        self._measurement = PlateMeasurement(
+            drawings,
+            fitter,
+            PlateModel(np.array([-20.0, 20.0, 40.0])),
+            features.memory_frames,
+            continuity.remember_frames,
+        )
+        self._estimates = EstimateMaker(config, plane, landmarks)
+        self._method = method
+
+    def step(self, frame: Frame) -> FrameResult:
+        """The three stages over one frame, which must be the log's next."""
+        image = self.working_image(frame)
+        return self.stage3([self.stage2(image, self.stage1(image))])[0]
+
+    def working_image(self, frame: Frame) -> WorkingImage:
+        """As of ThreeStages."""
+        image = self._plane.warp(frame.pixels, frame.polar)
+        return WorkingImage(frame.index, frame.timestamp_ns, image)
+
+    def stage1(self, image: WorkingImage) -> Selection:
+        """Candidate selection: where could a plate be?"""
+        return self._select(image.image)
+
+    def stage2(self, frame: WorkingImage, selection: Selection) -> AfterStage2:
+        """Continuity evaluation: which candidates are objects that persist, and in which pose?"""
+        grey = frame.image.astype(np.float32)
+        image = np.asarray(cv2.GaussianBlur(grey, (0, 0), SMOOTH_PX), np.float32)
+        motion = self.odometry.step(frame.image, frame.timestamp_ns)
+        self._plates.follow(image)
+        known = motion if motion is not None and motion.known else None
+        groups = self._continuity.step(self._plates.lead(selection), known)
+        groups = self._plates.join(image, groups)
+        sight = self._plane.line_of_sight(groups.positions)
+        evidence, drawings = self._measurement.gather(groups, self._plates.of(groups), sight)
+        self._plates.believe(groups.numbers, drawings)
+        return AfterStage2(
+            frame=frame.frame,
+            timestamp_ns=frame.timestamp_ns,
+            candidates=selection.positions,
+            scores=selection.scores,
+            grey=np.empty((len(selection.positions), 0, 0)),
+            seen=np.empty((len(selection.positions), 0, 0), bool),
+            groups=groups,
+            evidence=evidence,
+            motion=motion,
+        )
+
+    def stage3(self, frames: Sequence[AfterStage2]) -> list[FrameResult]:
+        """Feature estimation: which drawing is on each plate?"""
+        batch = Batch(frames)
+        beliefs = self._measurement.beliefs(batch.groups, batch.evidence)
+        return batch.results([], self._estimates.of_groups(self._method, batch, beliefs))
