@@ -1,18 +1,20 @@
-"""The README's pictures, sample_data/{landmarks,picture}.png: `python -m tests.studies.picture`.
+"""The README's pictures, sample_data/*.png: `python -m tests.studies.picture`.
 
-The landmarks of the built-in set, as drawn and cut out of the sample logs; two frames of a sample
-log as `sonarrec overlay` draws them.
+landmarks.png: the built-in set, as drawn and cut out of the sample logs; picture.png: two frames of
+a sample log as `sonarrec overlay` draws them; report.png: the top of its report, by Chromium.
 """
 
 from __future__ import annotations
 
 import csv
+import subprocess
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from sonarrec.config import preset
+from sonarrec.functions import report
 from sonarrec.functions import run as run_log
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlays.overlay import Targets, write_overlay
@@ -24,6 +26,7 @@ LOG = SAMPLES / "pan"
 SHOWN = (34, 100)
 CELL_PX = 130
 CUT_RADII = 1.3  # what is shown round a landmark's centre
+REPORT_PX = (920, 800)
 SEEN = {1: ("pan", 20), 2: ("polar", 20), 3: ("pan", 60), 4: ("polar", 60)}  # ID: log, frame
 
 
@@ -61,8 +64,17 @@ def draw_landmarks() -> np.ndarray:
     return np.hstack(columns)
 
 
+def draw_report(results: Path, drawn: Path) -> None:
+    """The top of the results' report."""
+    page = BUILD / "report.html"
+    report(results, page, logs=LOG)
+    size = ",".join(map(str, REPORT_PX))
+    options = ["--headless", "--no-sandbox", "--hide-scrollbars", f"--window-size={size}"]
+    subprocess.run(["chromium", *options, f"--screenshot={drawn}", page.as_uri()], check=True)
+
+
 def main() -> None:
-    """Draw the landmarks; run the sample log and draw its results."""
+    """Draw the landmarks; run the sample log; draw its results and its report."""
     assert cv2.imwrite(str(SAMPLES / "landmarks.png"), draw_landmarks())
     results = run_log(LOG, BUILD, preset=preset("default"))
     images = BUILD / "frames"
@@ -70,6 +82,7 @@ def main() -> None:
     pictures = [cv2.imread(str(images / f"{number:06d}.png")) for number in SHOWN]
     between = np.full((len(pictures[0]), 8, 3), 255, np.uint8)
     assert cv2.imwrite(str(SAMPLES / "picture.png"), np.hstack([pictures[0], between, pictures[1]]))
+    draw_report(results.folder, SAMPLES / "report.png")
 
 
 if __name__ == "__main__":

@@ -39,23 +39,19 @@ def test_rows_whose_digest_no_longer_holds_are_marked(of: str) -> None:
 
 
 def test_figures_in_the_readme_are_on_record() -> None:
-    """A row of its table of results has the figures of the file whose command it names."""
+    """A row or a paragraph of its results has the figures of the command that it names."""
     text = README.read_text(encoding="utf-8").partition("## How well")[2].partition("\n## ")[0]
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-    made = [row for row in rows if row and ("`make " in row[-1] or row[-1] == "the same")]
-    assert len(made) >= 4
-    command = ""
-    for *cells, by in made:
-        command = by.strip("`") if by != "the same" else command
-        recorded = [
-            float(number)
-            for name in ORDER
-            if (study := read(name))["command"] == command
-            for table in study["table"]
-            for number in NUMBER.findall(table["csv"])
-        ]
-        told = [number for cell in cells[1:] for number in NUMBER.findall(cell)]
-        assert told, cells
+    recorded: dict[str, list[float]] = {}
+    for study in map(read, ORDER):
+        numbers = NUMBER.findall("".join(table["csv"] for table in study["table"]))
+        recorded.setdefault(study["command"], []).extend(map(float, numbers))
+    made = [part for part in re.split(r"\n\n|\n(?=\|)", text) if re.search("`(make|python) ", part)]
+    assert len(made) >= 7
+    for part in made:
+        (command,) = re.findall("`((?:make|python) .*?)`", part)
+        told = re.findall(r"\d*\.\d+", part.partition("|")[2].partition("|")[2] or part)
+        assert told, part
         for number in told:
             digits = len(number.partition(".")[2])
-            assert any(round(value, digits) == float(number) for value in recorded), (by, number)
+            found = {round(value, digits) for value in recorded[command]}
+            assert float(number) in found, (command, number)
