@@ -1,10 +1,12 @@
 """The program: `sonarrec`, and `python -m sonarrec`."""
 
+import gc
 import sys
 
 
 def main() -> None:
     """Ctrl-C is one line also while the commands are loaded, which takes most of a short call."""
+    gc.set_threshold(20_000)  # what is loaded, and frames, leave next to no garbage
     try:
         from sonarrec.cli import main as program
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from heapq import nlargest
 from pathlib import Path
@@ -15,6 +15,7 @@ from sonarrec.landmarks import DrawnSet
 from sonarrec.nouns import Frame, FrameResult, Stamps
 from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.open import find_log, log_name, results_name
+from sonarrec.recogniser.together import Mapped
 from sonarrec.remote.find import RemoteLog
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import LogOptions, existing_results
@@ -22,7 +23,6 @@ from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.prepare import PreparedRun, RunOptions, prepare
 from sonarrec.runs.rings import Rings
-from sonarrec.runs.two_cores import BrokenProcessPool, two_cores
 
 Observe = Callable[[FrameResult, int | None], None]
 """Called with each result and the number of frames, None where that is not known."""
@@ -165,8 +165,13 @@ def _recognise(
             rings.look(frame)
             yield frame
 
+    cores: AbstractContextManager[tuple[Mapped, Mapped]] = nullcontext((map, map))
+    if ahead:
+        from sonarrec.runs.two_cores import two_cores
+
+        cores = two_cores()
     try:
-        with two_cores() if ahead else nullcontext((map, map)) as (anywhere, in_order):
+        with cores as (anywhere, in_order):
             for result in job.recogniser.recognise(looked_at(), anywhere, in_order):
                 writer.write(result, stamps.popleft())
                 rings.add(result)
@@ -176,7 +181,7 @@ def _recognise(
         if not writer.full:
             for result in job.recogniser.waiting():
                 writer.write(result, stamps.popleft())
-        if isinstance(error, BrokenProcessPool):
+        if type(error).__name__ == "BrokenProcessPool":  # with multiprocessing, only where needed
             raise SonarrecError(
                 f"{job.log.path}: the process that follows its objects was killed, "
                 "perhaps for lack of memory; run it again where more is free"

@@ -13,7 +13,6 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from threading import Thread
 from traceback import format_exception
@@ -25,7 +24,6 @@ from sonarrec.recogniser.together import Burst, Mapped
 
 Given = TypeVar("Given")
 Made = TypeVar("Made")
-__all__ = ["BrokenProcessPool", "two_cores"]
 CAN_FORK = sys.platform == "linux"
 """Elsewhere a process would have to load all modules anew, or may not be forked safely."""
 STOPS = (signal.SIGINT, signal.SIGTERM)

@@ -20,10 +20,10 @@ from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.ddf.aris import (
     BEAMS,
-    BEARINGS_DEG,
     FILE_HEADER,
     FRAME_HEADER,
     PINGS_PER_FRAME,
+    bearings_deg,
 )
 from sonarrec.readers.containers.ddf.didson import lens_bearings_deg
 from tests.support.command import sonarrec
@@ -102,7 +102,7 @@ def test_the_writer_of_these_tests_follows_the_description_too() -> None:
     ],
 )
 def test_bearings_are_the_maker_s_tables(name: str, beams: int, telephoto: bool) -> None:
-    bearings = BEARINGS_DEG[beams, telephoto]
+    bearings = bearings_deg()[beams, telephoto]
     assert len(bearings) == beams
     assert bearings[0] > 5
     assert all(a > b for a, b in itertools.pairwise(bearings))  # the first is the right-most
@@ -184,7 +184,7 @@ def test_the_real_picture_is_what_its_samples_say() -> None:
     column, row = pixel_from_polar(
         fan,
         (3.29762 + (np.arange(2000) + 0.5) * 0.01005153)[:, None],
-        np.array(BEARINGS_DEG[48, True])[None, :],
+        np.array(bearings_deg()[48, True])[None, :],
     )
     seen = cv2.remap(
         found[2].image, column.astype(np.float32), row.astype(np.float32), cv2.INTER_LINEAR
@@ -238,7 +238,7 @@ def test_frames_of_an_aris(beams: int, ordered: bool, tmp_path: Path) -> None:
     found, problems, notes = read(path)
     assert (problems, notes) == ([], [])
     near, far = 2000e-6 * 725, 2000e-6 * 725 + 200 * 8e-6 * 725
-    expected = as_fan(images, near, far, BEARINGS_DEG[beams, False], tmp_path / "polar")
+    expected = as_fan(images, near, far, bearings_deg()[beams, False], tmp_path / "polar")
     for k, (frame, image) in enumerate(zip(found, expected, strict=True)):
         np.testing.assert_array_equal(frame.image, image)
         assert frame.timestamp_ns == (START_US + k * PERIOD_US) * 1000

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from itertools import count, islice
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from sonarrec.recogniser.between_stages import AfterStage2, WorkingImage
 from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.recogniser.together import FRAMES_AT_ONCE, Mapped, UntilBroken
 from sonarrec.runs import two_cores as module
-from sonarrec.runs.two_cores import CAN_FORK, WINDOW, BrokenProcessPool, two_cores
+from sonarrec.runs.two_cores import CAN_FORK, WINDOW, two_cores
 from tests.support.batch import made, tables
 from tests.support.slow import but_first
 

@@ -177,13 +177,13 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
     level, spread, skews = np.concatenate([np.empty((3, 0), np.float32), *parts], axis=1)
     if len(level) < _LEAST_BLOCKS:
         return False
-    dim = not deep and np.median(level) < _DIM * 256
-    if dim and np.median(spread / level) > _LEAST_SPECKLE:
+    dim = not deep and np.quantile(level, 0.5) < _DIM * 256
+    if dim and np.quantile(spread / level, 0.5) > _LEAST_SPECKLE:
         return True
     if np.log(level).std() < _LEAST_RANGE:  # levels too similar to find a slope
         return False
     slope = np.polyfit(np.log(level), np.log(spread), 1)[0]  # 1 of amplitudes, 0 of logarithms
-    return bool(slope + np.median(skews) > _AMPLITUDES)
+    return bool(slope + np.quantile(skews, 0.5) > _AMPLITUDES)
 
 
 def _speckle(image: np.ndarray, white: np.float32 | None) -> FloatArray:

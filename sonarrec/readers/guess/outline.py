@@ -180,7 +180,7 @@ def _pieces(picture: FloatArray) -> tuple[FloatArray, list[BoolArray]]:
     they belong to each of the largest pieces of what does: all arrays of (rows, columns)."""
     above = above_background(picture)
     echoes = above > BACKGROUND
-    median = float(np.median(above[echoes])) if echoes.any() else 1.0
+    median = float(np.quantile(above[echoes], 0.5)) if echoes.any() else 1.0
     # Codecs smear the edges: the brighter the fan, the farther.
     echoes &= above > SMEARED * median
     # Padded: else what lies near the picture's border would grow to it.

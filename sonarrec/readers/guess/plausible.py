@@ -226,7 +226,7 @@ def _upside_down(picture: FloatArray, fan: Fan) -> list[str]:
     from one ring to the next, while a floor fades slowly where it ends."""
     _, rings = levels_by_range(picture, fan)
     count = round(_NEAR * len(rings))
-    near, far = float(np.median(rings[:count])), float(np.median(rings[-count:]))
+    near, far = (float(np.quantile(ends, 0.5)) for ends in (rings[:count], rings[-count:]))
     light, steps = float(np.quantile(rings, 0.9)), rings[_EDGE:] - rings[:-_EDGE]
     rise, fall = float(steps.max()), -float(steps.min())
     ends = far < _DARK * light and fall > max(_SHARP * light, rise / _LESS_SHARP)
@@ -246,7 +246,7 @@ def _floor(picture: FloatArray, fan: Fan) -> list[str]:
     before, beyond = range_m < 0.95 * fan.height_m, range_m > 1.05 * fan.height_m
     if min(before.sum(), beyond.sum()) < _NEAR * _RINGS:
         return []
-    near, floor = float(np.median(rings[before])), float(np.quantile(rings[beyond], 0.75))
+    near, floor = np.quantile(rings[before], 0.5), float(np.quantile(rings[beyond], 0.75))
     if near < max(_AS_BRIGHT * floor, BACKGROUND):
         return []
     return [

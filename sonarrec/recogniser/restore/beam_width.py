@@ -106,7 +106,7 @@ def measured_width_deg(fan: Fan, images: Iterable[ByteImage]) -> float | None:
     )
     if len(rows) < MOST_ROWS // 4:
         return None
-    correlation = np.median(rows, axis=0)
+    correlation = np.quantile(rows, 0.5, axis=0)
     base = correlation[int(BASE_FROM_DEG / STEP_DEG) :].mean()
     fall = (correlation - base) / (1 - base)
     begin, end = int(np.argmax(fall < FIT_FROM)), int(np.argmax(fall < FIT_TO))

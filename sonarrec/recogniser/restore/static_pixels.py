@@ -24,7 +24,7 @@ from sonarrec.nouns import Frame
 # stands still has one look, since its whole picture may stay the same.
 CHANGED = 0.7
 SAMPLED = 40  # rows, and columns, that are compared to find a look
-JUDGED_AFTER = (8, 16, 32, 64)  # looks
+JUDGED_AFTER = (8, 16, 64)  # looks
 # Frames that are read before the first one is yielded; fewer if they are large.
 AHEAD, MOST_BYTES_AHEAD = 40, 2**24
 # A pixel is still if its levels vary by less than this share of what its surroundings vary by:
@@ -133,15 +133,17 @@ class Unchanging:
         usual = _local_mean(change, inside & (self._most > BLACK))
         others = inside & (change > usual / 2)
         usual = _local_mean(change, others)
+        judged = inside & (usual > LEAST_USUAL)
+        least = np.float32(STILL if self._looks < JUDGED_AFTER[1] else FAINT) * usual
+        if np.count_nonzero(judged & (change <= least)) < LEAST_SPOT:  # mostly so: all is well
+            return np.zeros_like(inside), ~inside
         middle = _local_mean(cv2.addWeighted(self._least, 0.5, self._most, 0.5, 0), others)
         margin = np.float32(MIXED) * usual
         darker, brighter = self._most < middle - margin, self._least > middle + margin
         lit = _local_mean(self._lit, others) / np.float32(self._looks)
-        by_chance = darker & (lit < 1 - CHANCE ** (1 / self._looks))
-        judged = inside & (usual > LEAST_USUAL) & ~by_chance
+        judged &= ~(darker & (lit < 1 - CHANCE ** (1 / self._looks)))  # dark by chance
         still = judged & (change <= np.float32(STILL) * usual)
-        if self._looks >= JUDGED_AFTER[1]:
-            still |= judged & brighter & (change <= np.float32(FAINT) * usual)
+        still |= judged & brighter & (change <= least)
         wide = np.ones((WIDEST, WIDEST), np.uint8)
         unlit = (~inside | darker).view(np.uint8)
         away = ~inside | (cv2.morphologyEx(unlit, cv2.MORPH_OPEN, wide) > 0)
@@ -180,6 +182,6 @@ def _changed(before: npt.NDArray[np.int16], now: npt.NDArray[np.int16]) -> bool:
     beside = seen[:, 1:] & seen[:, :-1]
     if not beside.any():
         return False
-    change = np.median(np.abs(now - before)[seen])
-    texture = np.median(np.abs(now[:, 1:] - now[:, :-1])[beside])
+    change = np.quantile(np.abs(now - before)[seen], 0.5)
+    texture = np.quantile(np.abs(now[:, 1:] - now[:, :-1])[beside], 0.5)
     return bool(change > CHANGED * max(texture, 1.0))

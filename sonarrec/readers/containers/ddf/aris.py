@@ -7,6 +7,7 @@ samples and the sound speed, because the window in metres of the description ass
 from __future__ import annotations
 
 import csv
+from functools import cache
 from importlib import resources
 
 import numpy as np
@@ -71,17 +72,15 @@ CHANNELS = (10, 2, 14, 6, 8, 0, 12, 4, 11, 3, 15, 7, 9, 1, 13, 5)
 """The place of each channel among the 16 beams of its ping."""
 
 
-def _beam_tables() -> dict[tuple[int, bool], tuple[float, ...]]:
+@cache
+def bearings_deg() -> dict[tuple[int, bool], tuple[float, ...]]:
+    """Of the beams, positive to the right, by their number and whether the telephoto lens is on."""
     text = resources.files(__package__).joinpath("aris_beams.csv").read_text(encoding="utf-8")
     rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
     return {
         (int(beams), lens == "telephoto"): tuple(-float(bearing) for bearing in bearings)
         for beams, lens, *bearings in rows
     }
-
-
-BEARINGS_DEG = _beam_tables()
-"""Of the beams, positive to the right, by their number and whether the telephoto lens is on."""
 
 
 class Aris:
@@ -114,7 +113,7 @@ class Aris:
         if length < MIN_WINDOW_M or start + length > 1000:
             raise UnusableError(f"a window of {start:g} to {start + length:g} m")
         lens = bool(frame["LargeLens"])
-        bearings = BEARINGS_DEG.get((beams, lens))
+        bearings = bearings_deg().get((beams, lens))
         if bearings is None:
             raise UnusableError(f"there is no table of {beams} beams behind a telephoto lens")
         return PingGeometry(start, start + length, bearings, None, "range-major")
