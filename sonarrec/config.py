@@ -94,7 +94,7 @@ class Continuity:
     """Stage 2, continuity evaluation with a particle filter (Section 3.3)."""
 
     particles: Annotated[int, bounds(1, 30_000)] = _setting(
-        1000, "", "in each group; 1000 to 2000 in the paper"
+        250, "", "in each group; 1000 to 2000 in the paper, which does not measure motion"
     )
     sigma_px: NotNegative = _setting(
         10.0, "fan pixels", "random walk of a particle per frame, Eq. 3"

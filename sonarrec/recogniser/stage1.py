@@ -31,7 +31,7 @@ FILLED_BEAMS, CLEAR_BEAMS = 1.0, 1.5
 COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
 LEAST_SIGMA = 0.5  # grey levels
 LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
-BESIDE = np.mgrid[-1:2, -1:2].reshape(2, 9, 1)  # (row, column) of a pixel and its neighbours
+BESIDE = np.ones((3, 3), np.uint8)  # a pixel and its neighbours
 # Peaks that are compared with each other, at most, on a floor with room for FLOOR_DISCS discs or
 # fewer; a frame with more is all noise. On a larger floor more lies: there may be more peaks, and
 # more candidates, in proportion, up to MOST_TIMES. All measured kinds of scene have smaller floors.
@@ -91,14 +91,8 @@ class CandidateSelector:
     def _peaks(self, maps: ScoreMaps) -> tuple[FloatArray, FloatArray]:
         """(n, 2) peaks that score enough, with sub-pixel positions, and (n,) scores; best first."""
         peaks, score = maps.peaks, maps.peak_score
-        # Few pixels score enough: only these are compared with their neighbours.
-        found = np.divmod(np.flatnonzero(score >= self._config.threshold), score.shape[1])
-        row, column = found
-        last = np.array(score.shape)[:, None, None] - 1
-        beside = np.minimum(np.maximum(np.stack(found)[:, None] + BESIDE, 0), last)
-        near = peaks[beside[0], beside[1]]
-        top = peaks[row, column] >= near.max(axis=0)
-        row, column = row[top], column[top]
+        top = (peaks >= cv2.dilate(peaks, BESIDE)) & (score >= self._config.threshold)
+        row, column = np.divmod(np.flatnonzero(top), score.shape[1])
         order = np.lexsort((-peaks[row, column], -score[row, column]))[: self._most_peaks]
         row, column = row[order], column[order]
         positions = _refine(peaks, column, row)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.recogniser.plane import Plane
@@ -14,6 +15,8 @@ from sonarrec.recogniser.plane import Plane
 RANGES = 128
 BEARINGS = 192
 LEAST_OVERLAP = 0.4  # of two frames, as a share of the field of view
+MOST_SHIFT = int((1 - LEAST_OVERLAP) * BEARINGS)
+CIRCLE = 320  # beams: at no shift that is tried one meets another from the other edge
 # A turn of about a cell is measured too short, for what leaks from beam to beam turns with the
 # sonar. From frame to frame these errors would add up. So turns are measured from a keyframe, an
 # earlier picture 6 to 12 cells away, as long as it matches.
@@ -25,8 +28,8 @@ KEYFRAME_SIGMA = 0.05  # cells, by which turns from keyframes scatter (simulated
 class _View(NamedTuple):
     """A picture as PanEstimator correlates it."""
 
-    spectrum: FloatImage
-    """(RANGES, 2 BEARINGS) of its rows, zero-padded."""
+    spectrum: npt.NDArray[np.complexfloating[Any]]
+    """(RANGES, CIRCLE / 2 + 1) of its rows, zero-padded."""
     energy: FloatArray
     """(BEARINGS + 1,) sum of squares of the beams before each."""
 
@@ -48,19 +51,14 @@ class PanEstimator:
         margin = 0.5 * fan.window_m / RANGES
         self.range_m = np.linspace(fan.range_min_m + margin, fan.range_max_m - margin, RANGES)
         column, row = plane.from_polar(self.range_m[:, None], self.bearing_deg[None])
-        self._column = column.astype(np.float32)
-        self._row = row.astype(np.float32)
-        seen = cv2.remap(plane.inside, self._column, self._row, cv2.INTER_NEAREST)
+        seen = cv2.remap(plane.inside, *_as_map(column, row), cv2.INTER_NEAREST)
         self.seen = np.asarray(seen, dtype=np.float32)
+        self._map = _as_map(np.where(seen, column, -9), row)  # beyond the image it is 0
         self.picture: FloatImage = np.zeros_like(self.seen)
         self._cells = np.maximum(self.seen.sum(axis=1, keepdims=True), 1)
-        shift = np.arange(2 * BEARINGS)
-        shift = np.where(shift < BEARINGS, shift, shift - 2 * BEARINGS)
-        self._shift = shift
+        self._shift = shift = np.arange(-MOST_SHIFT, MOST_SHIFT + 1)
         # The beams that two frames have in common at each shift: [low, high) of the later one.
-        self._low = np.clip(-shift, 0, BEARINGS)
-        self._high = np.clip(BEARINGS - shift, 0, BEARINGS)
-        self._tried = np.abs(shift) <= (1 - LEAST_OVERLAP) * BEARINGS
+        self._low, self._high = np.maximum(-shift, 0), np.minimum(BEARINGS - shift, BEARINGS)
         self._before: _View | None = None
         self._heading = 0.0  # deg, turned since the first image
         # Heading and view of each, the older first.
@@ -72,16 +70,18 @@ class PanEstimator:
         The pan is positive where the sonar turned right, so that objects moved to the left.
         (0, 0) for the first image and for a blank one.
         """
-        polar = np.asarray(cv2.remap(image, self._column, self._row, cv2.INTER_LINEAR), np.float32)
-        polar *= self.seen
+        polar = cv2.remap(image, *self._map, cv2.INTER_LINEAR).astype(np.float32)
         # What does not turn with the floor would pull the match to no shift. The means of the range
         # bins hold the fall-off with range, those of the beams the beams' gains.
-        polar -= polar.sum(axis=1, keepdims=True) / self._cells
-        polar *= self.seen
-        polar -= polar.mean(axis=0)
+        mean = polar.sum(axis=1, keepdims=True) / self._cells
+        polar -= mean + (polar.sum(axis=0) - mean[:, 0] @ self.seen) / RANGES
         polar *= self.seen
         self.picture = polar
-        view = self._view(polar)
+        wide = cv2.copyMakeBorder(polar, 0, 0, 0, CIRCLE - BEARINGS, cv2.BORDER_CONSTANT)
+        # Scaled by its length: else numpy takes twice the time, in double precision.
+        spectrum = np.fft.rfft(wide, norm="forward")
+        energy = np.concatenate([[0.0], np.cumsum(np.einsum("ij,ij->j", polar, polar))])
+        view = _View(spectrum, energy)
         before, self._before = self._before, view
         if before is None:
             return 0.0, 0.0
@@ -111,29 +111,25 @@ class PanEstimator:
             self._keyframes.append((heading, view))  # of two, the older goes
         return pan_deg
 
-    def _view(self, picture: FloatImage) -> _View:
-        # Zero-padded to twice the width, so that no beam meets one from the other edge.
-        wide = cv2.copyMakeBorder(picture, 0, 0, 0, BEARINGS, cv2.BORDER_CONSTANT)
-        spectrum = np.asarray(cv2.dft(wide, flags=cv2.DFT_ROWS), np.float32)
-        energy = np.concatenate([[0.0], np.cumsum((picture**2).sum(axis=0, dtype=float))])
-        return _View(spectrum, energy)
-
     def _turn(self, before: _View, now: _View) -> tuple[float, float]:
         """(turn in deg from one view to another, correlation there, 0 to 1)."""
         # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a turn to the right.
-        crossed = cv2.mulSpectrums(before.spectrum, now.spectrum, cv2.DFT_ROWS, conjB=True)
-        summed = cv2.reduce(crossed, 0, cv2.REDUCE_SUM)
-        product = cv2.idft(summed, flags=cv2.DFT_ROWS | cv2.DFT_SCALE)[0]
+        crossed = (before.spectrum * now.spectrum.conj()).sum(axis=0)
+        product = CIRCLE * np.fft.irfft(crossed, CIRCLE, norm="forward")[self._shift]
         low, high = self._low, self._high
         now_energy = now.energy[high] - now.energy[low]
         before_energy = before.energy[BEARINGS - low] - before.energy[BEARINGS - high]
-        scale = np.sqrt(np.maximum(now_energy * before_energy, 1e-9))
-        match = np.where(self._tried, product / scale, -1.0)
+        match = product / np.sqrt(np.maximum(now_energy * before_energy, 1e-9))
         best = int(match.argmax())
-        left, right = match[best - 1], match[(best + 1) % len(match)]
+        left, right = match[max(best - 1, 0)], match[min(best + 1, len(match) - 1)]
         bend = left - 2 * match[best] + right
         part = 0.5 * (left - right) / bend if bend < 0 else 0.0
         return (
             float((self._shift[best] + min(max(part, -0.5), 0.5)) * self._step_deg),
             min(max(float(match[best]), 0.0), 1.0),
         )
+
+
+def _as_map(column: FloatArray, row: FloatArray) -> tuple[FloatImage, FloatImage]:
+    """For cv2.remap."""
+    return column.astype(np.float32), row.astype(np.float32)
