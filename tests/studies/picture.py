@@ -1,7 +1,9 @@
 """The README's pictures, sample_data/*.png: `python -m tests.studies.picture`.
 
 landmarks.png: the built-in set, as drawn and cut out of the sample logs; picture.png: two frames of
-a sample log as `sonarrec overlay` draws them; report.png: the top of its report, by Chromium.
+a sample log as `sonarrec overlay` draws them; report.png: the top of its report, by Chromium;
+clip.png: three frames of the real clip of an AcTag, where that is at hand (BSD-2, Brigham Young
+University).
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ LOG = SAMPLES / "pan"
 SHOWN = (34, 100)
 CELL_PX = 130
 CUT_RADII = 1.3  # what is shown round a landmark's centre
+CLIP = SAMPLES.parents[1] / "shared" / "data" / "actag" / "actag_first.mp4"
+CLIP_SHOWN, CLIP_PX = (40, 120, 190), (310, 270)
 REPORT_PX = (920, 800)
 SEEN = {1: ("pan", 20), 2: ("polar", 20), 3: ("pan", 60), 4: ("polar", 60)}  # ID: log, frame
 
@@ -73,6 +77,19 @@ def draw_report(results: Path, drawn: Path) -> None:
     subprocess.run(["chromium", *options, f"--screenshot={drawn}", page.as_uri()], check=True)
 
 
+def draw_clip() -> np.ndarray:
+    """Three frames with what was recognised, without the probabilities below them."""
+    results = run_log(CLIP, BUILD, landmarks="actag24h10", sonar={"range_order": "far_first"})
+    images = BUILD / "clip"
+    write_overlay(CLIP, Targets(images=images), results=results.folder)
+    shown = []
+    for number in CLIP_SHOWN:
+        picture = cv2.imread(str(images / f"{number:06d}.png"))
+        fan = picture[: round(picture.shape[1] * CLIP_PX[1] / CLIP_PX[0])]
+        shown.append(cv2.resize(fan, CLIP_PX, interpolation=cv2.INTER_AREA))
+    return np.hstack(shown)
+
+
 def main() -> None:
     """Draw the landmarks; run the sample log; draw its results and its report."""
     assert cv2.imwrite(str(SAMPLES / "landmarks.png"), draw_landmarks())
@@ -83,6 +100,8 @@ def main() -> None:
     between = np.full((len(pictures[0]), 8, 3), 255, np.uint8)
     assert cv2.imwrite(str(SAMPLES / "picture.png"), np.hstack([pictures[0], between, pictures[1]]))
     draw_report(results.folder, SAMPLES / "report.png")
+    if CLIP.exists():
+        assert cv2.imwrite(str(SAMPLES / "clip.png"), draw_clip())
 
 
 if __name__ == "__main__":
