@@ -235,8 +235,7 @@ class Features:
         0.0,
         "degrees",
         "track: width of the beams, two-way, between half-power points, by which they smear a "
-        "landmark's symbol. 0: found by the log's messages, its sonar's model, its first frames, "
-        "or its field of view",
+        "landmark's symbol. 0: as the log states it, else usual for the field of view",
     )
     alike_radii: Annotated[float, bounds(0, 2)] = _setting(
         0.45,

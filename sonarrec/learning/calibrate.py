@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
-from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
+from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
@@ -224,11 +224,11 @@ def _lesson(
     name: of the log in the truth.
     """
     rest = iter(log)
-    begin = [*islice(rest, FRAMES_FOR_BEAMS)]
-    (own,), beams = with_beams([config], log.beam_width_deg, begin)
+    first = next(rest)
+    (own,), beams = with_beams([config], log.beam_width_deg, first)
 
     def observed() -> Iterator[Frame]:
-        for frame in chain(begin, rest):
+        for frame in chain([first], rest):
             if observe is not None:
                 observe()
             yield frame

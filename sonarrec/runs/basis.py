@@ -89,7 +89,7 @@ def beams_in_words(
     widths = {c.features.beam_width_deg for c in used if c.features.beam_width_deg}
     if not widths:
         return "no beam width needed"
-    how = "usual for this view" if not about else "as the first frames show"
+    how = "by its beams" if about else "usual for this view"
     if log.beam_width_deg is not None:
         how = "log"
     if any(c.features.beam_width_deg for c in stated):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.presets.side_by_side import SideBySide
-from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
+from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import read_model
 
 Presets = str | Config | Sequence[str | Config]
@@ -57,13 +57,13 @@ class Recogniser:
         if frames is None:
             raise UsageError("a Recogniser made from a fan needs frames to recognise")
         rest = _of_one_fan(frames, self._fan)
-        begin = [*islice(rest, FRAMES_FOR_BEAMS)]
-        if not begin:
+        first = next(rest, None)
+        if first is None:
             return
         stated_deg = None if self._log is None else self._log.beam_width_deg
-        configs, _ = with_beams(self._configs, stated_deg, begin)
-        recogniser = SideBySide(configs, self._fan or begin[0].fan, self.landmarks, self._model)
-        yield from recogniser.recognise(chain(begin, rest))
+        configs, _ = with_beams(self._configs, stated_deg, first)
+        recogniser = SideBySide(configs, self._fan or first.fan, self.landmarks, self._model)
+        yield from recogniser.recognise(chain([first], rest))
 
 
 def _of_one_fan(frames: Iterable[Frame], fan: Fan | None) -> Iterator[Frame]:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from sonarrec.readers.log import Log, digest_of
 from sonarrec.readers.open import Source, find_log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
-from sonarrec.recogniser.restore.beam_width import FRAMES_FOR_BEAMS, with_beams
+from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
 from sonarrec.results.folders import MADE, MADE_BY, check_name
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
@@ -86,11 +86,11 @@ def prepare(
     with open_log(source, **log_options.arguments()) as log:
         span = log_options.frames or (0, None)
         frames = log.within(span)
-        begin = [*islice(frames, FRAMES_FOR_BEAMS)]  # raises if there is no usable frame at all
-        if not begin:
+        first = next(frames, None)  # raises if there is no usable frame at all
+        if first is None:
             raise UsageError(f"{path}: no frame lies in --frames {span_text(span)}{log.why_none()}")
-        fan = begin[0].fan
-        configs, about_beams = with_beams(run_options.configs, log.beam_width_deg, begin)
+        fan = first.fan
+        configs, about_beams = with_beams(run_options.configs, log.beam_width_deg, first)
         recogniser = SideBySide(configs, fan, landmarks, learned.model if learned else None, poses)
         log.diagnostics.note(*about_beams, *_about_landmarks(landmarks, fan, configs))
         folder = _results_of(source, out, name or log.name)
@@ -115,9 +115,7 @@ def prepare(
         if log.frame_count is not None:
             end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
             frame_count = max(end - span[0], 0)
-        # The first frames leave the list as they are used: none is kept as long as the run.
-        first = (begin.pop(0) for _ in range(len(begin)))
-        seen = chain(first, frames)
+        seen = chain([first], frames)
         beams = beams_in_words(run_options.configs, configs, log, about_beams)
         line = basis(log, fan, source, given, earlier, (landmarks, from_where), beams)
         yield PreparedRun(

@@ -28,11 +28,7 @@ from sonarrec.readers.open import find_log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.recogniser.restore.beam_width import (
-    FRAMES_FOR_BEAMS,
-    usual_beam_width_deg,
-    with_beams,
-)
+from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg, with_beams
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.truth import visible_share
 
@@ -91,21 +87,21 @@ def survey(
     with open_() as log:
         where = name_as_text(log.path)
         frames = log.within(span)
-        begin = [*islice(frames, FRAMES_FOR_BEAMS)]
-        if not begin:
+        first = next(frames, None)
+        if first is None:
             raise UsageError(
                 f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}{log.why_none()}"
             )
-        fan = begin[0].fan
+        fan = first.fan
         _check_room(fan, landmarks, where)
         # `paper` does not measure the motion, but discs lie on the floor whatever runs there later.
         measuring = config if config.continuity.motion == "image" else preset("default")
         choice = measuring.candidates
         plane = working_plane(choice.plane, fan, landmarks.radius_m, choice.disc_radius_px)
         odometry = Odometry(plane, measuring.continuity, poses)
-        echoes = np.zeros(begin[0].image.shape, dtype=np.int64)
+        echoes = np.zeros(first.image.shape, dtype=np.int64)
         path, stamps, unknown = list[Pose](), list[int](), 0
-        for frame in chain(begin, frames):
+        for frame in chain([first], frames):
             motion = odometry.step(plane.warp(frame.pixels, frame.polar), frame.timestamp_ns)
             # The first frame has no motion and does not count.
             unknown += (motion is None or not motion.known) and bool(path)
@@ -115,7 +111,7 @@ def survey(
             if step:
                 step(log.frame_count)
         stated_db, stated_hz = log.dynamic_range_db, log.sonar.frame_rate_hz
-        (own,), beams = with_beams([config], log.beam_width_deg, begin)
+        (own,), beams = with_beams([config], log.beam_width_deg, first)
         told = log.diagnostics
         odometry.tell(told)
         told.note(*beams)
