@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLES := sample_data
 SAMPLE := $(SAMPLES)/pan
 
-.PHONY: test test-slow test-all lint demo bench fuzz paper scenes pictures stated worlds ablation study speeds maps model \
+.PHONY: test test-slow test-all lint demo bench bound fuzz paper scenes pictures stated worlds ablation study speeds maps model \
 	regression results kills scale scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -65,6 +65,9 @@ pictures: .venv/installed  # what viewers, codecs and worn sonars do to pictures
 
 stated: .venv/installed  # what it costs to state the geometry or the landmarks' size wrongly
 	$(BIN)/python -m tests.studies.stated --record stated
+
+bound: .venv/installed  # whether `evaluate --bound` holds, in campaigns drawn from a bank of passes
+	$(BIN)/python -m tests.studies.bound --record bound
 
 worlds: .venv/installed  # recordings that are not ours, where they are at hand
 	$(BIN)/python -m tests.studies.worlds --record worlds

@@ -13,7 +13,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, WORSE, leave, say, tell
 from sonarrec.cli.groups import FiniteRange, command, in_batch, in_output, in_scoring
-from sonarrec.errors import UsageError
+from sonarrec.errors import SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.comparison import Comparison
@@ -48,6 +48,14 @@ if TYPE_CHECKING:
     help="Independent unit: a pass of a landmark, or a log.  "
     "[default: log if there are ten or more]",
 )
+@in_scoring(
+    "--bound share",
+    type=FiniteRange(0, 1, min_open=True, max_open=True),
+    metavar="SHARE",
+    help="Find the least declare at which, with 95 % confidence over passes, at most SHARE of the "
+    "claims are false, and write it as bound.toml, for `sonarrec run --config`; exit with 4 if "
+    "there is none.",
+)
 @options.scoring
 @in_batch(
     "-j --jobs",
@@ -81,6 +89,7 @@ def evaluate(
     band: float | None,
     limits: Limits,
     unit: Any,
+    share: float | None,
     jobs: int | None,
     scoring: ScoringOptions,
     details: bool,
@@ -105,14 +114,15 @@ def evaluate(
       sonarrec evaluate --pairs pairs.csv --details
       sonarrec evaluate --compare before after
       sonarrec evaluate sonarrec_out/pan --least-tpr 0.95 --most-fpr 0.01
+      sonarrec evaluate sonarrec_out --bound 0.02
       sonarrec evaluate --ground-truth gt.csv --compare before after --fail-on-regression 0.02
     """
     if pairs is not None and (ground_truth or (results and compare is None)):
         raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
     if compare is None and results[1:]:
         raise UsageError("several RESULTS need --compare; a folder that holds several logs is one")
-    if compare is not None and (details or det):
-        raise UsageError("--details and --det are not available with --compare")
+    if compare is not None and (details or det or share):
+        raise UsageError("--details, --det and --bound are not available with --compare")
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression needs --compare")
     limits = replace(limits, band=band, methods=scoring.methods, baseline=baseline)
@@ -146,7 +156,9 @@ def evaluate(
             screens = [] if quiet or as_json else [screen(found)]
         else:
             from sonarrec.evaluation import tabulate, write
+            from sonarrec.evaluation.bound import bound_table
             from sonarrec.evaluation.evaluate import evaluate_logs
+            from sonarrec.results.bound import Bound
 
             scored = evaluate_logs(  # pairs name the results too
                 truth if isinstance(truth, list) else remote.results(folder_of_logs),
@@ -160,11 +172,23 @@ def evaluate(
             notes, unused = tuple(map(there, scored.notes)), tuple(map(there, scored.unused))
             scored = replace(scored, notes=notes, unused=unused)
             folder = remote.output(out or inside(beside, "evaluation"))
-            written = [(folder, write.write_evaluation(folder, scored, det))]
+            files = write.write_evaluation(folder, scored, det)
+            said = ""
+            if share is not None:
+                bound = None
+                try:
+                    bound = bound_table(scored.counts, scored.folders, share)
+                    declare = bound["config"]["features"]["declare"]
+                    said = f"\ndeclare {declare:g}: {Bound(**bound['bound']).text()}\n"
+                except SonarrecError as refusal:
+                    worse.append(there(str(refusal)))
+                files += write.write_bound(folder, bound)
+            written = [(folder, files)]
             unused = (*remote.unused, *unused)
-            worse = limits.broken(scored.counts.scored) if limits.are_given else []
+            worse += limits.broken(scored.counts.scored) if limits.are_given else []
             document = [write.json_text(write.as_json(scored))] if as_json else []
             screens = [tabulate.screen(scored.counts), tabulate.summary_screen(scored, details)]
+            screens += [said] if said else []
         tell(unused, notes if quiet and not as_json else ())
         if as_json:
             for piece in document:

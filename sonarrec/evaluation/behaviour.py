@@ -14,6 +14,8 @@ from sonarrec.evaluation.match import Matched, distance
 from sonarrec.evaluation.passes import Passes
 from sonarrec.nouns import follows
 
+DECLARES = (0.99, 0.97, 0.95, 0.925, 0.9, 0.85, 0.8, 0.75, 0.7, 0.6, 0.5)
+"""The thresholds among which a bound is sought."""
 BINS = 10
 """Of the probability that an estimate states."""
 
@@ -80,6 +82,17 @@ def false_claims(log: Matched, beneath: IntArray, passes: Passes, method: int) -
     cell = unit * k + claimed
     kinds = [np.bincount(cell[kind], minlength=passes.units * k) for kind in (nowhere, on_other)]
     return np.stack(kinds, axis=1).reshape(passes.units, k, 2)
+
+
+def claimed(judged: Judged, passes: Passes) -> IntArray:
+    """(U, D + 1, 2) declared claims, right and false, whose score reaches each of D DECLARES; the
+    last are all."""
+    of_claim = judged.group(passes.unit_of_frame, passes.unit_of_truth)[judged.declared_claim]
+    score, effect = judged.score[judged.declared_claim], judged.declared_effect[:, [0, 2]]
+    counts = np.zeros((passes.units, len(DECLARES) + 1, 2), dtype=np.int64)
+    for column, least in enumerate((*DECLARES, 0.0)):
+        np.add.at(counts[:, column], of_claim[score >= least], effect[score >= least])
+    return counts
 
 
 def minutes(log: Matched, passes: Passes) -> FloatArray:

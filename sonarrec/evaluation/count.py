@@ -17,6 +17,7 @@ from sonarrec.evaluation.behaviour import (
     PassOutcomes,
     Switches,
     calibration,
+    claimed,
     errors,
     false_claims,
     minutes,
@@ -84,6 +85,8 @@ class LogCounts:
     switches: dict[str, Switches]
     false_claims: dict[str, IntArray]
     """(U, K, 2), see `behaviour.false_claims`."""
+    claimed: dict[str, IntArray]
+    """(U, D + 1, 2), see `behaviour.claimed`."""
     minutes: FloatArray
     """(U,), see `behaviour.minutes`."""
     tracking: dict[str, FloatArray]
@@ -101,6 +104,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
     groups = passes.unit_of_frame, passes.unit_of_truth
     declared: dict[tuple[str, str | None], IntArray] = {}
     outcomes: dict[tuple[str, str | None], PassOutcomes] = {}
+    reaching: dict[str, IntArray] = {}
     values: dict[Key, Rows] = {}
     for protocol in PROTOCOLS if log.placed else PROTOCOLS[:1]:
         for method in (None, *log.methods):
@@ -115,6 +119,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
                 rows = sum_by_unit(judged.score[of_id], group[of_id], judged.effect[of_id])
                 values["claims", protocol, method, k] = rows
             if protocol == "strict" and not rates_only:
+                reaching[method] = claimed(judged, passes)
                 for (name, k), found in errors(judged, log, passes.unit_of_truth).items():
                     values[name, method, k] = found
     more = log.placed and not rates_only
@@ -146,6 +151,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         outcomes=outcomes,
         switches=switches(log, beneath, passes) if more else {},
         false_claims={name: false_claims(log, beneath, passes, m) for m, name in numbered},
+        claimed=reaching,
         minutes=minutes(log, passes),
         tracking={name: sums for name, sums in followed.items() if sums is not None},
         calibration={name: rows for name, rows in stated.items() if rows is not None},

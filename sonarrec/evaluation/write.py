@@ -13,6 +13,7 @@ from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.match import PAPER_MIN_VISIBLE
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.tables import COUNTS, HEADERS, Evaluation, count_cells, counts_by_id
+from sonarrec.results.write import write_run
 from sonarrec.tables.outputs import (
     check_no_recording,
     check_output,
@@ -24,6 +25,7 @@ from sonarrec.tables.outputs import (
     writing,
 )
 
+BOUND_FILE = "bound.toml"
 PAPER_KEY = "paper_min_visible"
 """In evaluation.json of the versions whose protocol paper counts every frame."""
 
@@ -63,6 +65,21 @@ def write_evaluation(folder: Path, evaluation: Evaluation, det: bool = False) ->
             draw_reliability(folder / "reliability.png", curves)
         write_text(folder / "evaluation.json", text)
     return (*written, *pictures, "evaluation.json")
+
+
+def write_bound(folder: Path, table: dict[str, Any] | None) -> tuple[str, ...]:
+    """Write bound.toml; None: there is no bound, and an earlier one is deleted. Returns its name.
+
+    Raises SonarrecError if it cannot be written, UsageError if a file of another kind exists.
+    """
+    path = folder / BOUND_FILE
+    check_output(path, "bound")
+    with writing(path):
+        if table is None:
+            path.unlink(missing_ok=True)
+            return ()
+        write_run(path, table)
+    return (BOUND_FILE,)
 
 
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:

@@ -32,6 +32,7 @@ from sonarrec.reports.mistakes import Episode, in_words
 from sonarrec.reports.outliers import Outlier
 from sonarrec.reports.pictures import Picture
 from sonarrec.reports.svg import STYLES, Chart, darkened, frames_a_bar, glyph
+from sonarrec.results.bound import bound_of
 from sonarrec.results.sightings import PASS_GAP, Sighting
 from sonarrec.times import date_text, is_date, time_text
 
@@ -257,6 +258,8 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
         yield "range window", f"{results.fan.range_min_m:g} to {results.fan.range_max_m:g} m"
         yield "tilt", f"{results.fan.tilt_deg:g} deg"
     yield "landmark set", f"{results.landmarks.name}, radius {results.landmarks.radius_m:g} m"
+    if (bound := bound_of(run)) is not None:
+        yield "bound", bound.text()
     presets = [str(config["preset"]) for config in run.configs if "preset" in config]
     if presets:
         yield "preset" + "s" * (len(presets) > 1), ", ".join(presets)

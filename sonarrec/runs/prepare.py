@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
+from sonarrec.results.bound import bound_of, differing
 from sonarrec.results.folders import MADE, MADE_BY, check_name
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 from sonarrec.runs.basis import basis, beams_in_words, chosen_landmarks
@@ -111,6 +112,14 @@ def prepare(
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
+        bound = bound_of(earlier)
+        if bound is not None and not (others := differing(earlier.table, table)):
+            table["bound"] = asdict(bound)
+        elif bound is not None:
+            log.diagnostics.note(
+                f"its bound is not that of this run, which has another {others[0]}",
+                about=earlier.path,
+            )
         frame_count = None  # not known
         if log.frame_count is not None:
             end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
@@ -118,6 +127,8 @@ def prepare(
         seen = chain([first], frames)
         beams = beams_in_words(run_options.configs, configs, log, about_beams)
         line = basis(log, fan, source, given, earlier, (landmarks, from_where), beams)
+        if "bound" in table:
+            line += f"; bound {table['bound']['share']:g} ({earlier.path})"
         yield PreparedRun(
             log, seen, frame_count, fan, landmarks, poses, recogniser, line, table, folder
         )

@@ -30,6 +30,7 @@ Kind = Literal[
     "overlay",
     "video",
     "model",
+    "bound",
     "table",
     "JSON",
     "graph",
@@ -54,6 +55,7 @@ _MARKS: dict[Kind, bytes] = {
     "overlay": OVERLAY_LIBRARY.encode(),
     "video": VIDEO_MARK,
     "model": MODEL_MARK.encode(),
+    "bound": b"[bound]\nshare = ",
 }
 """What our files of a kind have in their first bytes, or at their end. Tables and JSON are known by
 how they begin. A graph of g2o cannot hold a mark, so it is never taken for ours."""
