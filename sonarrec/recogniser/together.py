@@ -43,7 +43,9 @@ class UntilBroken(Iterator[T]):
         try:
             return next(self._items)
         except BaseException as error:
-            self._items, self._error = iter(()), error
+            self._items = iter(())
+            if isinstance(self._error, StopIteration):  # asked again, it ends again
+                self._error = error
             raise StopIteration from None
 
     def end(self) -> None:
