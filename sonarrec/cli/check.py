@@ -123,11 +123,12 @@ def check(
         logs, partial = _run(_tasks(one, logs, settings, folder), logs, jobs, quiet, update)
         worse: Sequence[str] = ()
         try:
-            compared = _compare(one, logs, folder)
+            compared = _compare(one, logs, one.record, folder)
         except SonarrecError as error:
             if not update:
                 again = f"`sonarrec check {file} --update` records the results anew"
                 raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
+            _compare(one, logs, folder, folder)  # raises if the truth cannot be used
         else:
             judged = _judge(one, compared, replace(limits, methods=methods), band)
             _print(judged, compared, out, markdown, quiet)
@@ -205,15 +206,15 @@ def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> 
         )
 
 
-def _compare(one: Check, logs: Sequence[LogToRun], folder: Path) -> Comparison:
-    """Compare the new results with those on record."""
+def _compare(one: Check, logs: Sequence[LogToRun], old: Path, folder: Path) -> Comparison:
+    """Compare the new results with old ones."""
     from sonarrec.evaluation.compare import compare
     from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.evaluation.pairs import Pair
 
     pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
     scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)
-    return compare(one.record, folder, pairs, scoring, baseline=True)
+    return compare(old, folder, pairs, scoring, baseline=True)
 
 
 def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None) -> Judgement:

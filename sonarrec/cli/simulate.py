@@ -149,7 +149,9 @@ def _lay(
 ) -> None:
     """Lay landmarks into a recording, at one contrast or several."""
     from sonarrec.config import preset
-    from sonarrec.landmarks import load_landmarks
+    from sonarrec.readers.open import find_log
+    from sonarrec.results.run_file import read_run
+    from sonarrec.runs.basis import chosen_landmarks
     from sonarrec.simulation.background_files import write_backgrounds
     from sonarrec.simulation.layout import draw_layout, without_room
     from sonarrec.simulation.simulate import check_free
@@ -157,7 +159,7 @@ def _lay(
     if out.suffix == ".mcap":
         raise UsageError(f"{out}: --background writes a folder of images; give a folder")
     contrasts = laying.contrasts()
-    landmarks = load_landmarks(laying.values["landmarks"] or "basin")
+    landmarks, _ = chosen_landmarks(find_log(log), laying.values["landmarks"], read_run(None))
     config = preset("default")
     folders = {db: out / f"contrast_{db:g}" for db in contrasts}
     if len(contrasts) == 1:

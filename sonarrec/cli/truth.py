@@ -105,12 +105,15 @@ def convert(
       sonarrec truth convert annotations.xml --log pings/
       sonarrec truth convert coco.json --map "half ring=none" --map north=3 -o gt.csv
     """
-    from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
+    from sonarrec.readers.open import find_log
+    from sonarrec.results.run_file import read_run
+    from sonarrec.runs.basis import chosen_landmarks
     from sonarrec.truth.convert import convert as convert_annotations
     from sonarrec.truth.convert import look_at
 
-    landmark_set, images = load_landmarks(landmarks or "basin"), None
+    source = None if log is None else find_log(log)
+    landmark_set, images = chosen_landmarks(source, landmarks, read_run(None))[0], None
     if log is not None:
         with open_log(log, **log_choice.arguments()) as opened:
             images = look_at(opened)
@@ -171,14 +174,16 @@ def check(
       sonarrec truth check sample_data/pan.gt.csv sample_data/pan.mcap
       sonarrec truth check gt_proposed.csv pings/ --sheet look.png --max-pan 10
     """
-    from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
+    from sonarrec.readers.open import find_log
+    from sonarrec.results.run_file import read_run
+    from sonarrec.runs.basis import chosen_landmarks
     from sonarrec.tables.outputs import check_output
     from sonarrec.truth.check import check_truth
     from sonarrec.truth.contact_sheet import draw_contact_sheet
 
     check_output(sheet, "picture", [ground_truth, log])
-    landmark_set = load_landmarks(landmarks or "basin")
+    landmark_set, _ = chosen_landmarks(find_log(log), landmarks, read_run(None))
     reopen = partial(open_log, log, **log_choice.arguments())
     with reopen() as opened:
         checked = check_truth(ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg)

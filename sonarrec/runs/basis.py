@@ -19,7 +19,7 @@ OPTION = "option"
 
 
 def chosen_landmarks(
-    source: Source, choice: str | Path | None, earlier: RunFile
+    source: Source | None, choice: str | Path | None, earlier: RunFile
 ) -> tuple[LandmarkSet, str]:
     """The set that the user chose, else the earlier run's, else that beside the log, else basin;
     and where it is from. Raises SonarrecError if it is invalid."""
@@ -27,7 +27,7 @@ def chosen_landmarks(
         return earlier.landmark_set(choice), f"{OPTION}, {choice}"
     if "landmarks" in earlier.table:
         return earlier.landmark_set(), str(earlier.path)
-    beside = source.beside(LANDMARKS_FILE)
+    beside = None if source is None else source.beside(LANDMARKS_FILE)
     return earlier.landmark_set(beside), "built in" if beside is None else str(beside)
 
 

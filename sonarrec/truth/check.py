@@ -116,9 +116,11 @@ def check_truth(
     fan, x_px, y_px = log.fan, None, None
     assert fan is not None
     known = ", ".join(map(str, landmarks.ids))
-    for n in np.flatnonzero(~np.isin(landmark, landmarks.ids)):
-        text = f"ID.{landmark[n]} is not in the set {landmarks.name!r} ({known})"
-        faults.append(Fault(int(line[n]), "landmark", text))
+    for strange in np.setdiff1d(landmark, landmarks.ids):
+        where = line[landmark == strange]
+        text = f"ID.{strange} is not in the set {landmarks.name!r} ({known})"
+        text += f", in {number_of(len(where), 'row')}; --landmarks names another set"
+        faults.append(Fault(int(where[0]), "landmark", text))
     for n in np.flatnonzero((visible < 0) | (visible > 1)):
         text = f"visible is a share, 0 to 1, not {visible[n]:g}"
         faults.append(Fault(int(line[n]), "visible", text))

@@ -105,7 +105,8 @@ def match_truth(
         raise SonarrecError(
             f"{table.path} line {line_number(table.path, bad)}: landmark {table.landmark[bad]} "
             f"is not in the set {log.landmarks.name!r} ({', '.join(map(str, ids))}) used for "
-            f"{log.name}; name the right set with --landmarks"
+            f"{log.name}; name the right one with --landmarks, or put it beside the log as "
+            "landmarks.toml"
         )
     at = table.at[mine]
     tolerance_ns = None

@@ -37,6 +37,11 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_red_when_declare_is_raised_then_recorded_then_green() -> None:
+    truth = Path("faint/gt.csv")
+    right = truth.read_text()
+    truth.write_text("frame,landmark\n0,9\n")
+    assert "landmark 9 is not in the set" in sonarrec("check", "--update", code=1).stderr
+    truth.write_text(right)
     nothing = sonarrec("check", code=2)
     assert "no results on record yet" in nothing.stderr
     assert "`sonarrec check sonarrec.check.toml --update` records them" in nothing.stderr

@@ -282,10 +282,16 @@ def test_the_command_tells_lines_and_draws(tmp_path: Path) -> None:
 
 
 def test_many_faults_of_a_kind_are_counted(tmp_path: Path, log: Path) -> None:
-    path = truth(tmp_path, [f"{k % 12},{k + 5},2.0,0" for k in range(50)], "frame,landmark,a,b")
+    path = truth(tmp_path, [f"{k % 12},5,2.0" for k in range(50)], "frame,landmark,visible")
     done = run(path, log, "--sheet", tmp_path / "s.png")
-    assert done.stdout.count("is not in the set") == 20
-    assert "... and 30 more of this kind: landmark" in done.stdout
+    assert done.stdout.count("ID.5 is not in the set 'basin' (1, 2, 3, 4), in 50 rows;") == 1
+    assert done.stdout.count("visible is a share") == 20
+    assert "... and 30 more of this kind: visible" in done.stdout
+    (log / "landmarks.toml").write_text(
+        'name = "five"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
+        "[[landmark]]\nid = 5\nsectors = [1, 0]\n"
+    )
+    assert "not in the set" not in run(path, log, "--sheet", tmp_path / "s.png").stdout
 
 
 def test_tiles_are_centred_on_what_the_truth_says(tmp_path: Path) -> None:
