@@ -50,7 +50,8 @@ def read_poses(path: Path) -> PoseTable:
     times_ns = _times_ns(path, table)
     still = np.zeros(len(times_ns))
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
     return pose_table(

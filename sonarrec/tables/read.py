@@ -6,13 +6,14 @@ import csv
 import io
 import itertools
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import union_categoricals
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, printable
@@ -62,6 +63,8 @@ _OPTIONS: dict[str, Any] = {
 _RAGGED = (pd.errors.ParserError, pd.errors.ParserWarning)
 _AT_ONCE = 256
 """Lines handed to pandas at a time."""
+_ROWS_AT_ONCE = 2**16
+"""A table as a whole is read in parts of so many rows: data frames take several times its size."""
 _BLANK = ", \t\r\n"
 """A line of these alone is no row: spreadsheets end a table with lines such as ",,,"."""
 _PLACES: tuple[Kind, ...] = ("place", "blank or place")
@@ -86,8 +89,17 @@ def read_table(
     required: columns that must exist. expected: a header for error messages.
     Raises SonarrecError if the file, its header or a cell cannot be used.
     """
-    [(_, table)] = read_tables(path, kinds, required, expected)
-    return table
+    parts = [table for _, table in read_tables(path, kinds, required, expected, _ROWS_AT_ONCE)]
+    if len(parts) == 1:
+        return parts[0]
+    return {name: _joined([part.pop(name) for part in parts]) for name in [*parts[0]]}
+
+
+def _joined(parts: Sequence[Any]) -> Any:
+    """The parts of a column as one."""
+    if isinstance(parts[0], pd.Categorical):
+        return union_categoricals(parts, sort_categories=True)
+    return np.concatenate(parts)
 
 
 def read_header(path: Path, expected: str) -> list[str]:
