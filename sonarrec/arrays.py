@@ -17,6 +17,14 @@ IntArray = npt.NDArray[np.int64]
 IndexArray = npt.NDArray[np.intp]
 
 
+def quantile(values: npt.NDArray[Any], share: float) -> Any:
+    """A quantile along the first axis, as by numpy's own, which load numpy.ma: .02 s."""
+    ordered = np.sort(values, axis=0)
+    low, part = divmod(share * (len(ordered) - 1), 1)
+    below, above = ordered[int(low)], ordered[min(int(low) + 1, len(ordered) - 1)]
+    return below + (above - below) * part
+
+
 class _Dataclass(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 

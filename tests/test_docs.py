@@ -23,6 +23,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from sonarrec.cli import COMMANDS as COMMAND_NAMES
 from sonarrec.cli import main
 
 ROOT = next(folder for folder in Path(__file__).parents if (folder / "pyproject.toml").exists())
@@ -34,7 +35,8 @@ DOCUMENTS = [README, *PAGES.values()]
 def commands() -> dict[str, click.Command]:
     """Every command by what a user types after `sonarrec`; of a group its commands."""
     found: dict[str, click.Command] = {}
-    for name, command in main.commands.items():
+    for name in COMMAND_NAMES:
+        command = main.get_command(click.Context(main), name)
         if isinstance(command, click.Group):
             found |= {f"{name} {part}": c for part, c in command.commands.items()}
         else:

@@ -6,33 +6,34 @@ import errno
 import io
 import os
 import sys
+from importlib import import_module
 from typing import Any
 
 import click
 
 from sonarrec import __version__
-from sonarrec.cli.calibrate import calibrate
-from sonarrec.cli.check import check
-from sonarrec.cli.config import config
 from sonarrec.cli.endings import INTERRUPTED, tell
-from sonarrec.cli.evaluate import evaluate
-from sonarrec.cli.help import help_
-from sonarrec.cli.info import info
-from sonarrec.cli.landmarks import landmarks
-from sonarrec.cli.map import map_
-from sonarrec.cli.overlay import overlay
-from sonarrec.cli.report import report
-from sonarrec.cli.run import run
-from sonarrec.cli.simulate import simulate
-from sonarrec.cli.site import site
-from sonarrec.cli.status import status
-from sonarrec.cli.truth import truth
 from sonarrec.errors import SonarrecError, UsageError, name_as_text, printable
 
+COMMANDS = (
+    *("run", "status", "info", "evaluate", "check", "report", "overlay", "map", "simulate", "site"),
+    *("calibrate", "landmarks", "config", "truth", "help"),
+)
+"""Each is in the module of its name, and loaded where it is asked for."""
 UNWRITTEN = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EBADF}
 
 
 class _Program(click.Group):
+    def list_commands(self, _: click.Context) -> list[str]:
+        return [*COMMANDS]
+
+    def get_command(self, _: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        module = import_module(f"sonarrec.cli.{name}")
+        command: click.Command = getattr(module, f"{name}_" if name in ("map", "help") else name)
+        return command
+
     def main(self, *arguments: Any, **options: Any) -> Any:
         _open_streams()
         return super().main(*arguments, **options)
@@ -98,8 +99,4 @@ def main() -> None:
     """
 
 
-for command in (
-    *(run, status, info, evaluate, check, report, overlay, map_, simulate, site, calibrate),
-    *(landmarks, config, truth, help_),
-):
-    main.add_command(command)
+main.commands = dict.fromkeys(COMMANDS, click.Command(None))  # the names, to suggest one

@@ -108,6 +108,7 @@ class ContinuityFilter:
         groups, sigma = self._groups, self._sigma
         if motion is not None:
             groups.particles = self._plane.moved(groups.particles, motion).astype(np.float32)
+            self._carry(groups, motion)
             sigma = math.hypot(self._sigma_known, self._uncertain(motion))
         groups.walk(sigma, self._rng)
 
@@ -116,14 +117,12 @@ class ContinuityFilter:
         config, groups = self._config, self._groups
         weight = groups.weigh(selection.score_map, config)
         if motion is not None:
-            weight = self._without_neighbours(weight, selection.positions, motion)
+            weight = self._without_neighbours(weight, selection.positions)
         positions, spread = groups.weighted(weight)
         groups.resample(weight, self._rng)
         return positions, spread / self._diameter
 
-    def _without_neighbours(
-        self, weight: FloatArray, candidates: FloatArray, motion: Motion
-    ) -> FloatArray:
+    def _without_neighbours(self, weight: FloatArray, candidates: FloatArray) -> FloatArray:
         """(n, particles) weights, 0 for particles that are nearer to a neighbour's candidate.
 
         The candidate near where a group's object should be is its own. Where others lie so near
@@ -133,7 +132,7 @@ class ContinuityFilter:
         groups, config = self._groups, self._config
         if len(groups) == 0 or len(candidates) == 0:
             return weight
-        own = self._plane.moved(groups.places, motion)
+        own = groups.places.copy()
         apart = self._distances(own, candidates)
         there = apart.min(axis=1) <= config.own_candidate
         own[there] = candidates[apart.argmin(axis=1)[there]]
@@ -202,7 +201,6 @@ class ContinuityFilter:
             groups.places = positions
             self._lost = _no_lost_groups()  # where they are now is not known
             return
-        self._carry(groups, motion)
         groups.places[there] = positions[there]
         if len(lost):
             self._carry(lost, motion)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
@@ -40,10 +41,11 @@ def is_image(path: Path) -> bool:
 def _contents(file: Path) -> np.ndarray:
     """The bytes of an image file. Raises UnusableError where they cannot be had."""
     try:
-        size = file.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise UnusableError(f"a file of {size} bytes, more than is read")
-        return np.fromfile(file, np.uint8)
+        with file.open("rb", buffering=0) as opened:
+            size = os.fstat(opened.fileno()).st_size
+            if size > MAX_FILE_BYTES:
+                raise UnusableError(f"a file of {size} bytes, more than is read")
+            return np.frombuffer(opened.read(), np.uint8)
     except OSError as error:
         if file.is_symlink() and not file.exists():
             raise UnusableError("a link to a file that is not there") from None

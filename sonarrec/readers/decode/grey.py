@@ -26,7 +26,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.arrays import ByteImage, FloatArray, quantile
 from sonarrec.errors import SonarrecError
 from sonarrec.readers.decode.colour import LUMINANCE, map_levels
 from sonarrec.readers.raw import UnusableError
@@ -177,13 +177,13 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
     level, spread, skews = np.concatenate([np.empty((3, 0), np.float32), *parts], axis=1)
     if len(level) < _LEAST_BLOCKS:
         return False
-    dim = not deep and np.quantile(level, 0.5) < _DIM * 256
-    if dim and np.quantile(spread / level, 0.5) > _LEAST_SPECKLE:
+    dim = not deep and quantile(level, 0.5) < _DIM * 256
+    if dim and quantile(spread / level, 0.5) > _LEAST_SPECKLE:
         return True
     if np.log(level).std() < _LEAST_RANGE:  # levels too similar to find a slope
         return False
     slope = np.polyfit(np.log(level), np.log(spread), 1)[0]  # 1 of amplitudes, 0 of logarithms
-    return bool(slope + np.quantile(skews, 0.5) > _AMPLITUDES)
+    return bool(slope + quantile(skews, 0.5) > _AMPLITUDES)
 
 
 def _speckle(image: np.ndarray, white: np.float32 | None) -> FloatArray:

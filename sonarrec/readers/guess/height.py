@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sonarrec.arrays import ByteImage
+from sonarrec.arrays import ByteImage, quantile
 from sonarrec.geometry import floor_depth
 from sonarrec.nouns import Fan
 from sonarrec.readers.guess.plausible import as_polar, levels_by_range
@@ -36,7 +36,7 @@ def height_from_images(images: Sequence[ByteImage], fan: Fan) -> float | None:
     assert fan.height_m is None
     picture = np.mean([as_polar(image, fan) for image in images], axis=0)
     range_m, levels = levels_by_range(picture, fan)
-    bright = float(np.quantile(levels, 0.9)) if levels.size else 0.0
+    bright = float(quantile(levels, 0.9)) if levels.size else 0.0
     if bright < DARK:
         return None
     lit = np.append(levels >= LIT * bright, np.ones(RINGS - 1, bool))  # it may begin far out

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray
+from sonarrec.arrays import BoolArray, FloatArray, quantile
 
 MOST_SIDE = 1024  # px; of larger pictures every second pixel is used, or every third, ...
 BACKGROUND = 6.0  # grey levels about the background that hold no echo
@@ -140,7 +140,7 @@ def _end(
     # straight: the picture ends where its middle does.
     if outward > 0 and 2 * _spread(row) < _spread(away) > 1:
         return None, is_round
-    most = np.quantile(ordered, 1 - FEW if is_wide else 1) + ROUND_PX
+    most = quantile(ordered, 1 - FEW if is_wide else 1) + ROUND_PX
     end = outward * float(ordered[ordered <= most][-1]) + 0.5 * outward
     # Towards the bearings at which columns end, which are all bearings but those of the edges.
     across, along = (column - apex[0]) / away, (row - apex[1]) / away
@@ -158,8 +158,7 @@ def _end(
 
 def _spread(values: np.ndarray) -> float:
     """Width of the middle half of some values."""
-    low, high = np.quantile(values, (0.25, 0.75))
-    return float(high - low)
+    return float(quantile(values, 0.75) - quantile(values, 0.25))
 
 
 def _mean_level(level: FloatArray, column: FloatArray, row: FloatArray) -> float:
@@ -180,7 +179,7 @@ def _pieces(picture: FloatArray) -> tuple[FloatArray, list[BoolArray]]:
     they belong to each of the largest pieces of what does: all arrays of (rows, columns)."""
     above = above_background(picture)
     echoes = above > BACKGROUND
-    median = float(np.quantile(above[echoes], 0.5)) if echoes.any() else 1.0
+    median = float(quantile(above[echoes], 0.5)) if echoes.any() else 1.0
     # Codecs smear the edges: the brighter the fan, the farther.
     echoes &= above > SMEARED * median
     # Padded: else what lies near the picture's border would grow to it.

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.arrays import ByteImage, FloatArray, quantile
 from sonarrec.geometry import fan_mask, pixel_from_polar
 from sonarrec.nouns import Fan, Frame, PolarImages
 from sonarrec.readers.guess.outline import BACKGROUND, FanOutline, above_background, find_outline
@@ -226,8 +226,8 @@ def _upside_down(picture: FloatArray, fan: Fan) -> list[str]:
     from one ring to the next, while a floor fades slowly where it ends."""
     _, rings = levels_by_range(picture, fan)
     count = round(_NEAR * len(rings))
-    near, far = (float(np.quantile(ends, 0.5)) for ends in (rings[:count], rings[-count:]))
-    light, steps = float(np.quantile(rings, 0.9)), rings[_EDGE:] - rings[:-_EDGE]
+    near, far = (float(quantile(ends, 0.5)) for ends in (rings[:count], rings[-count:]))
+    light, steps = float(quantile(rings, 0.9)), rings[_EDGE:] - rings[:-_EDGE]
     rise, fall = float(steps.max()), -float(steps.min())
     ends = far < _DARK * light and fall > max(_SHARP * light, rise / _LESS_SHARP)
     if not (ends or (far <= _BLACK and near > max(0.5 * light, BACKGROUND))):
@@ -246,7 +246,7 @@ def _floor(picture: FloatArray, fan: Fan) -> list[str]:
     before, beyond = range_m < 0.95 * fan.height_m, range_m > 1.05 * fan.height_m
     if min(before.sum(), beyond.sum()) < _NEAR * _RINGS:
         return []
-    near, floor = np.quantile(rings[before], 0.5), float(np.quantile(rings[beyond], 0.75))
+    near, floor = quantile(rings[before], 0.5), float(quantile(rings[beyond], 0.75))
     if near < max(_AS_BRIGHT * floor, BACKGROUND):
         return []
     return [

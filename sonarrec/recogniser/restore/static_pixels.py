@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.arrays import BoolArray, ByteImage, FloatImage, IndexArray
+from sonarrec.arrays import BoolArray, ByteImage, FloatImage, IndexArray, quantile
 from sonarrec.geometry import fan_mask
 from sonarrec.nouns import Frame
 
@@ -182,6 +182,6 @@ def _changed(before: npt.NDArray[np.int16], now: npt.NDArray[np.int16]) -> bool:
     beside = seen[:, 1:] & seen[:, :-1]
     if not beside.any():
         return False
-    change = np.quantile(np.abs(now - before)[seen], 0.5)
-    texture = np.quantile(np.abs(now[:, 1:] - now[:, :-1])[beside], 0.5)
+    change = quantile(np.abs(now - before)[seen], 0.5)
+    texture = quantile(np.abs(now[:, 1:] - now[:, :-1])[beside], 0.5)
     return bool(change > CHANGED * max(texture, 1.0))
