@@ -78,6 +78,7 @@ MAY_IMPORT = {
         "truth.contact_sheet",
         "simulation",
         "overlays",
+        "mapping.mosaic",
         "reports.pictures",
         "results.run_file",  # its version
         "runs.two_cores",  # its threads

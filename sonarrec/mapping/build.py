@@ -148,7 +148,7 @@ def _read_log(
     declared = read_declared(table, method, landmarks, fan, path.frame)
     passes = find_passes(declared, path, landmarks, fan)
     ros_axes = poses is not None and "topic" in poses.source
-    log = MappedLog(folder.resolve().name, path, passes, fan, ros_axes, diagnostics)
+    log = MappedLog(folder.resolve().name, path, passes, fan, ros_axes, folder, diagnostics)
     if not run.finished:
         diagnostics.problem(cut_short(str(folder), len(path.frame), "used"))
     elif lost := rows_lost(folder, run.table.get("input", {})):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import itemgetter
+from pathlib import Path
 
 import numpy as np
 
@@ -32,7 +33,8 @@ Member = tuple[int, Pass]
 class MappedLog:
     """One log of a map.
 
-    name: of its results folder. ros_axes: whether its poses have x ahead and y to the left.
+    name: of its results folder. ros_axes: whether its poses have x ahead and y to the left. folder:
+    of its results.
     """
 
     name: str
@@ -40,6 +42,7 @@ class MappedLog:
     passes: list[Pass]
     fan: Fan
     ros_axes: bool
+    folder: Path
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
 
 

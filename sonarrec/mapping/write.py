@@ -22,6 +22,7 @@ from sonarrec.mapping.factors import (
     write_g2o,
 )
 from sonarrec.mapping.join import Landmark, frames_of
+from sonarrec.mapping.mosaic import Mosaic
 from sonarrec.mapping.passes import Pass
 from sonarrec.mapping.picture import draw_map
 from sonarrec.tables.outputs import (
@@ -50,11 +51,16 @@ MOST_POINTS = 2_000
 """Points of a path in GeoJSON, at most."""
 
 
-def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = None) -> list[Path]:
+def write_all(
+    folder: Path,
+    site: SiteMap,
+    origin: GeographicOrigin | None = None,
+    mosaic: Mosaic | None = None,
+) -> list[Path]:
     """Write map.csv, passes.csv, factors.csv, graph.g2o, map.png and, with an origin, map.geojson.
 
-    Returns them. Raises SonarrecError where the folder cannot be written, UsageError, before
-    anything is, where a file of another kind is there.
+    Returns them. mosaic: what map.png shows behind the landmarks. Raises SonarrecError where the
+    folder cannot be written, UsageError, before anything is, where a file of another kind is there.
     """
     measurements = factors(site)
     vertices = pose_vertices(site, measurements)
@@ -72,7 +78,7 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
         write_csv(tables[1], PASS_COLUMNS, pass_rows(site))
         write_factors(tables[2], site, measurements, vertices)
         write_g2o(g2o, site, measurements, vertices)
-        draw_map(picture, site)
+        draw_map(picture, site, mosaic)
         earth.unlink(missing_ok=True)  # of a map before, with an origin
         if origin is not None:
             _write_geojson(earth, site, origin)

@@ -444,7 +444,7 @@ def still_pass(rng: np.random.Generator, tracks: int) -> MappedLog:
         strays=0,
     )
     passes = find_passes(declared, path, BASIN, FAN)
-    return MappedLog("dive", path, passes, FAN, ros_axes=False)
+    return MappedLog("dive", path, passes, FAN, ros_axes=False, folder=Path())
 
 
 @pytest.mark.slow
