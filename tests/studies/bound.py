@@ -22,12 +22,12 @@ from tests.studies.learning.random_scenes import KINDS_OF_SCENE, random_scene
 from tests.studies.results.record import judge, options, save, show
 from tests.support.simulated import Job, in_processes, recognise, score
 
-REPORTED = range(64_000, 64_010)
+REPORTED = range(64_000, 64_005)
 KINDS = (*KINDS_OF_SCENE, *(kind for kind in OTHER_WORLDS if kind not in ("wide", "vehicle")))
 FRAMES = 64
 LOW = DECLARES[-1]
 CAMPAIGNS = 200
-SHARES, SIZES = (0.005, 0.01, 0.02), (200, 500, 1000)
+SHARES, SIZES = (0.01, 0.02), (200, 500, 1000)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -49,14 +49,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         false = np.nanmean(claims[:, :, 1] / total, axis=0)
     of_frames = claims[:, :, 1].sum(axis=0) / total.sum(axis=0)
     tpr = claims[:, :, 0].sum(axis=0) / whole.sum()
-    show(
-        f"The bank, {len(claims)} passes: mean over passes of the share of claims that is false, "
-        "that share of all claims, and TPR",
-        [
-            {"declare": d, "of a pass": f"{f:.4f}", "of all": f"{a:.4f}", "TPR": f"{t:.3f}"}
-            for d, f, a, t in zip(DECLARES, false, of_frames, tpr, strict=True)
-        ],
-    )
     rng, lines, least = np.random.default_rng(0), [], 1.0
     for share in SHARES:
         for size in SIZES:
@@ -89,6 +81,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"{CAMPAIGNS} campaigns each: in how many a bound was given, in how many no larger share\n"
         "is false in the bank (refused ones count as such), and what it costs",
         lines,
+    )
+    show(
+        f"The bank, {len(claims)} passes: mean over passes of the share of claims that is false, "
+        "that share of all claims, and TPR",
+        [
+            {"declare": d, "of a pass": f"{f:.4f}", "of all": f"{a:.4f}", "TPR": f"{t:.3f}"}
+            for d, f, a, t in zip(DECLARES, false, of_frames, tpr, strict=True)
+        ],
     )
     judge("campaigns in which the bound holds, least", least, 0.95, at_least=True)
     save(asked.record)

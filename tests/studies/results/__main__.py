@@ -17,7 +17,7 @@ NOW = FOLDER / "now.toml"
 PAGE = FOLDER.parent / "RESULTS.md"
 ORDER = (
     *("paper", "study", "scenes", "scenes_fresh", "ablation", "worlds"),
-    *("pictures", "stated", "speeds", "maps", "scale", "bench"),
+    *("pictures", "stated", "bound", "speeds", "maps", "scale", "bench"),
 )
 """Files of this folder, as they follow each other on the page."""
 HEAD = """# Measured results
