@@ -30,10 +30,9 @@ class Bound:
     def text(self) -> str:
         """What it says, and when it holds."""
         return (
-            f"at most {self.share:g} of the claims of a pass are false, in the mean over passes, "
-            f"with {self.confidence:.0%} confidence (of those of {self.passes} labelled passes "
-            f"{self.false_share:.3g} were); for passes like the labelled ones: their sonar, site "
-            "and objects"
+            f"in the mean pass at most {self.share:g} of the claims are false, with "
+            f"{self.confidence:.0%} confidence ({self.false_share:.3g} in {self.passes} labelled "
+            "passes); for passes with the sonar, site and objects of these"
         )
 
 
