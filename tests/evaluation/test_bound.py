@@ -86,15 +86,15 @@ def test_a_run_takes_the_bound_and_the_report_states_it(tmp_path, monkeypatch):
     sonarrec("run", "one.mcap", "-q")
     (bound_file,) = bounded = [Path("sonarrec_out/one/evaluation/bound.toml")]
     told = sonarrec("evaluate", "sonarrec_out/one", "--bound", "0.8")
-    assert "declare 0.75: at most 0.8 of the claims of a pass are false" in told.stdout
+    assert "declare 0.75: in the mean pass at most 0.8 of the claims are false" in told.stdout
     assert "bound.toml" in told.stdout
     sonarrec("run", "two.mcap", "--config", *bounded, "-q")
     table = tomllib.loads(Path("sonarrec_out/two/run.toml").read_text())
     assert table["bound"] == {"share": 0.8, "confidence": 0.95, "passes": 3, "false_share": 0.0}
     sonarrec("report", "sonarrec_out/two", "-o", "report.html")
     page = Path("report.html").read_text()
-    assert "at most 0.8 of the claims of a pass are false" in page
-    assert "for passes like the labelled ones" in page
+    assert "in the mean pass at most 0.8 of the claims are false" in page
+    assert "for passes with the sonar, site and objects of these" in page
     # With other settings it does not hold.
     more = ("--set", "features.memory_frames=20", "-q")
     note = sonarrec("run", SAMPLES / "polar", "--config", *bounded, *more).stderr
