@@ -95,12 +95,18 @@ def landmarks(
         beams = f"beams {1000 * beam_m:.0f} mm wide ({beam_width_deg:g} deg)"
         what = "plates" if drawn else "discs"
         size = f"{number_of(len(chosen.ids), 'ID')}, {what} of {2 * chosen.radius_m:g} m"
+        sides = {len(d) for d in chosen.drawings()} if isinstance(chosen, DrawnSet) else set()
+        cells = sides.pop() ** 2 if len(sides) == 1 else 0
+
+        def shown(share: float) -> str:
+            return f"{share * cells:.0f} of {cells}" if cells else f"{share:.2f}"
+
         say(
             f"{chosen.name}: {size}",
             f"  at {distance_m:g} m, with {beams}",
             *(["  IDs          as drawn   as seen"] if found else []),
             *(
-                f"  {f'{d.ids[0]} and {d.ids[1]}':<12} {d.drawn:>8.2f}  {d.seen:>8.2f}"
+                f"  {f'{d.ids[0]} and {d.ids[1]}':<12} {shown(d.drawn):>8}  {d.seen:>8.2f}"
                 for d in found
             ),
         )

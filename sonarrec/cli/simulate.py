@@ -19,7 +19,7 @@ from sonarrec.errors import UsageError, number_of
 @in_input(
     "--scene source",
     shell_complete=file_names,
-    help="Scene: a built-in name (paper, basin, sample_pan, sample_polar) or a TOML file.  "
+    help="Scene: a built-in name (paper, basin, plates, sample_pan, sample_polar) or a TOML file.  "
     "[default: paper]",
 )
 @in_input(
@@ -112,10 +112,11 @@ def simulate(
         raise UsageError("--schema and --compression are for --format mcap")
     from dataclasses import replace
 
-    from sonarrec.simulation.scene import load_scene
+    from sonarrec.simulation.plates import PlateScene, plate_scene
+    from sonarrec.simulation.scene import Scene, load_scene
     from sonarrec.simulation.simulate import write_recording
 
-    scene = load_scene(source or "paper")
+    scene: Scene | PlateScene = plate_scene(source or "paper") or load_scene(source or "paper")
     if seed is not None:
         scene = replace(scene, seed=seed)
     if frames is not None:
@@ -149,6 +150,7 @@ def _lay(
 ) -> None:
     """Lay landmarks into a recording, at one contrast or several."""
     from sonarrec.config import preset
+    from sonarrec.landmarks import DrawnSet
     from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.basis import chosen_landmarks
@@ -160,6 +162,8 @@ def _lay(
         raise UsageError(f"{out}: --background writes a folder of images; give a folder")
     contrasts = laying.contrasts()
     landmarks, _ = chosen_landmarks(find_log(log), laying.values["landmarks"], read_run(None))
+    if isinstance(landmarks, DrawnSet):
+        raise UsageError(f"{landmarks.name}: --background lays discs alone, no drawn plates")
     config = preset("default")
     folders = {db: out / f"contrast_{db:g}" for db in contrasts}
     if len(contrasts) == 1:

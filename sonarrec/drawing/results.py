@@ -23,6 +23,7 @@ from sonarrec.drawing.pen import (
     pen_on,
     pixel_unit,
 )
+from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan
 from sonarrec.times import is_date, time_text
@@ -89,6 +90,13 @@ def caption(estimate: Estimate, landmarks: LandmarkSet, *, score: bool = False) 
     return f"ID.{estimate.landmark}?  {number:.2f}"
 
 
+def outline_of(estimate: Estimate, fan: Fan, landmarks: LandmarkSet) -> FloatArray:
+    """(n, 2) column and row, in fan pixels, of a disc's edge or a plate's corners."""
+    if estimate.corners is not None:
+        return np.stack(pixel_from_polar(fan, *estimate.corners.T), axis=1)
+    return disc_outline(fan, landmarks.radius_m, estimate.x_px, estimate.y_px)
+
+
 def draw_frame(
     image: ByteImage,
     fan: Fan,
@@ -116,9 +124,9 @@ def draw_frame(
         colour = colours[e.landmark] if e.declared else UNNAMED
         if paths and e.object in paths:
             pen.line(paths[e.object], colour, 1)
-        outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
+        outline = outline_of(e, fan, landmarks)
         pen.line(outline, colour, 2 if e.declared else 1, closed=True)
-        around = disc_outline(fan, AROUND * landmarks.radius_m, e.x_px, e.y_px)
+        around = outline.mean(axis=0) + AROUND * (outline - outline.mean(axis=0))
         pen.label(caption(e, landmarks, score=score), around, colour)
     for mark in truth:
         outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
-from sonarrec.drawing.results import AROUND, Mark, caption
+from sonarrec.drawing.results import AROUND, Mark, caption, outline_of
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
@@ -133,7 +133,7 @@ def annotations_message(
     drawn.text(f"frame {frame.index}", 4 * size, 18 * size, UNNAMED)
     for e in estimates:
         colour = colours[e.landmark] if e.declared else UNNAMED
-        outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
+        outline = outline_of(e, fan, landmarks)
         drawn.line(LINE_LOOP, outline, colour, 2 if e.declared else 1)
         if e.object in paths:
             drawn.line(LINE_STRIP, paths[e.object], colour, 1)

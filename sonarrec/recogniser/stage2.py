@@ -79,6 +79,13 @@ class ContinuityFilter:
         born = self._begin(positions[kept], selection)
         return self._as_groups(positions[kept], spread[kept], shown[kept], born)
 
+    def centre(self, groups: Groups) -> None:
+        """Shift whole groups to the positions in `groups`, which were measured more exactly."""
+        rows = np.flatnonzero(np.isin(self._groups.numbers, groups.numbers))
+        shift = groups.positions - self._groups.mean()[rows]
+        self._groups.particles[rows] += shift[:, None].astype(np.float32)
+        self._groups.places[rows] = groups.positions
+
     def _as_groups(
         self, positions: FloatArray, spread: FloatArray, shown: BoolArray, born: FloatArray
     ) -> Groups:

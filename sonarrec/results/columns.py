@@ -49,8 +49,8 @@ ESTIMATES_HEADER = "frame,method,range_m,bearing_deg,landmark,score,declared"
 """Headers for error messages: the fewest columns that can be scored."""
 
 
-def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
-    """The columns of estimates.csv for a landmark set with these IDs."""
+def estimate_columns(ids: Sequence[int], corners: bool = False) -> tuple[Column[Estimate], ...]:
+    """The columns of estimates.csv for a landmark set with these IDs; corners: of drawn plates."""
     return (
         Column("frame", lambda r, _: r.index, "whole", needed=True),
         Column("timestamp_ns", lambda r, _: r.timestamp_ns),
@@ -73,6 +73,7 @@ def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
             lambda _, e: f"{e.orientation_sigma_deg:.1f}",
             "blank or number",
         ),
+        *(_corner(k, n) for k in range(4 * corners) for n in range(2)),
     )
 
 
@@ -94,6 +95,19 @@ def belief_names(ids: Sequence[int]) -> list[str]:
 
 def _belief(name: str, k: int) -> Column[Estimate]:
     return Column(name, lambda _, e: f"{e.probabilities[k]:.6f}", "share")
+
+
+CORNERS = tuple(f"{axis}{k}" for k in range(1, 5) for axis in "rb")
+"""Columns of a plate's corners: slant range, m, and bearing, deg, of each."""
+
+
+def _corner(k: int, n: int) -> Column[Estimate]:
+    digits = 3 + (n == 0)
+
+    def cell(_: FrameResult, e: Estimate) -> str:
+        return "" if e.corners is None else f"{e.corners[k, n]:.{digits}f}"
+
+    return Column(CORNERS[2 * k + n], cell, "blank or number")
 
 
 def kinds(columns: Iterable[Column[Part]]) -> dict[str, Kind]:

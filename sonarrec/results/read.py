@@ -14,7 +14,7 @@ import pandas as pd
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import MissingError, SonarrecError, printable
 from sonarrec.geometry import plane_position
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import PART, Fan
 from sonarrec.results.columns import (
     ESTIMATES_HEADER,
@@ -223,7 +223,7 @@ def estimate_tables(
 
     Raises SonarrecError, with the line, for an invalid cell; the rows before it are given first.
     """
-    columns = estimate_columns(landmarks.ids)
+    columns = estimate_columns(landmarks.ids, isinstance(landmarks, DrawnSet))
     ids = np.asarray(landmarks.ids)
     header = needed(columns), ESTIMATES_HEADER
     for first, table in read_tables(path, kinds(columns), *header, rows):

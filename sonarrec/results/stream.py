@@ -14,7 +14,13 @@ from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan
-from sonarrec.results.columns import ESTIMATES_HEADER, belief_names, estimate_columns, needed
+from sonarrec.results.columns import (
+    CORNERS,
+    ESTIMATES_HEADER,
+    belief_names,
+    estimate_columns,
+    needed,
+)
 from sonarrec.results.methods import chosen, leading
 from sonarrec.results.read import estimate_tables
 from sonarrec.tables.read import POSITION_KINDS, Table, line_number, read_tables
@@ -97,6 +103,7 @@ def estimates_in(
         in_table = np.column_stack([table[name] for name in columns])
         whole = np.isfinite(in_table).all(axis=1)
         beliefs[whole] = in_table[whole]
+    corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
     turn, *sigmas = (table.get(name, blank) for name in ("orientation_deg", *SIGMAS))
     for n in rows.tolist():
         estimate = Estimate(
@@ -115,6 +122,7 @@ def estimates_in(
             range_sigma_m=float(sigmas[0][n]),
             bearing_sigma_deg=float(sigmas[1][n]),
             orientation_sigma_deg=float(sigmas[2][n]),
+            corners=None if np.isnan(corners[n]).any() else corners[n],
         )
         yield n, int(table["frame"][n]), estimate
 

@@ -14,7 +14,7 @@ from typing import Any, Self
 import tomli_w
 
 from sonarrec.errors import SonarrecError, name_as_text, number_of
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import NO_STAMPS, FrameResult, Stamps
 from sonarrec.results.columns import FRAME_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
@@ -97,7 +97,7 @@ class ResultsWriter:
         self._part = part_of(folder)
         self._run = run
         self._parquet = parquet
-        self._columns = estimate_columns(landmarks.ids)
+        self._columns = estimate_columns(landmarks.ids, isinstance(landmarks, DrawnSet))
         try:
             self._part.parent.mkdir(parents=True, exist_ok=True)
             self._lock = lock(folder)

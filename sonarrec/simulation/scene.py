@@ -16,7 +16,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import fan_for_image, fan_for_polar
-from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
+from sonarrec.landmarks import DrawnSet, LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.nouns import Fan
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
 from sonarrec.sonar import Sonar
@@ -296,6 +296,8 @@ def scene_from_table(table: Mapping[str, Any], where: str) -> Scene:
         discs = load_landmarks(listed)
     else:
         discs = landmarks_from_table(listed, f"{where}: [landmark_set]")
+    if isinstance(discs, DrawnSet):
+        raise SonarrecError(f'{where}: a scene of drawn plates has kind = "plates"')
     scene = from_table(Scene, {**table, "landmark_set": discs}, where)
     _check_as_a_whole(scene, where)
     return scene

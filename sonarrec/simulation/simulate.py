@@ -11,22 +11,26 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
 from sonarrec.arrays import ByteImage
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.remote.urls import local
+from sonarrec.results.columns import CORNERS
+from sonarrec.simulation.plates import PlateScene, plate_scene, plate_sonar, render_plates
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, load_scene, scene_sonar, scene_table
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
 
+PLATE_COLUMNS = ("frame", "landmark", "range_m", "bearing_deg", "visible", "orientation_deg")
 COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
 """Files written beside the frames."""
 
 
 def simulate(
-    scene: str | Path | Scene = "paper",
+    scene: str | Path | Scene | PlateScene = "paper",
     out: str | Path = "simulated",
     *,
     seed: int | None = None,
@@ -39,7 +43,9 @@ def simulate(
     seed, frames: replace those of the scene. image_format: "png" or "mcap". Raises SonarrecError
     if the scene cannot be used, or if `out` cannot be written or is in use.
     """
-    chosen = scene if isinstance(scene, Scene) else load_scene(str(scene))
+    if isinstance(scene, str | Path):
+        scene = plate_scene(scene) or load_scene(str(scene))
+    chosen: Scene | PlateScene = scene
     chosen = replace(
         chosen,
         seed=chosen.seed if seed is None else seed,
@@ -50,7 +56,7 @@ def simulate(
 
 
 def write_recording(
-    scene: Scene,
+    scene: Scene | PlateScene,
     out: Path,
     image_format: str = "png",
     progress: Callable[[int], None] | None = None,
@@ -68,6 +74,11 @@ def write_recording(
     """
     from sonarrec.simulation.mcap_writer import McapImageWriter, check_schema, is_polar
 
+    if isinstance(scene, PlateScene):
+        if image_format != "png":
+            raise UsageError("recordings of plates are written as images; leave out --format")
+        _write_plates(scene, out, progress)
+        return
     if image_format not in ("png", "mcap"):
         raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
     single_file = out.suffix == ".mcap"
@@ -111,6 +122,36 @@ def write_recording(
                 if progress:
                     progress(frame.index + 1)
         write_documents(folder, documents, prefix)
+    except OSError as error:
+        raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
+
+
+def _write_plates(scene: PlateScene, out: Path, progress: Callable[[int], None] | None) -> None:
+    """As write_recording: polar images, near range first, and corners.csv as well."""
+    check_free(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            truth, corners = (
+                csv.writer(
+                    stack.enter_context((out / name).open("w", newline="", encoding="utf-8")),
+                    lineterminator="\n",
+                )
+                for name in ("gt.csv", "corners.csv")
+            )
+            truth.writerow(PLATE_COLUMNS)
+            corners.writerow(("frame", "landmark", *CORNERS))
+            for frame in render_plates(scene):
+                write_image(out / f"{frame.index:06d}.png", frame.image)
+                for plate in frame.truth:
+                    row = [frame.index, *(getattr(plate, name) for name in PLATE_COLUMNS[1:])]
+                    truth.writerow([round(cell, 4) for cell in row])
+                    of_plate = np.round(plate.corners.ravel(), 4).tolist()
+                    corners.writerow([frame.index, plate.landmark, *of_plate])
+                if progress:
+                    progress(frame.index + 1)
+        sonar = {"sonar": plate_sonar(scene).as_table()}
+        write_documents(out, {"landmarks": scene.landmark_set.as_table(), "sonar": sonar})
     except OSError as error:
         raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
 

@@ -6,13 +6,15 @@ import json
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
+import numpy as np
 import pytest
 import tomli_w
 
 from sonarrec.drawing.landmarks import distances
-from sonarrec.landmarks import landmarks_from_table, load_landmarks
+from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks
 from tests.support.command import SAMPLE, sonarrec
 
 BASIN = load_landmarks("basin").as_table()
@@ -89,3 +91,39 @@ def test_a_picture_does_not_go_over_the_set(tmp_path: Path) -> None:
     file.write_text(tomli_w.dumps(BASIN))
     assert "this command reads it" in sonarrec("landmarks", file, "-o", file, code=2).stderr
     assert "must end in .png" in sonarrec("landmarks", "-o", tmp_path / "x.jpg", code=2).stderr
+
+
+def test_plates_are_as_far_apart_as_their_cells_say() -> None:
+    """In whatever quarter turn or hand they are most alike."""
+    tags = load_landmarks("actag24h10")
+    assert isinstance(tags, DrawnSet)
+    for near in distances(tags, 0.0)[:4]:
+        a, b = (tags.drawings()[tags.ids.index(i)] for i in near.ids)
+        turned = [np.rot90(hand, n) for hand in (b, b[:, ::-1]) for n in range(4)]
+        assert near.drawn * 49 == pytest.approx(min((a != one).sum() for one in turned))
+    through_beams = distances(tags, 0.08)
+    assert max(d.seen for d in through_beams) < min(d.seen for d in distances(tags, 0.0))
+
+
+def test_a_sheet_of_plates_is_to_scale(tmp_path: Path) -> None:
+    sheet = tmp_path / "plates.svg"
+    sonarrec("landmarks", "actag24h10", "-o", sheet)
+    sonarrec("landmarks", "actag24h10", "-o", sheet)  # over its own
+    root = ElementTree.parse(sheet).getroot()
+    wide, _, unit = root.attrib["width"].partition("mm")
+    assert unit == ""
+    assert float(wide) == float(root.attrib["viewBox"].split()[2])  # a unit is a millimetre
+    space = "{http://www.w3.org/2000/svg}"
+    assert {rect.attrib["width"] for rect in root.iter(f"{space}rect")} == {"304.8"}
+    tags = load_landmarks("actag24h10")
+    assert isinstance(tags, DrawnSet)
+    cells = [path.attrib["d"].count("M") for path in root.iter(f"{space}path")]
+    assert cells == [int(d.sum()) for d in tags.drawings()]
+    other = tmp_path / "mine.svg"
+    other.write_text("<svg/>")
+    assert "not overwritten" in sonarrec("landmarks", "actag24h10", "-o", other, code=2).stderr
+
+
+def test_plates_too_small_for_the_beams_are_told() -> None:
+    told = sonarrec("landmarks", "actag24h10", "--distance", "10")
+    assert "too small for beams" in told.stderr

@@ -9,17 +9,22 @@ from __future__ import annotations
 import functools
 from collections import OrderedDict
 from math import erf
+from statistics import NormalDist
 
+import cv2
 import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage, IndexArray
 from sonarrec.landmarks import DrawnSet
 
+LEAST_ALIKE = 0.3  # correlation of neighbouring cells, below which they are drawn each by itself
 RIVALS = 64  # random drawings of the set's kind of cells
 FINE, COARSE = 28, 10  # samples along a picture's side
 LEAST_BLUR = 0.04  # halves of a plate's side: about a sample of a fine picture
 BLUR_STEP = 0.03  # halves; smears that differ by less count as one
 KEPT = 4  # smears whose drawings are kept
+Drawing = tuple[int, int]
+"""(row, way)."""
 MOST_SOUGHT = 32  # drawings with which a plate is first looked for
 _cumulative = np.frompyfunc(lambda z: 0.5 * (1 + erf(z / 2**0.5)), 1, 1)
 
@@ -101,6 +106,14 @@ class Drawings:
         self._kept.move_to_end(key)
         return self._kept[key]
 
+    def best_two(self, matches: FloatImage) -> tuple[Drawing, Drawing]:
+        """The ID that matches best, and of the best of all other drawings."""
+        column, match = best(matches)
+        first = int(match[: self.count].argmax())
+        match[first] = -1
+        second = int(match.argmax())
+        return (first, self.ways[column[first]]), (second, self.ways[column[second]])
+
     def _smeared(self, size: int, across: float, down: float) -> FloatImage:
         made = np.empty((len(self._cells), size, size), np.float32)
         sides = np.array([len(cells) for cells in self._cells])
@@ -141,7 +154,8 @@ def _spread(size: int, cells: int, sigma: float) -> FloatImage:
 
 
 def _rivals(drawings: list[FloatImage]) -> list[FloatImage]:
-    """Random drawings: a cell is as often bright as in the set, nearly, where it has many IDs."""
+    """Random drawings of the set's kind: a cell is as often bright as in the set, nearly, where it
+    has many IDs, and as often like its neighbour."""
     rng = np.random.default_rng(0)
     rivals: list[FloatImage] = []
     sides = [len(d) for d in drawings]
@@ -149,9 +163,25 @@ def _rivals(drawings: list[FloatImage]) -> list[FloatImage]:
         same = np.stack([d for d in drawings if len(d) == n])
         often = (same.sum(axis=0) + 2 * same.mean()) / (len(same) + 2)
         count = -(-RIVALS * len(same) // len(drawings))
-        made = rng.random((count, n, n)) < often
+        limit = np.vectorize(NormalDist().inv_cdf)(np.clip(often, 0.01, 0.99))
+        made = _grainy(rng, count, n, _grain(same)) < limit
         rivals += [*made.astype(np.float32)]
     return rivals[:RIVALS]
+
+
+def _grain(drawings: FloatImage) -> float:
+    """The sigma, in cells, of smoothed noise whose sign changes as often from cell to cell."""
+    across, down = drawings[:, :, 1:] == drawings[:, :, :-1], drawings[:, 1:] == drawings[:, :-1]
+    alike = np.sin(np.pi * (np.concatenate([across.ravel(), down.ravel()]).mean() - 0.5))
+    return 0.5 / float(np.sqrt(-np.log(alike))) if LEAST_ALIKE < alike < 1 else 0.0
+
+
+def _grainy(rng: np.random.Generator, count: int, n: int, sigma: float) -> FloatArray:
+    """(count, n, n) noise of deviation 1, smoothed."""
+    noise = rng.standard_normal((count, n, n))
+    if sigma:
+        noise = np.stack([cv2.GaussianBlur(one, (0, 0), sigma) for one in noise])
+    return np.asarray(noise / noise.std())
 
 
 def best(matches: FloatImage) -> tuple[IndexArray, FloatImage]:

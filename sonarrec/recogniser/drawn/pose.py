@@ -8,7 +8,7 @@ row. Its larger singular value is half a side; the other is shorter where the pl
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from sonarrec.landmarks import PlatePose
 from sonarrec.recogniser.drawn.drawings import (
     COARSE,
     FINE,
+    Drawing,
     Drawings,
     levelled,
     points,
@@ -36,6 +37,7 @@ NEAR = 2
 STARTS = 6  # of the poses tried, those that are refined
 # Singular values over half a side: least and most of the larger, least of the smaller.
 BOUNDS = {"free": (0.88, 1.14, 0.28), "floor": (0.92, 1.08, 0.92)}
+SWITCH = 0.03  # by how much another ID must match better from frame to frame, to be taken instead
 ROUNDS, NEAR_ROUNDS = 12, 6  # of refinement
 MOST_STEP = 0.15  # halves of a side, in one round
 RIDGE = 1e-2  # share of the mean curvature: holds what a drawing says nothing of
@@ -54,6 +56,8 @@ class Fit:
     """The drawing's, as in Drawings."""
     picture: FloatImage
     """(FINE, FINE) at the pose."""
+    lead: float = 0.0
+    """By how much it matches better than the next best drawing, that at its own best pose."""
 
 
 class PoseFitter:
@@ -86,25 +90,63 @@ class PoseFitter:
         ways = self._drawings.ways
         templates = np.concatenate([shown(rows, way) for way in ways])
         match, middles, which = self._shifted(image, poses, templates, REACH)
-        order = np.argsort(-match)[:STARTS]
+        # The best pose of each of the best drawings: refinement tells what looks alike.
+        order = np.argsort(-match)
+        first = np.unique(which[order] % len(rows), return_index=True)[1]
+        order = order[np.sort(np.concatenate([first, np.arange(2)]))][:STARTS]
         poses = poses[order]
         poses[:, :2] = middles[order]
         of_row, of_way = which[order] % len(rows), which[order] // len(rows)
         chosen = self._drawings.sought[of_row], np.array(ways)[of_way]
-        fits = self._refined(image, poses, chosen, ROUNDS)
-        return max(fits, key=lambda fit: fit.match)
+        fit = max(self._refined(image, poses, chosen, ROUNDS), key=lambda fit: fit.match)
+        # At the pose of one drawing another may match, and better still at its own.
+        return self._duel(image, fit.pose[None], *self.best_two(fit), ROUNDS, least=0.0)
 
-    def near(self, image: FloatImage, last: Fit) -> Fit:
-        """The fit of the same drawing with a pose near that of the frame before."""
+    def near(self, image: FloatImage, last: Fit, other: Drawing | None) -> Fit:
+        """The fit of the same drawing with a pose near that of the frame before.
+
+        other: (row, way) of the drawing that it is compared with, from a pose of its own.
+        """
         smear = self.smear(last.pose)
         row = self._drawings.seen(COARSE, (max(smear), max(smear)))[last.row]
         pose = last.pose[None].copy()
         _, middles, _ = self._shifted(image, pose, shown(row, last.way)[None], NEAR)
-        pose = np.concatenate([pose, pose])
         pose[0, :2] = middles[0]
-        chosen = np.array([last.row] * 2), np.array([last.way] * 2)
-        fits = self._refined(image, pose, chosen, NEAR_ROUNDS)
-        return max(fits, key=lambda fit: fit.match)
+        own = (last.row, last.way)
+        poses = np.concatenate([pose, last.pose[None]])
+        return self._duel(image, poses, own, other, NEAR_ROUNDS, least=SWITCH)
+
+    def best_two(self, fit: Fit) -> tuple[Drawing, Drawing]:
+        """The ID that the picture of a fit matches best, and of the best of all other
+        drawings, rivals among them."""
+        found = self._drawings.matches(fit.picture, self.range_ward(fit.pose), self.smear(fit.pose))
+        return self._drawings.best_two(found)
+
+    def _duel(
+        self,
+        image: FloatImage,
+        poses: FloatArray,
+        own: Drawing,
+        other: Drawing | None,
+        rounds: int,
+        least: float,
+    ) -> Fit:
+        """The best fit of a drawing from some poses on, and its lead over that of another.
+
+        The other's, if that is an ID and leads by `least`.
+        """
+        n, both = len(poses), [own] if other is None else [own, other]
+        rows, ways = np.repeat(np.array(both), n, axis=0).T
+        fits = self._refined(image, np.concatenate([poses] * len(both)), (rows, ways), rounds)
+        first, *second = (
+            max(fits[i : i + n], key=lambda fit: fit.match) for i in range(0, len(fits), n)
+        )
+        if not second:
+            return first
+        lead = first.match - second[0].match
+        if lead < -least and second[0].row < self._drawings.count:
+            return replace(second[0], lead=-lead)
+        return replace(first, lead=lead)
 
     def range_ward(self, pose: FloatArray) -> FloatArray:
         """(2,) direction in (u, v) in which the range grows."""

@@ -1,4 +1,4 @@
-"""Stage 1 for plates: bright figures of a plate's size are candidates.
+"""Stage 1 for plates: bright or uneven figures of a plate's size are candidates.
 
 No drawing is compared with the whole image; that a figure holds one, stage 2 finds out.
 """
@@ -14,16 +14,16 @@ from sonarrec.recogniser.stage1 import ScoreMaps
 
 # Sides of the window, in sides of a plate: along the range a tilted one is shorter.
 WINDOW = (0.9, 0.65)
-FULL_CONTRAST = 1.4  # sigmas of the frame's grey levels over the surroundings that score 1
-# Inside a drawing, levels between a third and two thirds of a side differ; of those of a plate
-# that is all bright or of a fish, hardly. Sigmas of the frame that count in full.
-FULL_INNER = 0.25
 LEAST_SEEN = 0.7  # of the window inside the fan
+# A drawing's levels differ between a tenth and half of a side. So many sigmas of the frame's grey
+# levels, with those by which the whole is brighter than its surroundings, score 1; plates have .7
+# to 1.9.
+FULL_CONTRAST = 1.7
 FINE_SHARE, BROAD_SHARE = 1 / 10, 1 / 2
 
 
 class PlateScore:
-    """A plate-sized window's brightness over its surroundings, where it is uneven inside."""
+    """How uneven a plate-sized window is inside, and how bright over its surroundings."""
 
     def __init__(self, plane: Plane) -> None:
         side = 2 * plane.axes[0]
@@ -41,10 +41,10 @@ class PlateScore:
     ) -> ScoreMaps:
         """As of `Detector`."""
         fine, broad = (cv2.blur(relief, (size, size)) for size in self._sizes)
-        inner = np.sqrt(np.maximum(self._mean((fine - broad) ** 2), 0)) / (FULL_INNER * sigma)
-        score = self._mean(relief) / (FULL_CONTRAST * sigma) * np.minimum(inner, 1)
+        inner = np.maximum(self._mean((fine - broad) ** 2), 0)
+        bright = np.maximum(self._mean(relief), 0)
+        score = np.sqrt(inner + bright**2) / np.float32(FULL_CONTRAST * sigma)
         # Of plateaus the middle is the candidate.
-        score = np.maximum(score, 0).astype(np.float32)
         peaks = np.asarray(cv2.GaussianBlur(score, (0, 0), self._sizes[0]), np.float32)
         return ScoreMaps(score, peaks, score, np.full((1, 1), sigma, np.float32))
 

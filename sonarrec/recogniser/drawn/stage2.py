@@ -14,15 +14,19 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage, IntArray
 from sonarrec.nouns import Groups, Selection
+from sonarrec.recogniser.drawn.drawings import Drawing
 from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
 from sonarrec.recogniser.plane import Plane
 
-LEAST_MATCH = 0.55  # of a picture with its drawing: noise reaches .5
+# Least correlation of a picture with its drawing where any pose was tried, and near that of the
+# frame before: noise reaches .56 and .40.
+LEAST_MATCH, LEAST_NEAR = 0.57, 0.48
 LOST_FRAMES = 12  # without a picture; then the pose is looked for anew
-# A pose is looked for in a track's first FIRST frames, then in every OFTEN-th while none is sure.
-FIRST, OFTEN, SURE_MATCH = 4, 6, 0.75
+# A pose is looked for FIRST times in a track's first frames, then in every OFTEN-th while none is
+# sure.
+FIRST, OFTEN, SURE_MATCH = 3, 8, 0.75
 BETTER = 0.04  # by how much another pose must match better, to be taken instead
-SEARCHES = 1  # in one frame, at most
+SEARCHES = 2  # in one frame, at most
 OWN = 0.4  # halves of a side: fits nearer than this are one plate
 EXPLAINED = 1.5  # halves of a side: what lies nearer to a plate's middle is no other plate
 PEAK = 0.25  # halves of a side, of the score of a plate that was found
@@ -40,6 +44,8 @@ class _Plate:
     began: int
     """How often its pose was looked for and changed: each time another picture begins."""
     missed: int = 0
+    other: Drawing | None = None
+    """The next best drawing."""
 
 
 class Plates:
@@ -49,16 +55,28 @@ class Plates:
         self._fitter, self._plane = fitter, plane
         self._plates: dict[int, _Plate] = {}
         self._ages: dict[int, int] = {}
+        self._searched: dict[int, int] = {}
 
     def follow(self, image: FloatImage) -> None:
         """Fit every known plate in the next frame."""
         for plate in self._plates.values():
-            fit = self._fitter.near(image, plate.fit)
-            plate.seen = fit.match >= LEAST_MATCH and self._share(fit.pose) >= SHOWN
+            fit = self._fitter.near(image, plate.fit, plate.other)
+            plate.seen = fit.match >= LEAST_NEAR and self._share(fit.pose) >= SHOWN
             plate.missed = 0 if plate.seen else plate.missed + 1
             if plate.seen:
+                plate.began += (fit.row, fit.way) != (plate.fit.row, plate.fit.way)
                 plate.fit = fit
-        self._plates = {n: p for n, p in self._plates.items() if p.missed <= LOST_FRAMES}
+        # Plates do not overlap: of two the better fit stays.
+        kept: dict[int, _Plate] = {}
+        for number, plate in sorted(self._plates.items(), key=lambda item: -item[1].fit.match):
+            middle = plate.fit.pose[:2, None]
+            hidden = any(
+                other.seen and self._halves_off(other.fit, middle)[0] < EXPLAINED
+                for other in kept.values()
+            )
+            if plate.missed <= LOST_FRAMES and not hidden:
+                kept[number] = plate
+        self._plates = kept
 
     def lead(self, selection: Selection) -> Selection:
         """Stage 1's selection, with the plates that were found as candidates."""
@@ -67,7 +85,7 @@ class Plates:
             return selection
         score, positions = selection.score_map.copy(), selection.positions
         others = np.ones(len(positions), bool)
-        for fit in seen:
+        for fit in reversed(seen):  # the best last
             self._explain(score, fit)
             others &= self._halves_off(fit, positions.T) > EXPLAINED
         middles = np.array([fit.pose[:2] for fit in seen])
@@ -83,13 +101,13 @@ class Plates:
         numbers = groups.numbers.tolist()
         self._ages = {n: self._ages.get(n, -1) + 1 for n in numbers}
         self._plates = {n: self._plates[n] for n in numbers if n in self._plates}
-        searches = 0
-        for number, position in zip(numbers, groups.positions, strict=True):
-            plate, age = self._plates.get(number), self._ages[number]
-            sure = plate is not None and plate.seen and plate.fit.match >= SURE_MATCH
-            if searches < SEARCHES and (age < FIRST or (not sure and age % OFTEN == 0)):
-                searches += 1
-                self._search(image, number, position if plate is None else plate.fit.pose[:2])
+        self._searched = {n: self._searched.get(n, 0) for n in numbers}
+        place = dict(zip(numbers, groups.positions, strict=True))
+        waiting = sorted((self._searched[n], n) for n in numbers if self._wanting(n))
+        for _, number in waiting[:SEARCHES]:
+            self._searched[number] += 1
+            plate = self._plates.get(number)
+            self._search(image, number, place[number] if plate is None else plate.fit.pose[:2])
         positions, spread = groups.positions.copy(), groups.spread.copy()
         shown = np.zeros(len(numbers), bool)
         for i, number in enumerate(numbers):
@@ -103,12 +121,21 @@ class Plates:
         plates = [self._plates.get(n) for n in groups.numbers.tolist()]
         return [(p.fit, p.began) if p is not None and p.seen else None for p in plates]
 
-    def believe(self, numbers: IntArray, drawings: Sequence[tuple[int, int] | None]) -> None:
-        """Follow each group by the drawing, (row, way), that its averaged picture matches best."""
-        for number, drawing in zip(numbers.tolist(), drawings, strict=True):
-            if drawing is not None:
-                plate = self._plates[number]
-                plate.fit = replace(plate.fit, row=drawing[0], way=drawing[1])
+    def believe(
+        self, numbers: IntArray, best_two: Sequence[tuple[Drawing, Drawing] | None]
+    ) -> None:
+        """Follow each group by the drawing, (row, way), that its averaged picture matches best, and
+        compare that with the next best."""
+        for number, drawings in zip(numbers.tolist(), best_two, strict=True):
+            if drawings is not None:
+                plate, ((row, way), plate.other) = self._plates[number], drawings
+                plate.fit = replace(plate.fit, row=row, way=way)
+
+    def _wanting(self, number: int) -> bool:
+        """Whether the pose of a group's plate is to be looked for."""
+        plate = self._plates.get(number)
+        sure = plate is not None and plate.seen and plate.fit.match >= SURE_MATCH
+        return self._searched[number] < FIRST or (not sure and self._ages[number] % OFTEN == 0)
 
     def _search(self, image: FloatImage, number: int, place: FloatArray) -> None:
         fit, plate = self._fitter.search(image, place), self._plates.get(number)

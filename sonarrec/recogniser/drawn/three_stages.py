@@ -8,6 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.config import Config
 from sonarrec.landmarks import DrawnSet
 from sonarrec.nouns import Fan, Frame, FrameResult, Selection
@@ -17,7 +18,7 @@ from sonarrec.recogniser.drawn.drawings import Drawings
 from sonarrec.recogniser.drawn.pose import PoseFitter
 from sonarrec.recogniser.drawn.stage1 import PlateScore
 from sonarrec.recogniser.drawn.stage2 import Plates
-from sonarrec.recogniser.drawn.stage3 import PlateMeasurement, PlateModel
+from sonarrec.recogniser.drawn.stage3 import PlateEvidence, PlateMeasurement, built_in_model
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
@@ -63,7 +64,7 @@ class DrawnStages:
         self._measurement = PlateMeasurement(
             drawings,
             fitter,
-            PlateModel(np.array([-20.0, 20.0, 40.0])),
+            built_in_model(),
             features.memory_frames,
             continuity.remember_frames,
         )
@@ -93,6 +94,7 @@ class DrawnStages:
         known = motion if motion is not None and motion.known else None
         groups = self._continuity.step(self._plates.lead(selection), known)
         groups = self._plates.join(image, groups)
+        self._continuity.centre(groups)
         sight = self._plane.line_of_sight(groups.positions)
         evidence, drawings = self._measurement.gather(groups, self._plates.of(groups), sight)
         self._plates.believe(groups.numbers, drawings)
@@ -112,4 +114,18 @@ class DrawnStages:
         """Feature estimation: which drawing is on each plate?"""
         batch = Batch(frames)
         beliefs = self._measurement.beliefs(batch.groups, batch.evidence)
-        return batch.results([], self._estimates.of_groups(self._method, batch, beliefs))
+        estimates = self._estimates.of_groups(self._method, batch, beliefs)
+        assert isinstance(batch.evidence, PlateEvidence)
+        corners = batch.evidence.corners
+        polar = np.stack(self._plane.to_polar(corners[..., 0], corners[..., 1]), axis=2)
+        with_corners = [
+            estimate if np.isnan(of_plate).any() else replace(estimate, corners=_from_far(of_plate))
+            for estimate, of_plate in zip(estimates, polar, strict=True)
+        ]
+        return batch.results([], with_corners)
+
+
+def _from_far(corners: FloatArray) -> FloatArray:
+    """(4, 2) corners, with the two of the far edge first. corners: range first."""
+    edges = corners[:, 0] + np.roll(corners[:, 0], -1)
+    return np.roll(corners, -int(edges.argmax()), axis=0)
