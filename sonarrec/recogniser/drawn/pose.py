@@ -37,7 +37,7 @@ NEAR = 2
 STARTS = 6  # of the poses tried, those that are refined
 # Singular values over half a side: least and most of the larger, least of the smaller.
 BOUNDS = {"free": (0.88, 1.14, 0.28), "floor": (0.92, 1.08, 0.92)}
-SWITCH = 0.03  # by how much another ID must match better from frame to frame, to be taken instead
+SWITCH = 0.015  # by how much another ID must match better from frame to frame, to be taken instead
 ROUNDS, NEAR_ROUNDS = 12, 6  # of refinement
 MOST_STEP = 0.15  # halves of a side, in one round
 RIDGE = 1e-2  # share of the mean curvature: holds what a drawing says nothing of
