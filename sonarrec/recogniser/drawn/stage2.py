@@ -30,6 +30,7 @@ SEARCHES = 2  # in one frame, at most
 OWN = 0.4  # halves of a side: fits nearer than this are one plate
 EXPLAINED = 1.5  # halves of a side: what lies nearer to a plate's middle is no other plate
 PEAK = 0.25  # halves of a side, of the score of a plate that was found
+MOST_SMEAR = 0.15  # halves of a side, of an echo's sigma: then beams are a sixth of a side wide
 SHOWN = 0.8  # least share of a plate inside the fan
 POSE_SPREAD = 0.06  # of a fitted middle, in sides
 
@@ -61,7 +62,7 @@ class Plates:
         """Fit every known plate in the next frame."""
         for plate in self._plates.values():
             fit = self._fitter.near(image, plate.fit, plate.other)
-            plate.seen = fit.match >= LEAST_NEAR and self._share(fit.pose) >= SHOWN
+            plate.seen = self._shows(fit, LEAST_NEAR)
             plate.missed = 0 if plate.seen else plate.missed + 1
             if plate.seen:
                 plate.began += (fit.row, fit.way) != (plate.fit.row, plate.fit.way)
@@ -139,7 +140,7 @@ class Plates:
 
     def _search(self, image: FloatImage, number: int, place: FloatArray) -> None:
         fit, plate = self._fitter.search(image, place), self._plates.get(number)
-        if fit.match < LEAST_MATCH or self._share(fit.pose) < SHOWN:
+        if not self._shows(fit, LEAST_MATCH):
             return
         others = [p.fit.pose[:2] for n, p in self._plates.items() if n != number]
         near = OWN * self._plane.axes[0]
@@ -150,10 +151,11 @@ class Plates:
         elif not plate.seen or fit.match > plate.fit.match + BETTER:
             self._plates[number] = _Plate(fit, seen=True, began=plate.began + 1)
 
-    def _share(self, pose: FloatArray) -> float:
-        """Share of a plate inside the fan."""
-        inside = self._fitter.sampled(self._plane.inside, pose)
-        return float(inside.mean())
+    def _shows(self, fit: Fit, least: float) -> bool:
+        """Whether a fit matches well enough, inside the fan, where beams resolve its drawing."""
+        if fit.match < least or max(self._fitter.smear(fit.pose)) > MOST_SMEAR:
+            return False
+        return float(self._fitter.sampled(self._plane.inside, fit.pose).mean()) >= SHOWN
 
     def _explain(self, score: FloatImage, fit: Fit) -> None:
         """Put a plate's match into a score map, a peak in its middle, in place of what is there."""
