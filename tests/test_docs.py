@@ -242,6 +242,7 @@ def test_help_as_html(tmp_path: Path) -> None:
     for name, text in files.items():
         links = re.findall(r' (?:href|src|action)="(.*?)"', text)
         assert {link.partition(".html")[0] for link in links} <= set(files), name
+        assert not re.search(r"sonarrec help\s+[a-z]+</code>", text), name
         assert "`" not in re.sub(r"<script>.*", "", text, flags=re.DOTALL), name
     assert sum(map(len, files.values())) < 10**6
     found, _ = json.JSONDecoder().raw_decode(files["index"].partition("const found = ")[2])

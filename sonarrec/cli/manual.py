@@ -148,4 +148,4 @@ def _inline(text: str) -> str:
     """Text with its code marked, and links to the pages that it names."""
     marked = _CODE.sub(r"<code>\1</code>", html.escape(text, quote=False))
     known = "|".join(page_texts())
-    return re.sub(rf"sonarrec help ({known})\b", r'sonarrec help <a href="\1.html">\1</a>', marked)
+    return re.sub(rf"(sonarrec help\s+)({known})\b", r'\1<a href="\2.html">\2</a>', marked)
