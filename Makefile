@@ -5,7 +5,7 @@ SAMPLES := sample_data
 SAMPLE := $(SAMPLES)/pan
 
 .PHONY: test test-slow test-all lint demo bench bound fuzz paper scenes pictures stated worlds ablation study speeds maps model \
-	regression results kills scale scoring clean
+	transfer regression results kills scale scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -86,6 +86,9 @@ maps: .venv/installed  # maps of simulated vehicle runs, and what they do for th
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
 	$(BIN)/python -m tests.studies.learning.built_in
+
+transfer: .venv/installed  # features of stage 3, in kinds of world they were not learned from
+	$(BIN)/python -m tests.studies.transfer --record transfer
 
 results: .venv/installed  # RESULTS.md from the studies' files; marks what is stale
 	$(BIN)/python -m tests.studies.results

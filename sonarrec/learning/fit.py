@@ -12,7 +12,6 @@ import numpy.typing as npt
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
 from sonarrec.learning.samples import Samples
-from sonarrec.recogniser.stage3.description import FEATURES
 from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model, smeared_share
 
 KNOTS = 8  # of a curve, at quantiles of what was seen
@@ -50,7 +49,7 @@ def fit(
             f"{total} tracks in frames hold {what}; a model is learned from landmarks and others"
         )
     if prior is None:
-        features = np.concatenate([r.features.reshape(-1, len(FEATURES)) for r in labelled])
+        features = np.concatenate([r.features.reshape(-1, r.features.shape[2]) for r in labelled])
         shares = np.linspace(0.01, 0.99, KNOTS)
         knots = tuple(np.unique(np.quantile(values, shares).round(2)) for values in features.T)
         penalty = np.kron(np.eye(2), _penalty(knots))

@@ -46,7 +46,7 @@ FAN = make_fan(512)
 PLANE = FloorPlane(FAN, BASIN.radius_m, 15.0)
 SAMPLER = ShapeSampler(BASIN, PLANE.axes)
 LINES = len(SAMPLER.radii)
-DESCRIBE = Describer(SAMPLER.bands, SAMPLER.radii, BASIN, alike=0.45)
+DESCRIBE = Describer(SAMPLER.bands, SAMPLER.radii, BASIN, correlation_length=0.45)
 SURE = np.full(3, 0.9)  # that the objects exist
 SHARP = np.zeros(3)  # beams that smear nothing
 
@@ -179,7 +179,7 @@ def test_turning_a_disc_turns_the_answer_and_leaves_the_features(seed, turn):
     np.testing.assert_allclose(turned.features[..., ~rival], still.features[..., ~rival], atol=1e-6)
     np.testing.assert_allclose(turned.features[..., rival], still.features[..., rival], atol=0.05)
     period = np.array([ANGLES, ANGLES // 2, ANGLES, ANGLES])
-    off = (turned.turn - still.turn - turn + period / 2) % period - period / 2
+    off = (turned.rotation - still.rotation - turn + period / 2) % period - period / 2
     np.testing.assert_allclose(off, 0, atol=1e-6)
 
 
@@ -195,7 +195,7 @@ def test_what_was_never_seen_does_not_matter_and_order_does_not(seed):
     order = np.array([2, 0, 1])
     again = DESCRIBE(average[order], count[order], SURE, SHARP)
     np.testing.assert_allclose(again.features, known.features[order], atol=1e-12)
-    np.testing.assert_allclose(again.turn, known.turn[order])
+    np.testing.assert_allclose(again.rotation, known.rotation[order])
 
 
 def test_nothing_seen_at_all_and_no_objects_give_numbers_and_no_warning():
@@ -252,7 +252,7 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
     assert named["bright_over_ring"] == pytest.approx(0, abs=0.2)
     best = found.features[0, :, FEATURES.index("correlation")].argmax()
     assert best == landmark - 1
-    turn = found.turn[0, landmark - 1] % (18 if landmark == 2 else 36)
+    turn = found.rotation[0, landmark - 1] % (18 if landmark == 2 else 36)
     assert turn == pytest.approx(7, abs=1e-6)
 
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.stage3.expected_symbol import (
+    CELL_NOISE_SHARE,
+    ILLUMINATION_LENGTH,
+    ILLUMINATION_SHARE,
     LEAST_SHOWN,
-    LIGHT,
-    LIGHT_ALIKE,
     MISFIT,
-    OWN,
     PIXEL,
     SMEAR_STEP,
     STEADY,
@@ -26,19 +26,21 @@ from tests.support.drawn import SECTORS, cross_pattern, disc_pattern, smeared_ma
 
 BASIN = load_landmarks("basin")
 SAMPLER = ShapeSampler(BASIN, (12.0, 12.0))
-ALIKE = 0.45
-EXPECTED = ExpectedSymbols(BASIN, SAMPLER.radii, SAMPLER.bands, ALIKE)
+CORRELATION_LENGTH = 0.45
+EXPECTED = ExpectedSymbols(BASIN, SAMPLER.radii, SAMPLER.bands, CORRELATION_LENGTH)
 LINES = len(SAMPLER.radii)
 # Of the cells that take part: where they lie, the levels that are left free, and the noise.
-PLACE = (
+POSITION = (
     SAMPLER.radii[EXPECTED.lines, None] * np.exp(1j * (np.arange(ANGLES) + 0.5) * STEP)
 ).ravel()
-LEVELS = np.stack([np.abs(PLACE) > BASIN.ring[0], np.abs(PLACE) < BASIN.ring[0]]).astype(float)
-APART = np.abs(PLACE[:, None] - PLACE)
+LEVELS = np.stack([np.abs(POSITION) > BASIN.ring[0], np.abs(POSITION) < BASIN.ring[0]]).astype(
+    float
+)
+DISTANCE = np.abs(POSITION[:, None] - POSITION)
 COVARIANCE = (
-    np.exp(-APART / ALIKE)
-    + LIGHT * np.exp(-APART / LIGHT_ALIKE)
-    + np.diag(OWN * SAMPLER.radii[EXPECTED.lines].mean() / np.abs(PLACE))
+    np.exp(-DISTANCE / CORRELATION_LENGTH)
+    + ILLUMINATION_SHARE * np.exp(-DISTANCE / ILLUMINATION_LENGTH)
+    + np.diag(CELL_NOISE_SHARE * SAMPLER.radii[EXPECTED.lines].mean() / np.abs(POSITION))
 )
 
 
@@ -145,7 +147,7 @@ def test_it_is_the_correlation_of_generalised_least_squares(
         both = np.column_stack([level, shown])
         explained = 1 - beyond(values, both) / beyond(values, level)
         # Of an ID of which less than a tenth of the evidence has shown nothing is said.
-        whole, *levels = whitened(np.ones(len(PLACE), bool), symbol, *LEVELS)
+        whole, *levels = whitened(np.ones(len(POSITION), bool), symbol, *LEVELS)
         expected = np.sign(np.linalg.lstsq(both, values, rcond=None)[0][2]) * np.sqrt(explained)
         if beyond(shown, level) <= LEAST_SHOWN * beyond(whole, np.column_stack(levels)):
             expected = 0.0
@@ -165,12 +167,12 @@ def test_structure_is_what_broad_patterns_fit_of_what_the_id_leaves(
     seen = np.roll(np.arange(ANGLES) >= hidden, seed % ANGLES) & np.ones((LINES, 1), bool)
     found = fit(matrix, smear, seen)
     of = seen[EXPECTED.lines].ravel()
-    radius = np.abs(PLACE) / BASIN.symbol[1]
-    waves = np.exp(1j * np.arange(WAVES + 1)[:, None] * np.angle(PLACE)) * (radius < 1)
+    radius = np.abs(POSITION) / BASIN.symbol[1]
+    waves = np.exp(1j * np.arange(WAVES + 1)[:, None] * np.angle(POSITION)) * (radius < 1)
     patterns = np.concatenate([waves.real, waves.imag[1:]])
     patterns = np.concatenate([patterns, patterns * radius**2])
     for k in range(4):
-        symbol = expected_cells(k, int(found.turn[0, k]), smear)
+        symbol = expected_cells(k, int(found.rotation[0, k]), smear)
         values, shown, *rest = whitened(
             of, matrix[EXPECTED.lines].ravel(), symbol, *LEVELS, *patterns
         )
@@ -191,7 +193,7 @@ def test_noise_alone_has_no_structure_and_a_symbol_of_no_id_has() -> None:
     twelfths of the circle are no rivals: what the nearest ID leaves of them shows."""
     rng = np.random.default_rng(7)
     seen = np.ones((200, len(EXPECTED.lines), ANGLES), bool)
-    drawn = np.linalg.cholesky(COVARIANCE) @ rng.normal(size=(len(PLACE), 200))
+    drawn = np.linalg.cholesky(COVARIANCE) @ rng.normal(size=(len(POSITION), 200))
     noise = drawn.T.reshape(seen.shape)
     alone = EXPECTED.fit(20 * noise, seen, np.zeros(200)).structure
     assert np.exp(alone).mean() == pytest.approx(1, abs=0.1)

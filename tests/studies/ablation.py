@@ -89,7 +89,9 @@ ABLATIONS = {
         code={"plane.FloorPlane.line_of_sight": straight_ahead}
     ),
     "cells of a symbol taken for independent": Ablation(("features.alike_radii=0",)),
-    "discs taken for evenly lit": Ablation(code={f"{_STAGE3}.expected_symbol.LIGHT": 0.0}),
+    "discs taken for evenly lit": Ablation(
+        code={f"{_STAGE3}.expected_symbol.ILLUMINATION_SHARE": 0.0}
+    ),
     "symbols as drawn, not as the beam smears them": Ablation(("features.beam_width_deg=0.01",)),
     "each frame's belief, not the pool of the track's": Ablation(
         code={f"{_STAGE3}.opinions.NOW": 1.0, f"{_STAGE3}.opinions.SO_FAR": 0.0}

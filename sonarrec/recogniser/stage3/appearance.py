@@ -58,7 +58,7 @@ class AppearanceMeasurement:
         self._plane = plane
         self._matrix = TrackMatrix(config.memory_frames, len(sampler.radii))
         self._describe = Describer(
-            sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
+            sampler.bands, sampler.radii, landmarks, correlation_length=config.alike_radii
         )
         self._model = model
         self._belief = TrackBelief(len(landmarks.ids), remember_frames)
@@ -82,7 +82,9 @@ class AppearanceMeasurement:
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
         earned = evidence.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
         earned &= tracked.in_view
-        return Beliefs(probabilities, description.turn[at], description.turn_sigma[at], earned)
+        return Beliefs(
+            probabilities, description.rotation[at], description.rotation_sigma[at], earned
+        )
 
     def _smear(self, positions: FloatArray) -> FloatArray:
         """(n,) the beam's standard deviation across the line of sight, in disc radii.

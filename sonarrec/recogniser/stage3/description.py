@@ -52,7 +52,7 @@ BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
 # Column by column, 1 over each quarter turn.
 QUARTERS = np.stack([np.roll(np.arange(ANGLES) < ANGLES // 4, i) for i in range(ANGLES)], 1) * 1.0
-TURN_SIGMA = 0.12  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
+ROTATION_SIGMA = 0.12  # scale of the standard error; tuning seeds, checked by `make scenes`
 LIMIT = 9.0  # of every feature's magnitude
 
 
@@ -62,9 +62,9 @@ class Description:
 
     features: FloatArray
     """(n, K, F)."""
-    turn: FloatArray
+    rotation: FloatArray
     """(n, K) the rotation that fits best, in steps."""
-    turn_sigma: FloatArray
+    rotation_sigma: FloatArray
     """(n, K) its standard error, in steps."""
 
 
@@ -100,18 +100,18 @@ class _Parts:
         member = member * np.sin(np.pi * (place % 1))[:, None]  # (ANGLES, parts)
         self._cells = member.sum(axis=0)
         # (ANGLES, ANGLES x parts)
-        turned = np.stack([np.roll(member, turn, axis=0) for turn in range(ANGLES)], axis=1)
+        turned = np.stack([np.roll(member, rotation, axis=0) for rotation in range(ANGLES)], axis=1)
         self._member = turned.reshape(ANGLES, -1)
 
     def levels(
-        self, symbol: FloatArray, weight: FloatArray, turn: IndexArray
+        self, symbol: FloatArray, weight: FloatArray, rotation: IndexArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Mean level of every part for every ID's turn, and whether enough of it has shown.
+        """Mean level of every part for every ID's rotation, and whether enough of it has shown.
 
-        symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K, parts).
+        symbol, weight: (m, n, ANGLES). rotation: (n, K). Returns (m, n, K, parts).
         """
         shape = (*symbol.shape, len(self._cells))
-        turned = (slice(None), np.arange(len(turn))[:, None], turn)
+        turned = (slice(None), np.arange(len(rotation))[:, None], rotation)
         share = (weight @ self._member).reshape(shape)[turned]
         level = ((symbol * weight) @ self._member).reshape(shape)[turned]
         full = weight.max(axis=-1)[..., None, None] * self._cells
@@ -122,9 +122,9 @@ class Describer:
     """Describes averaged shape matrices under every ID of one landmark set."""
 
     def __init__(
-        self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet, alike: float
+        self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet, correlation_length: float
     ) -> None:
-        """bands, radii: of the lines, from ShapeSampler. alike: as ExpectedSymbols."""
+        """bands, radii: of the lines, from ShapeSampler. correlation_length: as ExpectedSymbols."""
         self._starts = [b.start for b in (bands.symbol, bands.ring, bands.gap, bands.outer)]
         self._step_lines = slice(bands.symbol.start + 1, bands.symbol.stop)
         # A line stands for its part of the disc's area; the innermost is little more than a point.
@@ -132,7 +132,7 @@ class Describer:
         codes = turned_codes(landmarks)
         # As a beam sees them: sector edges smeared over a step.
         self._codes = 0.5 * codes + 0.25 * (codes[..., BEFORE] + codes[..., AFTER])
-        self._expected = expected_symbols(landmarks, alike)
+        self._expected = expected_symbols(landmarks, correlation_length)
         # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
         self._edges = codes[..., AFTER] - codes[..., BEFORE]
         table = np.asarray(landmarks.sectors, dtype=bool)
@@ -153,24 +153,26 @@ class Describer:
         bands = self._bands(average, count)
         lines = self._expected.lines
         fit = self._expected.fit(average[:, lines], count[:, lines] > 0, smear)
-        turn = fit.turn  # (n, K)
-        best = fit.correlation[np.arange(len(turn))[:, None], turn, np.arange(turn.shape[1])]
+        rotation = fit.rotation  # (n, K)
+        best = fit.correlation[
+            np.arange(len(rotation))[:, None], rotation, np.arange(rotation.shape[1])
+        ]
         # (n, K), or (n,) where it is the same of every ID
         values = {
             "correlation": best,
             "rival_misfit": np.log(_unexplained(best) / _unexplained(fit.rival)[:, None]),
             "structure": fit.structure,
-            **self._of_symbol(average, count, bands, turn),
+            **self._of_symbol(average, count, bands, rotation),
             **_of_ring(bands, frames),
             "log_frames": np.log(frames),
             "existence": np.log(existence / (1 - existence)),
         }
-        features = np.empty((*turn.shape, len(FEATURES)))
+        features = np.empty((*rotation.shape, len(FEATURES)))
         for i, name in enumerate(FEATURES):
             value = values[name]
             features[:, :, i] = value if value.ndim == 2 else value[:, None]
-        exact, turn_sigma = _exact_turn(fit.correlation, turn, best)
-        return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
+        exact, rotation_sigma = _exact_rotation(fit.correlation, rotation, best)
+        return Description(np.clip(features, -LIMIT, LIMIT), exact, rotation_sigma)
 
     def _bands(self, average: FloatArray, count: FloatArray) -> _BandAverages:
         """The matrices' bands: the mean over each one's lines, and how often cells were seen."""
@@ -180,16 +182,16 @@ class Describer:
         return _BandAverages(profiles, weights, _level(profiles, weights))
 
     def _of_symbol(
-        self, average: FloatArray, count: FloatArray, bands: _BandAverages, turn: IndexArray
+        self, average: FloatArray, count: FloatArray, bands: _BandAverages, rotation: IndexArray
     ) -> dict[str, FloatArray]:
-        """The features of the symbol, each (n, K), under each ID at its best turn (n, K).
+        """The features of the symbol, each (n, K), under each ID at its best rotation (n, K).
 
         average, count: (n, L, ANGLES), the count weighted by the cells' area.
         """
         symbol, _, gap, outer = bands.profiles
         weight, _, gap_weight, outer_weight = bands.weights
         gap_level = bands.levels[2]
-        ids = np.arange(turn.shape[1])
+        ids = np.arange(rotation.shape[1])
         # The symbol counted from the gap's level, locally, and from the floor: (3, n, ANGLES).
         floor = 0.5 * outer + 0.25 * (outer[:, BEFORE] + outer[:, AFTER])
         counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
@@ -197,13 +199,13 @@ class Describer:
         dark, steps, textures = _regress(
             np.concatenate([counted[0][:, None], average[:, self._step_lines]], axis=1),
             np.concatenate([weight[:, None], count[:, self._step_lines]], axis=1),
-            self._codes[turn, ids],
+            self._codes[rotation, ids],
         )
         dark, step, texture = dark[..., 0], steps[..., 0], textures[..., 0]
-        level, shown = self._in_sector.levels(counted, known, turn)
+        level, shown = self._in_sector.levels(counted, known, rotation)
         brightest_dark = _most(level, shown & ~self._sectors)
-        half, half_shown = self._in_half.levels(counted[1:2], known[1:2], turn)
-        edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, ids])
+        half, half_shown = self._in_half.levels(counted[1:2], known[1:2], rotation)
+        edge, weakest_edge = _steepness(symbol, weight, self._edges[rotation, ids])
         over_ring = dark + step - bands.ring_over_gap[:, None]
         share = 1 / bands.contrast[:, None]
         return {
@@ -254,18 +256,18 @@ def _most(level: FloatArray, among: BoolArray) -> FloatArray:
     return np.where(np.isfinite(most), most, 0.0)
 
 
-def _exact_turn(
-    correlation: FloatArray, turn: IndexArray, best: FloatArray
+def _exact_rotation(
+    correlation: FloatArray, rotation: IndexArray, best: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, K) the turn to a part of a step, and its standard error.
+    """(n, K) the rotation to a part of a step, and its standard error.
 
-    correlation: (n, ANGLES, K). turn, best: (n, K) the whole step where it is greatest, and how
+    correlation: (n, ANGLES, K). rotation, best: (n, K) the whole step where it is greatest, and how
     great it is there.
     """
-    exact, bend = _peak(correlation, turn)
+    exact, bend = _peak(correlation, rotation)
     # As in any least-squares fit: the noise that is left, over the root of the curvature.
     noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
-    return exact, TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
+    return exact, ROTATION_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
 
 
 def _regress(
@@ -304,17 +306,17 @@ def _steepness(
     return mean, np.where(count > 0, least, 0.0)
 
 
-def _peak(correlation: FloatArray, turn: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """(n, K) the maximum of (n, ANGLES, K) near a whole turn, and how sharply it bends there.
+def _peak(correlation: FloatArray, rotation: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """(n, K) the maximum of (n, ANGLES, K) near a whole step, and how sharply it bends there.
 
     A parabola through three samples, each the mean of three: sector edges make the very top flat.
     """
-    near = (turn + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
-    values = correlation[np.arange(len(turn))[:, None], near, np.arange(turn.shape[1])]
+    near = (rotation + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
+    values = correlation[np.arange(len(rotation))[:, None], near, np.arange(rotation.shape[1])]
     before, here, after = ((values[i] + values[i + 1] + values[i + 2]) / 3 for i in range(3))
     bend = 2 * here - before - after
     part = np.where(bend > 1e-6, 0.5 * (after - before) / np.maximum(bend, 1e-6), 0.0)
-    return turn + np.clip(part, -0.5, 0.5), bend
+    return rotation + np.clip(part, -0.5, 0.5), bend
 
 
 def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:

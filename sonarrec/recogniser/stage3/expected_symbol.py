@@ -40,21 +40,21 @@ PIXEL = 0.05  # sigma of a pixel's blur in any direction, in disc radii
 _THREE = np.sqrt(3) * np.array([-1, 0, 1])
 _THREE_SHARE = np.array([1, 4, 1]) / 6
 BEAM_POINT = 0.08  # a beam is summed over points no farther apart than this, in disc radii
-# The noise's variances, as shares of that of the correlated noise (speckle and the like). OWN: of a
-# cell alone, for the mean cell's area (0.1 does as well on tuning seeds, as do correlation lengths
-# of 0.3 or 0.6). LIGHT: of light and shade, with their correlation length (1/e, in disc radii).
-OWN = 0.3
-LIGHT, LIGHT_ALIKE = 1.0, 2.0
-# Rivals have so many sectors, each bright or dark, and differ from every ID at every turn in at
-# least this share of the circle. Of a disc that is partly hidden only the MOST_RIVALS best are
-# compared exactly.
+# The noise's variances, as shares of that of the correlated noise (speckle and the like): of a cell
+# alone, for the mean cell's area, and of light and shade, with their correlation length (1/e, in
+# disc radii). On tuning seeds 0.1 of a cell does as well, as do correlation lengths of 0.3 or 0.6.
+CELL_NOISE_SHARE = 0.3
+ILLUMINATION_SHARE, ILLUMINATION_LENGTH = 1.0, 2.0
+# Rivals have so many sectors, each bright or dark, and differ from every ID at every rotation
+# in at least this share of the circle. Of a disc that is partly hidden only the MOST_RIVALS best
+# are compared exactly.
 RIVAL_SECTORS = 8
-LEAST_UNLIKE = 0.12
+LEAST_DIFFERENCE = 0.12
 MOST_RIVALS = 48
 # A cross is a rival too: half the width of its arms, and where they begin, in disc radii. It looks
 # the same after a quarter turn.
 ARM, HUB = 0.07, 0.12
-CROSS_TURNS = ANGLES // 4
+CROSS_ROTATIONS = ANGLES // 4
 LEAST_SHOWN = 0.1  # share of a whole symbol's evidence; with less, correlations count as 0
 # Whitened noise is as strong in broad patterns as in fine ones. Broad are waves round the symbol of
 # up to WAVES periods. STEADY, of the patterns' mean square, lets few seen cells be solved for.
@@ -73,14 +73,14 @@ class SymbolFit:
 
     correlation: (n, ANGLES, K) with every ID at every rotation. Its square is the share of the
     whitened variation about a level that the ID explains (generalised least squares). 0 where too
-    little of the ID has shown. rival: (n,) the best with a rival. turn: (n, K) rotation at which
-    each ID fits best. structure: (n, K) at that rotation, the logarithm of the share of what the ID
+    little of the ID has shown. rival: (n,) the best with a rival. rotation: (n, K) at which each
+    ID fits best. structure: (n, K) at that rotation, the logarithm of the share of what the ID
     leaves unexplained that lies in broad patterns, over their share of the cells: 0 of noise alone.
     """
 
     correlation: FloatArray
     rival: FloatArray
-    turn: IndexArray
+    rotation: IndexArray
     structure: FloatArray
 
 
@@ -103,16 +103,16 @@ class _Products:
 class ExpectedSymbols:
     """Compares symbols, the gap and the ring round them, with what every ID of a set should show.
 
-    T symbols take part: every ID at every turn (ANGLES x K), a cross at CROSS_TURNS, and every
-    other rival at every turn. lines: which lines of the shape matrix take part.
+    T symbols take part: every ID at every rotation (ANGLES x K), a cross at CROSS_ROTATIONS, and
+    every other rival at every rotation. lines: which lines of the shape matrix take part.
     """
 
     def __init__(
-        self, landmarks: LandmarkSet, radii: FloatArray, bands: Bands, alike: float
+        self, landmarks: LandmarkSet, radii: FloatArray, bands: Bands, correlation_length: float
     ) -> None:
         """radii, bands: of the lines of the shape matrix, from ShapeSampler.
 
-        alike: correlation length (1/e) of the noise, in disc radii.
+        correlation_length: of the noise (1/e), in disc radii.
         """
         self._landmarks = landmarks
         # Of the ring, whose lines all show the same, the middle one.
@@ -120,7 +120,7 @@ class ExpectedSymbols:
         self._radii = radii[self.lines]
         self._ids = len(landmarks.ids)
         self._rivals = _rivals(landmarks)
-        self._precision = _precision(self._radii, alike, landmarks.ring[0])
+        self._precision = _precision(self._radii, correlation_length, landmarks.ring[0])
         self._broad = _broad(self._radii, landmarks.symbol[1])
         self._whitened_broad = self._precision @ self._broad
         self._of_broad = self._broad.T @ self._whitened_broad
@@ -139,7 +139,7 @@ class ExpectedSymbols:
         whitened = values @ self._precision
         steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
         ids = ANGLES * self._ids
-        symbols = np.empty((len(cells), ids + CROSS_TURNS + ANGLES * len(self._rivals)))
+        symbols = np.empty((len(cells), ids + CROSS_ROTATIONS + ANGLES * len(self._rivals)))
         for step in set(steps.tolist()):
             of = steps == step
             symbols[of] = values[of] @ self._expected(step)
@@ -155,9 +155,11 @@ class ExpectedSymbols:
         np.maximum(products.own, LEAST_VARIATION, out=products.own)
         scale = np.sqrt(products.own)[:, None]
         correlation = (symbols[:, :ids] / scale).reshape(-1, ANGLES, self._ids)
-        turn = settled(correlation).argmax(axis=1)
-        structure = self._structure(products, turn, steps, seen.sum(axis=1))
-        return SymbolFit(correlation, symbols[:, ids:].max(axis=1) / scale[:, 0], turn, structure)
+        rotation = settled(correlation).argmax(axis=1)
+        structure = self._structure(products, rotation, steps, seen.sum(axis=1))
+        return SymbolFit(
+            correlation, symbols[:, ids:].max(axis=1) / scale[:, 0], rotation, structure
+        )
 
     def _leave_out(
         self, hidden: IndexArray, products: _Products, i: int, whitened: FloatArray, steps: int
@@ -191,10 +193,10 @@ class ExpectedSymbols:
         products.of_ids[i] = of_ids / scale[:ids, None]
 
     def _structure(
-        self, products: _Products, turn: IndexArray, steps: IndexArray, seen: IndexArray
+        self, products: _Products, rotation: IndexArray, steps: IndexArray, seen: IndexArray
     ) -> FloatArray:
-        """The structure that SymbolFit states. turn: (n, K). seen: (n,) how many cells."""
-        best = turn * self._ids + np.arange(self._ids)  # among the symbols
+        """The structure that SymbolFit states. rotation: (n, K). seen: (n,) how many cells."""
+        best = rotation * self._ids + np.arange(self._ids)  # among the symbols
         of_best = np.empty((*best.shape, products.patterns.shape[1]))
         for i, step in enumerate(steps.tolist()):
             of_best[i] = products.of_ids.get(i, self._broad_in_ids(step))[best[i]]
@@ -246,62 +248,66 @@ class ExpectedSymbols:
         share = np.broadcast_to(share, radius.shape)[within]
         radius, angle = radius[within], angle[within]
         # Summed by direction from the disc's centre. Steps and sectors are both whole numbers of
-        # directions, so to turn a code is to roll it.
+        # directions, so to rotate a code is to roll it.
         sectors = np.asarray(self._landmarks.sectors, dtype=float)
         directions = math.lcm(ANGLES, RIVAL_SECTORS, sectors.shape[1])
         direction = np.mod(angle, 2 * np.pi) / (2 * np.pi) * directions
         at = cell * directions + np.minimum(direction, directions - 1).astype(int)
         by_direction = np.bincount(at, share, cells * directions).reshape(cells, directions)
-        ids, rivals = (by_direction @ _turned(c, directions).T for c in (sectors, self._rivals))
-        # The cross: what lies within its arms, at each of its turns.
+        ids, rivals = (by_direction @ _rotated(c, directions).T for c in (sectors, self._rivals))
+        # The cross: what lies within its arms, at each of its rotations.
         x, y = radius * np.cos(angle), radius * np.sin(angle)
-        turn = np.arange(CROSS_TURNS)[:, None] * STEP
-        cos, sin = np.cos(turn), np.sin(turn)
+        rotation = np.arange(CROSS_ROTATIONS)[:, None] * STEP
+        cos, sin = np.cos(rotation), np.sin(rotation)
         off_axis = np.minimum(np.abs(x * cos + y * sin), np.abs(y * cos - x * sin))
-        turns, point = np.nonzero((off_axis < ARM) & (radius >= HUB))
-        at = cell[point] * CROSS_TURNS + turns
-        cross = np.bincount(at, share[point], cells * CROSS_TURNS).reshape(cells, CROSS_TURNS)
+        rotations, point = np.nonzero((off_axis < ARM) & (radius >= HUB))
+        at = cell[point] * CROSS_ROTATIONS + rotations
+        cross = np.bincount(at, share[point], cells * CROSS_ROTATIONS).reshape(
+            cells, CROSS_ROTATIONS
+        )
         return np.concatenate([ids, cross, rivals], axis=1)
 
 
 @lru_cache(maxsize=2)
-def expected_symbols(landmarks: LandmarkSet, alike: float) -> ExpectedSymbols:
-    """The expected symbols of a set on the lines of its shape matrices. alike: as ExpectedSymbols.
+def expected_symbols(landmarks: LandmarkSet, correlation_length: float) -> ExpectedSymbols:
+    """The expected symbols of a set on the lines of its shape matrices.
 
-    Cached: logs and presets with the same set share them.
+    correlation_length: as ExpectedSymbols. Cached: logs and presets with the same set share them.
     """
     sampler = ShapeSampler(landmarks, (1.0, 1.0))  # where the lines lie does not depend on the axes
-    return ExpectedSymbols(landmarks, sampler.radii, sampler.bands, alike)
+    return ExpectedSymbols(landmarks, sampler.radii, sampler.bands, correlation_length)
 
 
 def _rivals(landmarks: LandmarkSet) -> FloatArray:
-    """(R, RIVAL_SECTORS) codes, 0 or 1, that are unlike every ID; of those that are turns of each
-    other, one."""
+    """(R, RIVAL_SECTORS) codes, 0 or 1, that differ from every ID.
+
+    Of those that are rotations of each other, one."""
     numbers = np.arange(1, 2**RIVAL_SECTORS - 1)
     codes = (numbers[:, None] >> np.arange(RIVAL_SECTORS)) & 1
-    turns = np.stack([np.roll(codes, turn, axis=1) for turn in range(RIVAL_SECTORS)])
-    values = turns @ (1 << np.arange(RIVAL_SECTORS))
+    rotations = np.stack([np.roll(codes, rotation, axis=1) for rotation in range(RIVAL_SECTORS)])
+    values = rotations @ (1 << np.arange(RIVAL_SECTORS))
     codes = codes[values.min(axis=0) == numbers]
     sectors = np.asarray(landmarks.sectors)
     directions = math.lcm(ANGLES, RIVAL_SECTORS, sectors.shape[1])
-    ids = _turned(sectors, directions)
+    ids = _rotated(sectors, directions)
     lit = np.repeat(codes, directions // RIVAL_SECTORS, axis=1)
-    unlike = np.abs(lit[:, None] - ids[None]).mean(axis=2).min(axis=1)
-    return np.asarray(codes[unlike >= LEAST_UNLIKE], float)
+    difference = np.abs(lit[:, None] - ids[None]).mean(axis=2).min(axis=1)
+    return np.asarray(codes[difference >= LEAST_DIFFERENCE], float)
 
 
-def _turned(codes: FloatArray, directions: int) -> FloatArray:
-    """(ANGLES x K, directions) of codes (K, sectors): each at every turn, turn by turn."""
+def _rotated(codes: FloatArray, directions: int) -> FloatArray:
+    """(ANGLES x K, directions) of codes (K, sectors): each at every rotation, one after another."""
     lit = np.repeat(codes, directions // codes.shape[1], axis=1)
     step = directions // ANGLES
-    return np.concatenate([np.roll(lit, turn * step, axis=1) for turn in range(ANGLES)])
+    return np.concatenate([np.roll(lit, rotation * step, axis=1) for rotation in range(ANGLES)])
 
 
 def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Where the echoes in each cell come from: distance from the centre, angle, and share.
 
     The first two are (lines, ANGLES, points), the share (points,). The points cover a pixel, along
-    the radius and round the disc so that turns stay exact, and the beam across the line of sight.
+    the radius and round the disc so that rotations stay exact, and the beam across the line of
+    sight.
     """
     half = math.ceil(2.4 * smear / BEAM_POINT)
     deviations = np.linspace(-2.4, 2.4, 2 * half + 1) if half else np.zeros(1)
@@ -342,7 +348,7 @@ def _steady_inverse(products: FloatArray) -> FloatArray:
     return np.linalg.inv(products + STEADY * np.trace(products) * np.eye(size))
 
 
-def _precision(radii: FloatArray, alike: float, ring_from: float) -> FloatArray:
+def _precision(radii: FloatArray, correlation_length: float, ring_from: float) -> FloatArray:
     """(cells, cells) inverse covariance of the noise in the cells on lines at `radii`.
 
     Two levels are left free, of the ring, which begins at `ring_from`, and of all else: the
@@ -350,10 +356,12 @@ def _precision(radii: FloatArray, alike: float, ring_from: float) -> FloatArray:
     """
     angle = (np.arange(ANGLES) + 0.5) * STEP
     x, y = (np.outer(radii, way(angle)).ravel() for way in (np.cos, np.sin))
-    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    distance = np.hypot(x[:, None] - x, y[:, None] - y)
     area = np.repeat(radii / radii.mean(), ANGLES)
-    covariance = np.exp(-apart / max(alike, 1e-6)) + LIGHT * np.exp(-apart / LIGHT_ALIKE)
-    inverse = np.linalg.inv(covariance + np.diag(OWN / area))
+    covariance = np.exp(-distance / max(correlation_length, 1e-6)) + ILLUMINATION_SHARE * np.exp(
+        -distance / ILLUMINATION_LENGTH
+    )
+    inverse = np.linalg.inv(covariance + np.diag(CELL_NOISE_SHARE / area))
     ring = np.repeat(radii > ring_from, ANGLES)
     levels = np.column_stack([ring, ~ring]).astype(float)
     known = inverse @ levels

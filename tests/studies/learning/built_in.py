@@ -5,20 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 
-import numpy as np
-
 from sonarrec.config import preset
-from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.fit import fit
-from sonarrec.learning.samples import Samples, describe, label
-from sonarrec.nouns import Frame
+from sonarrec.learning.samples import Samples, describe
 from sonarrec.recogniser.stage3.model import BUILT_IN
-from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import Scene, scene_sonar
+from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.truth import LandmarkTruth
+from tests.studies.learning.matrices import labelled, scene_frames
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 
@@ -53,25 +48,8 @@ def simulated(kind: str, seed: int) -> Samples:
 def samples_of(scene: Scene) -> Samples:
     """Samples from a simulated recording."""
     truth: list[tuple[int, LandmarkTruth]] = []
-    tracks = describe(_frames(scene, truth), preset("default"), scene.landmark_set)
-    ids = scene.landmark_set.ids
-    polar = np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)
-    return label(
-        tracks,
-        np.array([row for row, _ in truth], np.int64),
-        np.array([ids.index(t.landmark) for _, t in truth], np.int64),
-        plane_from_polar(*polar.T),
-    )
-
-
-def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Frame]:
-    """A scene's frames as a reader would give them; their truth is added to `truth`."""
-    polar = None
-    for frame in render(scene):
-        truth += [(frame.index, landmark) for landmark in frame.truth]
-        if scene.sonar.layout == "polar" and polar is None:
-            polar = PolarToFan(scene_sonar(scene).complete(scene.name), *frame.image.shape)
-        yield Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan, polar=polar)
+    tracks = describe(scene_frames(scene, truth), preset("default"), scene.landmark_set)
+    return labelled(tracks, truth)
 
 
 def make_model() -> None:

@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parent
 NOW = FOLDER / "now.toml"
 PAGE = FOLDER.parent / "RESULTS.md"
 ORDER = (
-    *("paper", "study", "scenes", "scenes_fresh", "ablation", "worlds"),
+    *("paper", "study", "scenes", "scenes_fresh", "ablation", "transfer", "worlds"),
     *("pictures", "stated", "bound", "speeds", "maps", "scale", "bench"),
 )
 """Files of this folder, as they follow each other on the page."""

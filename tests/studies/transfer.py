@@ -1,0 +1,125 @@
+"""`make transfer`: what a choice of features is worth in kinds of world it was not learned from.
+
+Whole kinds of the simulator's scenes are left out in turn; the kinds of the second renderer are
+left out together. Single frames are judged, without pooling along tracks. Shape matrices are kept
+in build/transfer, so that another description of them is tried in a minute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sonarrec.arrays import FloatArray
+from sonarrec.learning.fit import fit
+from sonarrec.learning.samples import Samples
+from sonarrec.recogniser.stage3.description import FEATURES
+from tests.studies.learning.matrices import gathered
+from tests.studies.learning.random_scenes import ALL_KINDS
+from tests.studies.learning.second_renderer import MAP_KINDS
+from tests.studies.results.record import options, save, show
+
+SEEDS = range(2000, 2004)
+"""Of the simulator's kinds; twice as many of the second renderer's."""
+FOLDS = 5
+DECLARE = 0.75
+BOLD = (0.75, 0.9)
+LEAST_LIKELY = 0.01  # a probability that is lower costs no more: else few samples decide
+FALSE_RATES = (0.001, 0.002, 0.004)  # false claims to a track in a frame
+_WITHOUT = {
+    "texture": ("texture", "texture_share"),
+    "edges": ("edge", "weakest_edge"),
+    "halves of sectors": ("weakest_bright_half_share", "strongest_dark_half_share"),
+    "rivals": ("rival_misfit",),
+    "structure": ("structure",),
+    "the ring over the floor": ("ring_over_floor",),
+}
+CANDIDATES: dict[str, tuple[str, ...]] = {
+    "all": FEATURES,
+    **{
+        f"without {what}": tuple(f for f in FEATURES if f not in names)
+        for what, names in _WITHOUT.items()
+    },
+}
+"""Names of the features of each."""
+
+
+def folds(kinds: Iterable[str]) -> list[list[str]]:
+    """The kinds that are left out together, every kind once."""
+    simulated = sorted({kind for kind in kinds if kind not in MAP_KINDS})
+    shuffled = np.random.default_rng(5).permutation(simulated).tolist()
+    return [*(shuffled[i::FOLDS] for i in range(FOLDS)), list(MAP_KINDS)]
+
+
+def left_out(samples: Sequence[tuple[str, Samples]], names: Sequence[str]) -> list[FloatArray]:
+    """Probabilities of every recording by a model that was learned from other kinds."""
+    columns = [FEATURES.index(name) for name in names]
+    few = [(kind, replace(s, features=s.features[..., columns])) for kind, s in samples]
+    found: list[FloatArray] = [np.empty(0)] * len(few)
+    for fold in folds(kind for kind, _ in few):
+        model = fit([s for kind, s in few if kind not in fold])
+        for i, (kind, s) in enumerate(few):
+            if kind in fold:
+                found[i] = model.probabilities(s.features, s.smear)
+    return found
+
+
+def figures(
+    samples: Sequence[tuple[str, Samples]], probabilities: Sequence[FloatArray]
+) -> dict[str, str]:
+    """Log loss (a mean over kinds of scene), rates, and how honest bold beliefs are."""
+    losses: dict[str, list[float]] = {}
+    belief, right, on = [], [], 0
+    for (kind, s), p in zip(samples, probabilities, strict=True):
+        true = p[np.arange(len(p)), s.label]
+        losses.setdefault(kind, []).extend(-np.log(np.maximum(true, LEAST_LIKELY)))
+        best = p[:, :-1].argmax(axis=1)
+        belief.append(p[np.arange(len(p)), best])
+        right.append(best == s.label)
+        on += int((s.label < p.shape[1] - 1).sum())
+    score, good = np.concatenate(belief), np.concatenate(right)
+    order = np.argsort(-score, kind="stable")
+    bad, hits = np.cumsum(~good[order]), np.cumsum(good[order])
+    bold, declared = (score >= BOLD[0]) & (score < BOLD[1]), score >= DECLARE
+    at = [int(np.searchsorted(bad, rate * len(score), side="right")) - 1 for rate in FALSE_RATES]
+    bins = np.minimum((score * 10).astype(int), 9)
+    gap = sum(abs((score - good)[bins == i].sum()) for i in range(10)) / len(score)
+    return {
+        "log loss": f"{np.mean([np.mean(of) for of in losses.values()]):.4f}",
+        "TPR": f"{(declared & good).sum() / on:.3f}",
+        "false": f"{(declared & ~good).sum()} of {len(score)}",
+        **{
+            f"TPR at {1000 * rate:g} of 1000": f"{hits[i] / on:.3f}"
+            for rate, i in zip(FALSE_RATES, at, strict=True)
+        },
+        "right of .75 to .9": f"{good[bold].mean():.2f} of {int(bold.sum())}",
+        "ECE": f"{gap:.3f}",
+    }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Gather what is not on disk yet, and print a table of all candidates."""
+    parser = options("transfer", __doc__, SEEDS)
+    parser.add_argument("--only", nargs="*", choices=CANDIDATES, default=list(CANDIDATES))
+    asked = parser.parse_args(arguments)
+    numbers = [*asked.seeds]
+    twice = [*numbers, *(n + len(numbers) for n in numbers)]
+    wanted = [(kind, n) for kind in ALL_KINDS for n in numbers]
+    wanted += [(kind, n) for kind in MAP_KINDS for n in twice]
+    samples = gathered(wanted, asked.out)
+    tables: dict[bool, list[dict[str, str]]] = {False: [], True: []}
+    for name in asked.only:
+        found = left_out(samples, CANDIDATES[name])
+        for by_map, table in tables.items():
+            of = [i for i, (kind, _) in enumerate(samples) if (kind in MAP_KINDS) == by_map]
+            some = figures([samples[i] for i in of], [found[i] for i in of])
+            table.append({"features": name, "number": str(len(CANDIDATES[name]))} | some)
+    show("Kinds of the simulator, each left out of learning", tables[False])
+    show("Kinds of a second renderer, all left out of learning", tables[True])
+    save(asked.record)
+
+
+if __name__ == "__main__":
+    main()
