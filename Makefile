@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLES := sample_data
 SAMPLE := $(SAMPLES)/pan
 
-.PHONY: test test-slow test-all lint demo bench bound fuzz paper scenes pictures stated worlds ablation study speeds maps model \
+.PHONY: test test-slow test-all lint demo bench bound fuzz paper scenes pictures stated worlds ablation study speeds maps model plate-model \
 	transfer regression results kills scale scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -89,6 +89,9 @@ model: .venv/installed  # the built-in appearance model, from simulated recordin
 
 transfer: .venv/installed  # features of stage 3, in kinds of world they were not learned from
 	$(BIN)/python -m tests.studies.transfer --record transfer
+
+plate-model: .venv/installed  # the built-in model of drawn plates, from simulated recordings (a minute)
+	$(BIN)/python -m tests.studies.learning.plates
 
 results: .venv/installed  # RESULTS.md from the studies' files; marks what is stale
 	$(BIN)/python -m tests.studies.results
