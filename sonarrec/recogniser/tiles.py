@@ -33,9 +33,14 @@ class Tiles:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all tiles, and remove their files."""
         self._here, self._away = {}, {}
         if self._folder is not None:
             self._folder.cleanup()
+            self._folder = None
 
     def __iter__(self) -> Iterator[Tile]:
         """All tiles that were written to."""

@@ -73,17 +73,22 @@ class Together:
         self._tracked: list[list[AfterStage2]] = []  # frames that wait for stage 3
 
     def results(
-        self, frames: Iterable[Frame], anywhere: Mapped = map, in_order: Mapped = map
+        self,
+        frames: Iterable[Frame],
+        anywhere: Mapped = map,
+        in_order: Mapped = map,
+        observe: Callable[[AfterStage1], object] = bool,
     ) -> Iterator[tuple[FrameResult, ...]]:
         """For each frame one result of each recogniser, in bursts of FRAMES_AT_ONCE.
 
         anywhere: applies stage 1, which takes any frame by itself. in_order: applies stages 2 and
-        3, which keep a state: all in one process, one by one. An exception in stage 1 or 2, also
-        Ctrl-C, is raised after the results of all frames before it.
+        3, which keep a state: all in one process, one by one. observe: called with each frame after
+        stage 1, before its results. An exception in stage 1 or 2, also Ctrl-C, is raised after the
+        results of all frames before it.
         """
         _without_ipp()
         images = ([r.working_image(frame) for r in self._recognisers] for frame in frames)
-        selected = UntilBroken(anywhere(self.stage1, images))
+        selected = UntilBroken(_seen(anywhere(self.stage1, images), observe))
         for burst in in_order(self.follow, chain(selected, [None])):
             for recogniser, tally in zip(self._recognisers, burst.tallies, strict=True):
                 recogniser.odometry.tally = tally
@@ -115,6 +120,13 @@ class Together:
         of_each = zip(self._recognisers, zip(*tracked, strict=True), strict=True)
         results = [r.stage3(frames) for r, frames in of_each]
         return Burst([*zip(*results, strict=True)], tallies, error)
+
+
+def _seen(items: Iterable[T], observe: Callable[[T], object]) -> Iterator[T]:
+    """The items, each shown to `observe` first."""
+    for item in items:
+        observe(item)
+        yield item
 
 
 def _without_ipp() -> None:

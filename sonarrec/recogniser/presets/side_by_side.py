@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,11 +15,12 @@ from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.drawn.three_stages import DrawnStages
 from sonarrec.recogniser.presets.hindsight import Hindsight
+from sonarrec.recogniser.presets.second_look import SecondLook, looks_again
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
-from sonarrec.recogniser.together import Mapped, Together, UntilBroken
+from sonarrec.recogniser.together import AfterStage1, Mapped, Together, UntilBroken
 
 
 class Restored(NamedTuple):
@@ -78,6 +80,12 @@ class SideBySide:
             Hindsight(method, config, landmarks) if config.features.lag_frames else None
             for config, method in zip(configs, self.tracking, strict=True)
         ]
+        self._looks = [
+            SecondLook(method, config, fan, landmarks, model)
+            if looks_again(config) and not drawn
+            else None
+            for config, method in zip(configs, self.tracking, strict=True)
+        ]
         self._lag = max(config.features.lag_frames for config in configs)
         self._pending: deque[list[FrameResult]] = deque()
         self._unchanging = Unchanging()
@@ -94,20 +102,41 @@ class SideBySide:
         whole = UntilBroken(frames)
         restored = self._levels.restored(self._unchanging.filled(whole))
         together = Together([*self._recognisers.values()])
-        for found in together.results(restored, anywhere, in_order):
-            results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
-            for hindsight, result in zip(self._hindsight, results, strict=True):
-                if hindsight is not None:
-                    hindsight.learn(result)
-            self._pending.append(results)
-            # Each at its own lag, so that a preset gives the same results beside others as alone.
-            for i, hindsight in enumerate(self._hindsight):
-                if hindsight is not None and len(self._pending) > hindsight.lag:
-                    _revise(self._pending[-1 - hindsight.lag], i, hindsight)
-            if len(self._pending) > self._lag:
-                yield self._final()
+        looks = [look for look in self._looks if look is not None]
+        with ExitStack() as running:
+            for look in looks:
+                running.enter_context(look.tiles)
+            for found in together.results(restored, anywhere, in_order, self._show):
+                results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
+                for i, result in enumerate(results):
+                    for part in (self._hindsight[i], self._looks[i]):
+                        if part is not None:
+                            part.learn(result)
+                self._pending.append(results)
+                # Each at its own lag, so that a preset gives the same results beside others as
+                # alone.
+                for i, hindsight in enumerate(self._hindsight):
+                    if hindsight is not None and len(self._pending) > hindsight.lag:
+                        self._revise(self._pending[-1 - hindsight.lag], i, hindsight)
+                if len(self._pending) > self._lag:
+                    yield self._final()
+            for look in looks:
+                look.finish()
         yield from self.waiting()
         whole.end()
+
+    def _show(self, selected: AfterStage1) -> None:
+        """Show a frame after stage 1 to those that look again."""
+        of = dict(zip(self._recognisers, selected, strict=True))
+        for i, look in zip(self._recogniser_of, self._looks, strict=True):
+            if look is not None:
+                look.take(*of[i])
+
+    def _revise(self, results: list[FrameResult], i: int, hindsight: Hindsight) -> None:
+        """Revise the i-th of one frame's results."""
+        results[i] = hindsight.revised(results[i])
+        if (look := self._looks[i]) is not None:
+            results[i] = look.revised(results[i])
 
     def _of_each(self, found: Mapping[int, FrameResult]) -> list[FrameResult]:
         """One frame's results, one for each configuration. found: by the recogniser's number."""
@@ -126,7 +155,7 @@ class SideBySide:
         for i, hindsight in enumerate(self._hindsight):
             if hindsight is not None:
                 for results in [*self._pending][-hindsight.lag :]:
-                    _revise(results, i, hindsight)
+                    self._revise(results, i, hindsight)
         while self._pending:
             yield self._final()
 
@@ -150,8 +179,3 @@ class SideBySide:
             estimates=tuple(e for r in results for e in r.estimates),
             motion=next((r.motion for r in results if r.motion is not None), None),
         )
-
-
-def _revise(results: list[FrameResult], i: int, hindsight: Hindsight) -> None:
-    """Revise the i-th of one frame's results."""
-    results[i] = hindsight.revised(results[i])

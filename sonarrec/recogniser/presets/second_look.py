@@ -1,0 +1,362 @@
+"""The `offline` preset's second look: at the frames' mean on the floor, where speckle is averaged.
+
+The frames of a stretch lie on the floor by the sonar's motion. Stage 1 finds discs in their mean
+that no single frame shows, stage 3 judges the mean pictures of all, and what it says goes back to
+every frame in which the disc is in view.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sonarrec.arrays import ByteImage, FloatArray, FloatImage
+from sonarrec.config import Config
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.nouns import Estimate, Fan, FrameResult, Groups, Motion, Selection
+from sonarrec.recogniser.between_stages import WorkingImage
+from sonarrec.recogniser.estimates import declared
+from sonarrec.recogniser.plane import working_plane
+from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
+from sonarrec.recogniser.stage1 import CandidateSelector, Surroundings
+from sonarrec.recogniser.stage3 import Evidence, likeliest
+from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
+from sonarrec.recogniser.stage3.model import built_in_model
+from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, ShapeSampler
+from sonarrec.recogniser.tiles import SIDE, Tiles, parts, warped
+
+# A step whose standard error is larger, in disc radii, ends a stretch: its frames are not laid on
+# those before.
+MOST_STEP_ERROR = 0.25
+OLD_SHARE = 0.5  # of frames from one look to the next
+LEAST_WEIGHT = 2.0  # frames in a mean that is looked at
+LEAST_SCORE = 0.25  # of a candidate in the mean, which has less chance in it than a frame
+GREY, MIDDLE = 24, 128  # grey levels of the mean: of one deviation of a frame's, and of its middle
+BLOCK = 2  # tiles along a side that are looked at together
+ON = 0.25  # disc diameters: a track as near to a disc is on it
+WHOLE = 0.5  # share of a disc in view from which a frame shows it
+FIRST_NUMBER = 1_000_000  # of objects that no track is on; tracks are fewer
+# The belief of both is the product of these powers of the track's and of the look's. They sum to
+# more than 1 as in TrackBelief. A disc on which no track is needs more belief. Tuning seeds.
+TRACK_EXPONENT, LOOK_EXPONENT, DECLARE_ALONE = 0.575, 0.575, 0.9
+LEAST = 1e-4  # probability in the pool
+EXISTENCE = 0.99  # probability that a candidate of the mean exists
+SPREAD = 0.02  # disc diameters: standard deviation of its position
+
+
+@dataclass(frozen=True, slots=True)
+class _Disc:
+    """A disc in the mean.
+
+    number: of its object where no track is on it. place: (2,) pixels of the grid. probabilities:
+    (K + 1,). orientation_deg: counter-clockwise from the right of yaw 0.
+    """
+
+    number: int
+    place: FloatArray
+    probabilities: FloatArray
+    orientation_deg: float
+    orientation_sigma_deg: float
+    earned: bool
+
+
+@dataclass(slots=True)
+class _Part:
+    """Half of what one look is at. poses: of its frames, (3,) yaw (rad), x, y (pixels)."""
+
+    poses: list[FloatArray] = field(default_factory=list)
+    discs: list[_Disc] = field(default_factory=list)
+
+
+def looks_again(config: Config) -> bool:
+    """Whether this method's results wait for a second look."""
+    track = config.features.measurement == "track" and config.candidates.detector == "ring"
+    return config.features.lag_frames > 0 and track and config.candidates.plane == "floor"
+
+
+class SecondLook:
+    """The mean of one method's last frames, and what was found in it."""
+
+    def __init__(
+        self,
+        method: str,
+        config: Config,
+        fan: Fan,
+        landmarks: LandmarkSet,
+        model: Classifier | None,
+    ) -> None:
+        """config: of a method that works on the floor and judges pictures averaged along tracks."""
+        self._method, self._features = method, config.features
+        select, features, radius_m = config.candidates, config.features, landmarks.radius_m
+        self._landmarks, self._select = landmarks, replace(select, threshold=LEAST_SCORE)
+        self._beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
+        self._plane = plane = working_plane("floor", fan, radius_m, select.disc_radius_px)
+        self._pixel_m = fan.metres_per_pixel / plane.scale
+        self._inside = plane.inside.astype(np.float32)
+        self._share = plane.disc_share()
+        self._surroundings = Surroundings(plane)
+        self._sampler = ShapeSampler(landmarks, plane.axes)
+        self._measurement = AppearanceMeasurement(
+            features,
+            plane,
+            self._sampler,
+            landmarks,
+            model or built_in_model(),
+            self._beam_width_deg,
+            config.continuity.remember_frames,
+        )
+        middle_m = (fan.range_min_m + fan.range_max_m) / 2
+        self._error_of = np.array([math.radians(1) * middle_m, 1, 1]) / radius_m
+        reach = max(plane.shape) // SIDE + 2
+        self.tiles = Tiles(2, 2 * reach**2)
+        self._waiting: deque[tuple[ByteImage, Selection]] = deque()
+        self._half = max(features.lag_frames // 2, 1)
+        self._pose: FloatArray = np.zeros(3)
+        self._part, self._before = _Part(), _Part()
+        self._seen: dict[int, tuple[FloatArray, _Part]] = {}  # frames that are not final, by number
+        self._numbers = FIRST_NUMBER
+        self._judged = 0
+
+    def take(self, image: WorkingImage, selection: Selection) -> None:
+        """Take in a frame's picture; its result follows in `learn`."""
+        self._waiting.append((image.image, selection))
+
+    def learn(self, result: FrameResult) -> None:
+        """Lay the oldest frame that was taken on the floor, by the motion that its result tells."""
+        image, selection = self._waiting.popleft()
+        self._move(result.motion)
+        fine = self._surroundings.fine
+        picture = np.empty((*image.shape, 2), np.float32)
+        relief = (image - fine(selection.mean)) / fine(selection.sigma)
+        picture[..., 0], picture[..., 1] = relief * self._inside, self._inside
+        laid, first = warped(picture, self._matrix())
+        # At its edge a picture is mixed with what is not seen.
+        laid *= laid[..., 1:] > 0.99
+        for tile, inside, part in parts(laid.shape, first):
+            self.tiles.tile(tile)[inside] += laid[part]
+        self._part.poses.append(self._pose)
+        self._seen[result.index] = self._pose, self._part
+        if len(self._part.poses) == self._half:
+            self._look()
+
+    def finish(self) -> None:
+        """Look at what there is: no more frames follow."""
+        if self._part.poses:
+            self._look()
+
+    def _move(self, motion: Motion | None) -> None:
+        """Go on by a motion, or begin anew where it is not known well enough."""
+        if motion is None or not motion.known:
+            unsure = True
+        else:
+            sigma = (motion.pan_sigma_deg, motion.right_sigma_m, motion.ahead_sigma_m)
+            unsure = bool(np.linalg.norm(self._error_of * sigma) > MOST_STEP_ERROR)
+        if unsure or motion is None:
+            self.finish()
+            self.tiles.clear()
+            self._pose, self._part, self._before = np.zeros(3), _Part(), _Part()
+            return
+        yaw, x, y = self._pose
+        right, ahead = motion.right_m / self._pixel_m, motion.ahead_m / self._pixel_m
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        shift = right * cos + ahead * sin, ahead * cos - right * sin
+        self._pose = np.array([yaw + math.radians(motion.pan_deg), x + shift[0], y + shift[1]])
+
+    def _matrix(self) -> FloatArray:
+        """(2, 3) from a working image's pixels to the grid's, whose rows run against ahead."""
+        yaw, x, y = self._pose
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        return np.column_stack([turn, np.array([x, -y]) - turn @ self._plane.apex])
+
+    def _in_frame(self, pose: FloatArray, places: FloatArray) -> FloatArray:
+        """(n, 2) working pixels, in a frame of this pose, of (n, 2) pixels of the grid."""
+        yaw, x, y = pose
+        turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+        return np.asarray((places - (x, -y)) @ turn.T + self._plane.apex)
+
+    def _shares(self, positions: FloatArray) -> FloatArray:
+        """(n,) share of the disc inside the fan; 0 beyond the image."""
+        rows, columns = self._share.shape
+        column, row = np.rint(positions).astype(int).T
+        within = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+        return np.where(within, self._share[row.clip(0, rows - 1), column.clip(0, columns - 1)], 0)
+
+    def _look(self) -> None:
+        """Search and judge the mean; it holds for the frames of both parts."""
+        found = [disc for block in self._blocks() for disc in self._discs(*block)]
+        self._part.discs = self._before.discs = found
+        self._before, self._part = self._part, _Part()
+        for tile in list(self.tiles):
+            self.tiles.tile(tile)[:] *= OLD_SHARE
+
+    def _blocks(self) -> Iterator[tuple[FloatImage, tuple[int, int], tuple[int, int]]]:
+        """(what is round a block of tiles, the grid's pixel where that begins, the block's)."""
+        margin = math.ceil(3 * self._plane.axes[0])
+        size = BLOCK * SIDE
+        for column, row in sorted({(c // BLOCK, r // BLOCK) for c, r in self.tiles}):
+            left, top = column * size - margin, row * size - margin
+            first, last = top // SIDE, (top + size + 2 * margin - 1) // SIDE
+            begin = left // SIDE
+            width = size + 2 * margin + left - begin * SIDE
+            rows = [self.tiles.rows(r, begin, width) for r in range(first, last + 1)]
+            whole = np.concatenate(rows)[top - first * SIDE :, left - begin * SIDE :]
+            seen = whole[: size + 2 * margin, :, 1] >= LEAST_WEIGHT
+            if not seen.any():
+                continue
+            down, across = (np.flatnonzero(seen.any(axis=a))[[0, -1]] for a in (1, 0))
+            part = whole[down[0] : down[1] + 1, across[0] : across[1] + 1]
+            corner = (left + int(across[0]), top + int(down[0]))
+            yield part, corner, (column * size, row * size)
+
+    def _discs(
+        self, sums: FloatImage, corner: tuple[int, int], block: tuple[int, int]
+    ) -> list[_Disc]:
+        """The discs in a block of the mean. The arguments are as from `_blocks`."""
+        count = sums[..., 1]
+        inside = (count >= LEAST_WEIGHT).astype(np.uint8)
+        plane = copy.copy(self._plane)
+        plane.inside, plane.shape = inside, (inside.shape[0], inside.shape[1])
+        mean = sums[..., 0] / np.maximum(count, 1e-6)
+        image = np.clip(MIDDLE + GREY * mean, 0, 255).astype(np.uint8)
+        select = CandidateSelector(self._select, plane, self._landmarks, self._beam_width_deg)
+        pixels = select(image * inside).positions
+        places = pixels + corner
+        own = ((places >= block) & (places < np.array(block) + BLOCK * SIDE)).all(axis=1)
+        pixels, places = pixels[own], places[own]
+        n = len(pixels)
+        if not n:
+            return []
+        shown = [
+            (pose, self._in_frame(pose, places)) for pose in self._before.poses + self._part.poses
+        ]
+        weight = np.array([self._shares(position) >= WHOLE for _, position in shown])
+        towards = [
+            np.exp(1j * (self._plane.line_of_sight(position) - pose[0])) for pose, position in shown
+        ]
+        sight = np.angle((weight * towards).sum(axis=0))
+        # In the frame that shows it best; its range says how far a beam smears it.
+        best = np.argmax(weight, axis=0)
+        positions = np.array([shown[k][1][i] for i, k in enumerate(best)])
+        grey, seen = self._sampler(
+            image, inside, pixels, sight, np.full(n, float(MIDDLE)), np.full(n, float(GREY))
+        )
+        often, _ = self._sampler(
+            np.minimum(count, 255).astype(np.uint8), inside, pixels, sight, np.zeros(n), np.ones(n)
+        )
+        often = np.minimum(often, self._features.memory_frames) * seen
+        frames = weight.sum(axis=0)
+        self._judged += n
+        groups = Groups(
+            self._judged - np.arange(n),
+            positions,
+            np.full((n, 2), SPREAD),
+            np.full(n, EXISTENCE),
+            np.zeros(n),
+            frames > 0,
+            np.empty(0, np.int64),
+        )
+        evidence = Evidence(grey, often, frames, np.zeros(n, np.int64))
+        beliefs = self._measurement.beliefs([groups], evidence)
+        orientation = np.degrees(sight) + beliefs.turn * STEP_DEG
+        return [
+            _Disc(
+                self._number(places[i]),
+                places[i],
+                beliefs.probabilities[i],
+                float(orientation[i]),
+                float(beliefs.turn_sigma[i] * STEP_DEG),
+                bool(beliefs.earned[i]),
+            )
+            for i in range(n)
+        ]
+
+    def _number(self, place: FloatArray) -> int:
+        """Of the disc's track: that of the disc of the look before where it lies on that."""
+        for disc in self._before.discs:
+            if math.dist(disc.place, place) <= 2 * ON * self._plane.axes[0]:
+                return disc.number
+        self._numbers += 1
+        return self._numbers
+
+    def revised(self, result: FrameResult) -> FrameResult:
+        """A past result with what the look at its frame and those round it says."""
+        pose, part = self._seen.pop(result.index)
+        if not part.discs:
+            return result
+        positions = self._in_frame(pose, np.array([disc.place for disc in part.discs]))
+        shares = self._shares(positions)
+        estimates = list(result.estimates)
+        own = [i for i, e in enumerate(estimates) if e.method == self._method]
+        polar = np.array([(estimates[i].range_m, estimates[i].bearing_deg) for i in own])
+        tracks = np.column_stack(self._plane.from_polar(*polar.reshape(-1, 2).T))
+        distance = np.linalg.norm(positions[:, None] - tracks, axis=2) / (2 * self._plane.axes[0])
+        added = 0
+        for n, disc in enumerate(part.discs):
+            nearest = int(distance[n].argmin()) if own else -1
+            if own and distance[n, nearest] <= ON and distance[:, nearest].argmin() == n:
+                i = own[nearest]
+                estimates[i] = self._joined(estimates[i], disc, pose)
+            elif shares[n] >= WHOLE and (not own or distance[n].min() > 2 * ON):
+                new = self._estimate(disc, positions[n], pose)
+                if new.declared:
+                    estimates.append(new)
+                    added += 1
+        return replace(result, estimates=tuple(estimates), tracks=result.tracks + added)
+
+    def _joined(self, estimate: Estimate, disc: _Disc, pose: FloatArray) -> Estimate:
+        """A track's estimate with the belief of both: their pool."""
+        logs = [np.log(np.maximum(p, LEAST)) for p in (estimate.probabilities, disc.probabilities)]
+        pool = np.exp(TRACK_EXPONENT * logs[0] + LOOK_EXPONENT * logs[1])
+        beliefs = pool / pool.sum()
+        (index,), (score,) = likeliest(beliefs[None])
+        landmark = self._landmarks.ids[index]
+        claimed = bool(declared(score, self._features.declare)) and estimate.in_view
+        changed: dict[str, float] = {}
+        if landmark == self._landmarks.ids[int(likeliest(disc.probabilities[None])[0][0])]:
+            changed = {
+                "orientation_deg": self._orientation(disc, pose),
+                "orientation_sigma_deg": disc.orientation_sigma_deg,
+            }
+        return replace(
+            estimate,
+            probabilities=beliefs,
+            landmark=landmark,
+            score=float(score),
+            declared=claimed,
+            **changed,
+        )
+
+    def _orientation(self, disc: _Disc, pose: FloatArray) -> float:
+        """In a frame of this pose, as in Estimate."""
+        return float((disc.orientation_deg + math.degrees(pose[0])) % 360)
+
+    def _estimate(self, disc: _Disc, position: FloatArray, pose: FloatArray) -> Estimate:
+        """An estimate of a disc that no track is on."""
+        plane = self._plane
+        (index,), (score,) = likeliest(disc.probabilities[None])
+        range_sigma, bearing_sigma = plane.polar_sigma(position[None], np.full((1, 2), SPREAD))
+        least = max(self._features.declare, DECLARE_ALONE)
+        column, row = plane.to_fan(*position)
+        range_m, bearing_deg = plane.to_polar(*position)
+        return Estimate(
+            method=self._method,
+            object=disc.number,
+            x_px=float(column),
+            y_px=float(row),
+            range_m=float(range_m),
+            bearing_deg=float(bearing_deg),
+            orientation_deg=self._orientation(disc, pose),
+            existence=EXISTENCE,
+            probabilities=disc.probabilities,
+            landmark=self._landmarks.ids[index],
+            score=float(score),
+            declared=bool(declared(score, least)) and disc.earned,
+            range_sigma_m=float(range_sigma[0]),
+            bearing_sigma_deg=float(bearing_sigma[0]),
+            orientation_sigma_deg=disc.orientation_sigma_deg,
+        )
