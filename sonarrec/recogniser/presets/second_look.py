@@ -316,19 +316,18 @@ class SecondLook:
         (index,), (score,) = likeliest(beliefs[None])
         landmark = self._landmarks.ids[index]
         claimed = bool(declared(score, self._features.declare)) and estimate.in_view
-        changed: dict[str, float] = {}
         if landmark == self._landmarks.ids[int(likeliest(disc.probabilities[None])[0][0])]:
-            changed = {
-                "orientation_deg": self._orientation(disc, pose),
-                "orientation_sigma_deg": disc.orientation_sigma_deg,
-            }
+            estimate = replace(
+                estimate,
+                orientation_deg=self._orientation(disc, pose),
+                orientation_sigma_deg=disc.orientation_sigma_deg,
+            )
         return replace(
             estimate,
             probabilities=beliefs,
             landmark=landmark,
             score=float(score),
             declared=claimed,
-            **changed,
         )
 
     def _orientation(self, disc: _Disc, pose: FloatArray) -> float:
