@@ -62,7 +62,11 @@ def test_faults_in_a_scene_file_are_one_clear_line(tmp_path, text: str, message:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("path", sorted(BUILT_IN.glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",  # plates have scenes of their own
+    sorted({*BUILT_IN.glob("*.toml")} - {BUILT_IN / "plates.toml"}),
+    ids=lambda path: path.stem,
+)
 def test_built_in_scenes_load_and_survive_a_round_trip(path) -> None:
     scene = load_scene(path.stem)
     assert scene == load_scene(path)

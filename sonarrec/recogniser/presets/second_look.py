@@ -35,6 +35,7 @@ from sonarrec.recogniser.tiles import SIDE, Tiles, parts, warped
 MOST_STEP_ERROR = 0.25
 OLD_SHARE = 0.5  # of frames from one look to the next
 LEAST_WEIGHT = 2.0  # frames in a mean that is looked at
+LEAST_FRAMES = 12  # that show a disc; what fewer show, a track knows as well
 LEAST_SCORE = 0.25  # of a candidate in the mean, which has less chance in it than a frame
 GREY, MIDDLE = 24, 128  # grey levels of the mean: of one deviation of a frame's, and of its middle
 BLOCK = 2  # tiles along a side that are looked at together
@@ -272,7 +273,7 @@ class SecondLook:
                 float(beliefs.turn_sigma[i] * STEP_DEG),
                 bool(beliefs.earned[i]),
             )
-            for i in range(n)
+            for i in np.flatnonzero(frames >= LEAST_FRAMES).tolist()
         ]
 
     def _number(self, place: FloatArray) -> int:
