@@ -74,7 +74,9 @@ class PanEstimator:
         # What does not turn with the floor would pull the match to no shift. The means of the range
         # bins hold the fall-off with range, those of the beams the beams' gains.
         mean = polar.sum(axis=1, keepdims=True) / self._cells
-        polar -= mean + (polar.sum(axis=0) - mean[:, 0] @ self.seen) / RANGES
+        # Not by BLAS, whose sums end in other digits on other processors.
+        of_mean = np.einsum("i,ij->j", mean[:, 0], self.seen)
+        polar -= mean + (polar.sum(axis=0) - of_mean) / RANGES
         polar *= self.seen
         self.picture = polar
         wide = cv2.copyMakeBorder(polar, 0, 0, 0, CIRCLE - BEARINGS, cv2.BORDER_CONSTANT)
