@@ -114,8 +114,8 @@ class SecondLook:
         middle_m = (fan.range_min_m + fan.range_max_m) / 2
         self._error_of = np.array([math.radians(1) * middle_m, 1, 1]) / radius_m
         reach = max(plane.shape) // SIDE + 2
-        self.tiles = Tiles(2, 2 * reach**2)
-        self._waiting: deque[tuple[ByteImage, Selection]] = deque()
+        self.tiles = Tiles(2, reach**2)
+        self._waiting: deque[tuple[ByteImage, FloatImage, FloatImage]] = deque()
         self._half = max(features.lag_frames // 2, 1)
         self._pose: FloatArray = np.zeros(3)
         self._part, self._before = _Part(), _Part()
@@ -125,15 +125,16 @@ class SecondLook:
 
     def take(self, image: WorkingImage, selection: Selection) -> None:
         """Take in a frame's picture; its result follows in `learn`."""
-        self._waiting.append((image.image, selection))
+        # Not the whole selection: its score map is four times as large as the picture.
+        self._waiting.append((image.image, selection.mean, selection.sigma))
 
     def learn(self, result: FrameResult) -> None:
         """Lay the oldest frame that was taken on the floor, by the motion that its result tells."""
-        image, selection = self._waiting.popleft()
+        image, mean, sigma = self._waiting.popleft()
         self._move(result.motion)
         fine = self._surroundings.fine
         picture = np.empty((*image.shape, 2), np.float32)
-        relief = (image - fine(selection.mean)) / fine(selection.sigma)
+        relief = (image - fine(mean)) / fine(sigma)
         picture[..., 0], picture[..., 1] = relief * self._inside, self._inside
         laid, first = warped(picture, self._matrix())
         # At its edge a picture is mixed with what is not seen.
