@@ -104,7 +104,7 @@ def test_a_place_on_the_grid_and_in_the_frame_are_each_other_s_inverse(
 @pytest.mark.slow
 def test_faint_landmarks_are_found_in_more_frames_than_they_show_in(tmp_path: Path) -> None:
     """Simulated, with the motion measured: offline with its second look, and without."""
-    scene = random_scene(2004, "any_floor", frames=96)
+    scene = random_scene(3100, "any_floor", frames=96)
     found = {}
     for name, lag in (("default", 0), ("offline", OFFLINE.features.lag_frames)):
         config = preset(name)
@@ -115,5 +115,5 @@ def test_faint_landmarks_are_found_in_more_frames_than_they_show_in(tmp_path: Pa
             for s in score([tmp_path / name]).scored
             if s.protocol == "strict" and s.method.startswith("framework")
         ]
-    assert found["offline"].tp >= found["default"].tp
+    assert found["offline"].tp > 1.5 * found["default"].tp > 0
     assert found["offline"].fp <= found["default"].fp
