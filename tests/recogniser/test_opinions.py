@@ -11,10 +11,10 @@ from hypothesis.extra.numpy import arrays
 from sonarrec.nouns import Groups
 from sonarrec.recogniser.stage3 import Evidence
 from sonarrec.recogniser.stage3.opinions import (
+    FRAME_EXPONENT,
     LEAST_BELIEF,
     LEAST_NOW,
-    NOW,
-    SO_FAR,
+    TRACK_EXPONENT,
     Opinion,
     Opinions,
     TrackBelief,
@@ -59,7 +59,7 @@ def test_the_pool_is_the_weighted_geometric_mean_so_far(frames: np.ndarray) -> N
         sure = np.prod(floored**floored, axis=1) ** 2
         weight = sure * np.arange(1, i + 2)
         so_far = np.prod(floored ** (weight / weight.sum())[:, None], axis=0)
-        expected = np.maximum(frames[i], LEAST_NOW) ** NOW * so_far**SO_FAR
+        expected = np.maximum(frames[i], LEAST_NOW) ** FRAME_EXPONENT * so_far**TRACK_EXPONENT
         np.testing.assert_allclose(found[i], expected / expected.sum(), atol=1e-12)
 
 

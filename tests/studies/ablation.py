@@ -94,7 +94,7 @@ ABLATIONS = {
     ),
     "symbols as drawn, not as the beam smears them": Ablation(("features.beam_width_deg=0.01",)),
     "each frame's belief, not the pool of the track's": Ablation(
-        code={f"{_STAGE3}.opinions.NOW": 1.0, f"{_STAGE3}.opinions.SO_FAR": 0.0}
+        code={f"{_STAGE3}.opinions.FRAME_EXPONENT": 1.0, f"{_STAGE3}.opinions.TRACK_EXPONENT": 0.0}
     ),
     "declared from the first frame, however few beams": Ablation(
         code={

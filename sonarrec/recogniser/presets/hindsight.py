@@ -13,7 +13,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.stage3 import likeliest
-from sonarrec.recogniser.stage3.opinions import NOW, SO_FAR, Opinion, Opinions
+from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinion, Opinions
 
 LEAST_BORNE_OUT = 0.5  # least mean belief of a track's frames in the ID that all of them are given
 
@@ -30,7 +30,7 @@ class _Opinion(Opinion):
 
     def beliefs(self) -> FloatArray:
         """(K + 1,) pool of the frames, to the powers by which TrackBelief reports; sums to 1."""
-        pool = np.exp((NOW + SO_FAR) * self.mean())
+        pool = np.exp((FRAME_EXPONENT + TRACK_EXPONENT) * self.mean())
         return np.asarray(pool / pool.sum())
 
     def join(self, other: Self) -> None:

@@ -172,14 +172,14 @@ class SecondLook:
     def _matrix(self) -> FloatArray:
         """(2, 3) from a working image's pixels to the grid's, whose rows run against ahead."""
         yaw, x, y = self._pose
-        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        return np.column_stack([turn, np.array([x, -y]) - turn @ self._plane.apex])
+        rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        return np.column_stack([rotation, np.array([x, -y]) - rotation @ self._plane.apex])
 
     def _in_frame(self, pose: FloatArray, places: FloatArray) -> FloatArray:
         """(n, 2) working pixels, in a frame of this pose, of (n, 2) pixels of the grid."""
         yaw, x, y = pose
-        turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-        return np.asarray((places - (x, -y)) @ turn.T + self._plane.apex)
+        rotation = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+        return np.asarray((places - (x, -y)) @ rotation.T + self._plane.apex)
 
     def _shares(self, positions: FloatArray) -> FloatArray:
         """(n,) share of the disc inside the fan; 0 beyond the image."""

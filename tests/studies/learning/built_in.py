@@ -13,7 +13,7 @@ from sonarrec.learning.samples import Samples, describe
 from sonarrec.recogniser.stage3.model import BUILT_IN
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.truth import LandmarkTruth
-from tests.studies.learning.matrices import labelled, scene_frames
+from tests.studies.learning.matrices import FRAMES, labelled, scene_frames
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 
@@ -29,7 +29,6 @@ RECORDINGS = {
     # These change only the geometry or the floor, so they are near the basin's.
     **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12),
 }
-FRAMES = 64  # of each: more recordings teach more than longer ones
 
 
 def lessons() -> list[tuple[str, Samples]]:
