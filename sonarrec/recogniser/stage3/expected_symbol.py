@@ -150,8 +150,13 @@ class ExpectedSymbols:
             inverse=np.repeat(_steady_inverse(self._of_broad)[None], len(cells), axis=0),
             of_ids={},
         )
+        # Those that hide the same cells, as one track does in many frames, share most of the work.
+        alike: dict[tuple[int, bytes], list[int]] = {}
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)).tolist():
-            self._leave_out(np.flatnonzero(~seen[i]), products, i, whitened[i], int(steps[i]))
+            alike.setdefault((int(steps[i]), seen[i].tobytes()), []).append(i)
+        for (step, _), of_step in alike.items():
+            hidden = np.flatnonzero(~seen[of_step[0]])
+            self._leave_out(hidden, products, np.array(of_step), whitened, step)
         np.maximum(products.own, LEAST_VARIATION, out=products.own)
         scale = np.sqrt(products.own)[:, None]
         correlation = (symbols[:, :ids] / scale).reshape(-1, ANGLES, self._ids)
@@ -162,35 +167,44 @@ class ExpectedSymbols:
         )
 
     def _leave_out(
-        self, hidden: IndexArray, products: _Products, i: int, whitened: FloatArray, steps: int
+        self,
+        hidden: IndexArray,
+        products: _Products,
+        objects: IndexArray,
+        whitened: FloatArray,
+        steps: int,
     ) -> None:
-        """Correct the products of object i, whose cells `hidden` are unseen, to the others.
+        """Correct the products of objects, whose cells `hidden` are unseen, to the others.
 
-        Unseen cells leave the precision by their Schur complement. whitened: (cells,), the object.
+        Unseen cells leave the precision by their Schur complement. objects: (m,) which of n.
+        whitened: (n, cells). steps: their smear.
         """
         ids = ANGLES * self._ids
-        symbols = products.symbols[i]
-        likely = settled(symbols[ids:])
-        rank = max(len(likely) - MOST_RIVALS, 0)
-        rivals = np.flatnonzero(likely >= np.partition(likely, rank)[rank])
-        some = np.concatenate([np.arange(ids), ids + rivals])
+        symbols = products.symbols[objects]
+        likely = settled(symbols[:, ids:])
+        rank = max(likely.shape[1] - MOST_RIVALS, 0)
+        compared = np.ones(symbols.shape, bool)
+        compared[:, ids:] = likely >= np.partition(likely, rank, axis=1)[:, rank, None]
+        some = np.flatnonzero(compared.any(axis=0))
         expected = self._expected(steps)[np.ix_(hidden, some)]
-        patterns, own = self._whitened_broad[hidden], whitened[hidden]
+        patterns, own = self._whitened_broad[hidden], whitened[np.ix_(objects, hidden)]
         # To multiply by the inverse takes half as long as to solve for so many sides.
         inverse = np.linalg.inv(self._precision[np.ix_(hidden, hidden)])
-        solved = inverse @ np.column_stack([own, patterns, expected])
-        at = 1 + patterns.shape[1]  # where the symbols begin
+        solved = inverse @ np.column_stack([patterns, expected])
+        at = patterns.shape[1]  # where the symbols begin
         of_own, of_patterns = own @ solved, patterns.T @ solved
-        products.own[i] -= of_own[0]
-        products.patterns[i] -= of_own[1:at]
-        products.inverse[i] = _steady_inverse(self._of_broad - of_patterns[:, 1:at])
+        products.own[objects] -= ((own @ inverse) * own).sum(axis=1)
+        products.patterns[objects] -= of_own[:, :at]
+        products.inverse[objects] = _steady_inverse(self._of_broad - of_patterns[:, :at])
         power = 1 - (expected * solved[:, at:]).sum(axis=0)
         scale = np.sqrt(np.maximum(power, LEAST_SHOWN))
-        shown = np.where(power > LEAST_SHOWN, (symbols[some] - of_own[at:]) / scale, 0.0)
-        symbols[ids:] = 0
-        symbols[some] = shown
+        shown = (power > LEAST_SHOWN) & compared[:, some]
+        products.symbols[objects] = 0
+        products.symbols[np.ix_(objects, some)] = np.where(
+            shown, (symbols[:, some] - of_own[:, at:]) / scale, 0.0
+        )
         of_ids = self._broad_in_ids(steps) - of_patterns[:, at : at + ids].T
-        products.of_ids[i] = of_ids / scale[:ids, None]
+        products.of_ids.update(dict.fromkeys(objects.tolist(), of_ids / scale[:ids, None]))
 
     def _structure(
         self, products: _Products, rotation: IndexArray, steps: IndexArray, seen: IndexArray
