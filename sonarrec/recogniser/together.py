@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
-from typing import NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import cv2
 
 from sonarrec.nouns import Frame, FrameResult, Selection
 from sonarrec.recogniser.between_stages import AfterStage2, WorkingImage
-from sonarrec.recogniser.drawn.three_stages import DrawnStages
 from sonarrec.recogniser.motion.odometry import PoseTally
 from sonarrec.recogniser.three_stages import ThreeStages
+
+if TYPE_CHECKING:
+    from sonarrec.recogniser.drawn.three_stages import DrawnStages
 
 # Frames that stage 3 takes at once, which costs a third of one by one. More would save little.
 FRAMES_AT_ONCE = 16

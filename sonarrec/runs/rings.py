@@ -6,6 +6,8 @@ gap, a ring and the floor, of any levels and smeared by any beam.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from sonarrec.arrays import FloatArray
@@ -23,10 +25,6 @@ ALONG = 0.7
 RADII = np.linspace(0.3, 1.7, 57)  # as shares of the stated radius
 FINE = np.linspace(0.0, 2.5, 501)
 SMEARS = (0.03, 0.06, 0.1, 0.14)
-KERNELS = np.exp(-0.5 * ((RADII[:, None] - FINE) / np.array(SMEARS)[:, None, None]) ** 2)
-# (smears, radii, 1 + FINE) how much of a profile's point comes from nearer than each edge.
-NEARER = np.cumsum(KERNELS / KERNELS.sum(axis=2, keepdims=True), axis=2)
-NEARER = np.pad(NEARER, ((0, 0), (0, 0), (1, 0)))
 # In 11 simulated and real recordings with the true set another scale or edge that is LEAST away
 # leaves at least .85 of the misfit; with a radius 7 % off or an inner edge 10 % one of the two
 # leaves .65 at most.
@@ -100,11 +98,19 @@ class Rings:
         )
 
 
+@cache
+def _nearer() -> FloatArray:
+    """(smears, radii, 1 + FINE) how much of a profile's point comes from nearer than each edge."""
+    kernels = np.exp(-0.5 * ((RADII[:, None] - FINE) / np.array(SMEARS)[:, None, None]) ** 2)
+    nearer = np.cumsum(kernels / kernels.sum(axis=2, keepdims=True), axis=2)
+    return np.pad(nearer, ((0, 0), (0, 0), (1, 0)))
+
+
 def _misfits(profile: FloatArray, edges: FloatArray) -> FloatArray:
     """(n,) sums of squares that are left at the best levels and smear; infinite if no ring is
     bright. edges: (n, 3) where the symbol ends and the ring begins and ends."""
     ends = np.pad(np.searchsorted(FINE, edges), ((0, 0), (1, 1)), constant_values=(0, len(FINE)))
-    bands = np.diff(np.moveaxis(NEARER[:, :, ends], 2, 0), axis=3)  # (n, smears, radii, 4)
+    bands = np.diff(np.moveaxis(_nearer()[:, :, ends], 2, 0), axis=3)  # (n, smears, radii, 4)
     across = bands.swapaxes(2, 3)
     # A band of no width has level 0.
     levels = np.linalg.solve(across @ bands + 1e-9 * np.eye(4), (across @ profile)[..., None])

@@ -6,14 +6,13 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.poses import PoseTable
-from sonarrec.recogniser.drawn.three_stages import DrawnStages
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.presets.second_look import SecondLook, looks_again
 from sonarrec.recogniser.restore.saturation import Levels
@@ -21,6 +20,9 @@ from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 from sonarrec.recogniser.together import AfterStage1, Mapped, Together, UntilBroken
+
+if TYPE_CHECKING:
+    from sonarrec.recogniser.drawn.three_stages import DrawnStages
 
 
 class Restored(NamedTuple):
@@ -71,11 +73,16 @@ class SideBySide:
         self._recognisers: dict[int, ThreeStages | DrawnStages] = {}
         for i in dict.fromkeys(self._recogniser_of):
             config, method = configs[i], self.tracking[i]
-            self._recognisers[i] = (
-                DrawnStages(config, fan, landmarks, method, poses)
-                if isinstance(landmarks, DrawnSet)
-                else ThreeStages(config, fan, landmarks, model, method, single[i], poses)
-            )
+            if isinstance(landmarks, DrawnSet):
+                # Imported where it is needed: most sets are of discs, and it costs a part of the
+                # start.
+                from sonarrec.recogniser.drawn.three_stages import DrawnStages
+
+                self._recognisers[i] = DrawnStages(config, fan, landmarks, method, poses)
+            else:
+                self._recognisers[i] = ThreeStages(
+                    config, fan, landmarks, model, method, single[i], poses
+                )
         self._hindsight = [
             Hindsight(method, config, landmarks) if config.features.lag_frames else None
             for config, method in zip(configs, self.tracking, strict=True)
