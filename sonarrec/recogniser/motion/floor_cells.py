@@ -1,4 +1,4 @@
-"""The floor in polar pictures: where its points lie, and how they move with the sonar."""
+"""Geometry of a flat floor in polar pictures: where it lies, and how it moves with the sonar."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sonarrec.nouns import Fan
 
 @dataclass(frozen=True, slots=True)
 class CellPlaces:
-    """Where the cells of polar pictures lie, evenly spaced: the first cell, and the steps.
+    """The regular grid of slant range (rows) and bearing (columns) of polar pictures.
 
     shape: (rows, columns). slant, bearing: m and rad, of the first row and column. slant_step,
     bearing_step: m and rad from one cell to the next. depth: height of the sonar over the floor, m.
@@ -29,10 +29,11 @@ class CellPlaces:
     def before(
         self, ground: FloatArray, bearing: FloatArray, motion: FloatArray
     ) -> tuple[FloatImage, FloatImage]:
-        """(row, column), in cells, of where points of the floor lay before a motion.
+        """(row, column) in cells, float32, at which points of the floor lay before a motion.
 
-        ground (m), bearing (rad): where they lie now; shapes broadcast with the motion's parts,
-        motion[0], motion[1] and motion[2].
+        ground, bearing: ground range (m) and bearing (rad) of the points after the motion. motion:
+        shift to the right (m), shift ahead (m) and yaw (rad); the shapes of ground, bearing and
+        motion[i] broadcast.
         """
         toward = bearing + motion[2]
         x = ground * np.sin(toward) + motion[0]
@@ -46,10 +47,10 @@ class CellPlaces:
 class FloorCells:
     """The cells of polar pictures of one shape: rows of slant range, columns of bearing.
 
-    seen: (rows, columns) float32, 1 where a cell shows floor, else 0. slant, ground: (rows, 1) m.
-    bearing: (1, columns) rad. places: the same in a few numbers. down, across: (4, rows, columns)
-    by how many cells a picture moves with a metre to the right, a metre ahead, a radian of turn
-    and a metre of height.
+    seen: (rows, columns) float32, 1 where a cell shows floor, else 0. slant, ground: (rows, 1)
+    slant and ground range in m. bearing: (1, columns) rad. places: the grid of the cells. down,
+    across: (4, rows, columns) derivatives of a point's row and column by the motion, in cells a
+    metre to the right, a metre ahead, a radian of yaw and a metre of height.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class FloorCells:
             float(bearing[0, 1] - bearing[0, 0]),
             depth,
         )
-        # Nearer than the floor nothing is seen: any distance serves.
+        # No echo of the floor is nearer than the height, so any distance will do there.
         self.ground = ground = np.sqrt(np.maximum(slant**2 - depth**2, 0.01 * slant**2))
         down = np.float32(1 / places.slant_step)
         across = np.float32(1 / places.bearing_step)
@@ -92,7 +93,7 @@ class FloorCells:
         )
 
     def shift(self, motion: FloatArray) -> float:
-        """About how many cells a motion (3,), as Registration.motion, moves a picture."""
+        """About how many cells a motion shifts a picture. motion: (3,) as Registration.motion."""
         right, ahead, turn = np.abs(motion)
         return float(
             max(max(right, ahead) / self.places.slant_step, turn / self.places.bearing_step)

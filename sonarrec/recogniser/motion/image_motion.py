@@ -1,9 +1,9 @@
 """Measures the sonar's motion in its images: the pan where it stands, else surge, sway and yaw.
 
-Most sonars stand on a tripod and pan. There the pan alone is measured, by correlation along the
-bearing, which is cheap and robust; a quick registration of what the pan does not explain shows when
-the sonar sets out. Under way, surge, sway and yaw are registered: against a keyframe where
-the sonar is slow, else from frame to frame.
+Most sonars stand on a tripod and pan. For these the pan alone is measured, by correlation along
+the bearing, which is cheap and robust. Every few frames a quick registration tests whether the
+sonar has started to move. A moving sonar's surge, sway and yaw are measured by registration:
+against a keyframe where it is slow, else from frame to frame.
 """
 
 from __future__ import annotations
@@ -21,40 +21,41 @@ from sonarrec.recogniser.motion.pan import PanEstimator
 from sonarrec.recogniser.motion.registration import FloorRegistration, Registration
 from sonarrec.recogniser.plane import Plane
 
-# Least match of a registration that is believed: one that started from the last frame's motion,
-# and one that was searched for. Pictures of different floor match by up to 0.2 (tuning seeds), with
-# wide standard errors.
+# Least match (correlation) at which a registration is accepted: one that started from the last
+# frame's motion, and one that started from a search. Pictures of different floor match by up to 0.2
+# (tuning seeds), with large standard errors.
 LEAST_NEAR, LEAST_SEARCHED = 0.1, 0.25
-# A sonar has set out where a searched registration matches by this much more than the pan alone.
+# A standing sonar has started to move if a searched registration matches by this much more than
+# the pan alone.
 BETTER = 0.1
-# A standing sonar may have set out where the match falls below this share of its usual value: the
-# mean over the last USUAL_MEMORY frames, FIRST_USUAL to begin with.
+# A standing sonar may have started to move if the pan's match falls below USUAL_SHARE of its usual
+# value: a running mean over about USUAL_MEMORY frames, which starts at FIRST_USUAL.
 USUAL_SHARE, FIRST_USUAL, USUAL_MEMORY = 0.75, 0.8, 20.0
 LOOK_EVERY = 4  # frames between quick registrations of a standing sonar that matches as usual
-# Where the pan explains little, any motion is searched for: in the next frame again, then after 2,
-# 4 and so on, up to so many. Of a fast vehicle about every second pair of frames can be registered.
+# If the pan matches poorly, any motion is searched for: again in the next frame, then after 2, 4
+# and so on, up to MOST_PAUSE frames. About half of a fast vehicle's pairs of frames register.
 MOST_PAUSE = 8
-# Evidence for a translation fades by this factor from frame to frame. Its chi-square, of 2 degrees
-# of freedom: above the first a standing sonar sets out, below the second a moving one stands.
+# Evidence for a translation fades by the factor KEEP a frame. By its chi-square, of 2 degrees of
+# freedom, a standing sonar moves if it is above SET_OUT, and a moving one stands if below STAND.
 KEEP = 0.9
 SET_OUT, STAND = 40.0, 10.0
 LEAST_UNDER_WAY = 8  # frames before a moving sonar may be found to stand
-# Standard errors where nothing is measured: about the last speed of a sonar under way, and where
-# no speed is known.
+# Standard errors of the speed where nothing is measured: of a moving sonar, whose last speed is
+# reported; and where no speed is known.
 LOST_M_S, LOST_DEG_S = 0.15, 8.0
 UNKNOWN_M_S, UNKNOWN_DEG_S = 0.5, 20.0
-MOST_LOST = 8  # frames in a row without a registration, after which the speed is not known
+MOST_LOST = 8  # frames in a row without a registration, after which the speed counts as unknown
 USUAL_STEP_S = 0.25  # between frames whose times do not rise
-SCALE_ERROR = 0.005  # of the distance made, by an uncertain height and a floor that is not flat
+SCALE_ERROR = 0.005  # share of a shift, from an uncertain height and a floor that is not flat
 
 
 @dataclass(slots=True)
 class _Evidence:
-    """The evidence for a translation in the last frames, which fades from one to the next.
+    """The evidence for a translation in the last frames; that of older frames fades.
 
     A Gaussian in information form: matrix (2, 2), the sum of inverse covariances; vector (2,), the
-    sum of these times the translations (m). sigma: (2,) standard error of a steady translation (m a
-    frame) that these frames would show; None where there are none.
+    sum of these times the translations (m). sigma: (2,) standard error of the mean translation (m a
+    frame); None before the first frame.
     """
 
     vector: FloatArray
@@ -66,7 +67,7 @@ class _Evidence:
         return cls(np.zeros(2), np.zeros((2, 2)))
 
     def add(self, registration: Registration) -> float:
-        """Take in a frame. Returns the chi-square, of 2 degrees of freedom, of a motion so far."""
+        """Add a frame. Returns the chi-square, of 2 degrees of freedom, of the mean translation."""
         information = np.linalg.inv(registration.covariance[:2, :2] + 1e-9 * np.eye(2))
         self.vector = KEEP * self.vector + information @ registration.motion[:2]
         self.matrix = KEEP * self.matrix + information
@@ -77,10 +78,10 @@ class _Evidence:
 
 
 class ImageMotion:
-    """The motion from image to image of one log."""
+    """The sonar's motion from image to image of one log."""
 
     def __init__(self, plane: Plane, min_match: float) -> None:
-        """min_match: correlation below which a pan is not believed."""
+        """min_match: correlation below which a pan counts as not measured."""
         self.pan = PanEstimator(plane)
         self._min_match = min_match
         self._registration = FloorRegistration(
@@ -96,10 +97,10 @@ class ImageMotion:
         self._pause = self._since_search = 0  # frames between searches, and since the last
 
     def step(self, image: ByteImage, seconds: float | None) -> Motion | None:
-        """The motion since the last image.
+        """The motion since the last image; None for the first.
 
-        Of a sonar under way it is that of the last speed where the images do not show it. image:
-        the working image. seconds: since the last image; None for the first, which has no motion.
+        Where the images of a moving sonar do not show its motion, its last speed is taken. image:
+        the working image. seconds: since the last image; None for the first.
         """
         before = self.pan.picture
         pan_deg, match = self.pan.step(image)
@@ -112,7 +113,7 @@ class ImageMotion:
         return self._standing(before, pan_deg, match, seconds)
 
     def turn(self, image: ByteImage) -> float | None:
-        """The pan alone since the last image, deg; None where it is not to be believed."""
+        """The pan alone since the last image, deg; None where its match is below min_match."""
         pan_deg, match = self.pan.step(image)
         return pan_deg if match >= self._min_match else None
 
@@ -123,7 +124,7 @@ class ImageMotion:
         self._since_quick += 1
         self._since_search += 1
         poor = match < USUAL_SHARE * self._usual_match
-        if match < USUAL_SHARE * FIRST_USUAL:  # the pan explains little, also where that is usual
+        if match < USUAL_SHARE * FIRST_USUAL:  # poor by any standard: search with pauses
             poor |= self._since_search >= self._pause
         quick, crept, moves = None, False, False
         if poor or self._pan_sigma is None or self._since_quick >= LOOK_EVERY:
@@ -135,7 +136,7 @@ class ImageMotion:
                 if not crept:
                     self._keyframes.clear()
                 return self._accept(found, seconds)
-            # It stands: pictures of this floor match no better.
+            # The sonar stands, and pictures of this floor match no better.
             self._usual_match = match
             self._since_search = 0
             self._pause = min(max(2 * self._pause, 1), MOST_PAUSE)
@@ -152,10 +153,8 @@ class ImageMotion:
     def _quick_look(
         self, before: FloatImage, turn: float
     ) -> tuple[Registration | None, bool, bool]:
-        """(a quick registration, whether a keyframe shows motion, whether all evidence does).
-
-        turn: the pan since the picture before, rad.
-        """
+        """(a quick registration, whether a keyframe shows a motion, whether that or the evidence
+        of the last frames does). turn: the pan since the picture before, rad."""
         quick = self._registration.quick(before, self.pan.picture, turn)
         crept = self._keyframes.crept(self.pan.picture, turn, SET_OUT)
         moves = (quick is not None and self._evidence.add(quick) > SET_OUT) or crept
@@ -197,7 +196,7 @@ class ImageMotion:
     def _register(
         self, before: FloatImage, start: FloatArray, *, searched: bool
     ) -> Registration | None:
-        """A registration from `start` or from a search; None where it is not believed."""
+        """A registration from `start`, or from a search; None where it is not accepted."""
         now = self.pan.picture
         if searched:
             start = self._registration.searched(before, now)
@@ -206,14 +205,14 @@ class ImageMotion:
         return None if found is None or found.loose or found.match < least else found
 
     def _accept(self, registration: Registration, seconds: float) -> Motion:
-        """The motion that a registration found; the speed and the place by it are kept."""
+        """The motion by a registration, which also updates the speed and the keyframes."""
         self._keyframes.keep(self.pan.picture, registration.motion)
         self._speed, self._lost = registration.motion / seconds, 0
         return _motion(registration)
 
 
 def unknown(seconds: float) -> Motion:
-    """The motion if none is measured: 0, with errors as large as slow vehicles move."""
+    """The motion if none is measured: 0, with standard errors of a slow vehicle's whole motion."""
     metres, degrees = UNKNOWN_M_S * seconds, UNKNOWN_DEG_S * seconds
     return Motion(0.0, 0.0, 0.0, degrees, metres, metres, known=False)
 

@@ -1,8 +1,9 @@
 """Keyframes: earlier pictures to which a slow sonar's later ones are registered.
 
-From frame to frame a small step is measured too long or too short by up to a twentieth of a cell,
-at a steady speed always in the same sense. Over many frames these errors add up, and a sonar that
-creeps seems to stand. Measured from a keyframe some cells away, a place has the error of one step.
+Steps from frame to frame are measured with a bias of up to a twentieth of a cell, which at a
+constant speed always has the same sign. Over many frames these errors add up, and a sonar that
+moves slowly seems to stand. A pose measured from a keyframe some cells away has the error of a
+single step.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ import numpy as np
 from sonarrec.arrays import FloatArray, FloatImage
 from sonarrec.recogniser.motion.registration import FloorRegistration, Registration
 
-# A keyframe serves from 6 to 12 cells away, as long as it matches. Steps of more than MOST_STEP
-# cells are measured from frame to frame: such errors are small then, and two pictures in a row have
-# more in common.
+# A keyframe is used from 6 to 12 cells away, as long as it matches by LEAST_MATCH. Steps of more
+# than MOST_STEP cells are measured from frame to frame: their bias matters little, and consecutive
+# pictures overlap more.
 KEYFRAME_CELLS, LEAST_MATCH, MOST_STEP = 12, 0.3, 2.0
-STRETCH = 12  # frames: a sonar whose motion over so many does not show is taken to stand
+STRETCH = 12  # frames over which a motion must be significant, else the sonar is taken to stand
 # Chi-square, of 2 degrees of freedom, of a quick registration above which a full one is made.
 SUSPECT = 9.0
 
 
 class _Keyframe(NamedTuple):
     pose: FloatArray
-    """(3,) of the sonar, as Registration.motion, since the log's first picture."""
+    """(3,) of the sonar relative to the log's first picture, as Registration.motion."""
     picture: FloatImage
 
 
@@ -74,10 +75,10 @@ class Keyframes:
             self._kept.append(_Keyframe(self._pose, now))
 
     def crept(self, now: FloatImage, turn: float, sure: float) -> bool:
-        """Whether a keyframe shows that a sonar taken to stand has moved; then its pose is mended.
+        """Whether a keyframe shows that a sonar taken to stand has moved; its pose is then updated.
 
-        turn: rad, since the last picture. sure: the chi-square, of 2 degrees of freedom, above
-        which it has moved.
+        turn: yaw since the last picture, rad. sure: the chi-square, of 2 degrees of freedom, above
+        which the sonar has moved.
         """
         if not self._kept:
             return False
@@ -92,14 +93,14 @@ class Keyframes:
         found = self._registration.refined(keyframe.picture, now, expected)
         if found is None or found.loose or found.translation(found.motion) <= sure:
             return False
-        # The motion so far is reported to nobody: the tracks have followed their discs.
+        # The motion so far is not reported: the tracks have followed their discs without it.
         self._pose = _after(_after(keyframe.pose, found.motion), np.array([0.0, 0.0, -turn]))
         return True
 
     def under_way(self, found: Registration) -> float | None:
-        """The chi-square, of 2 degrees of freedom, of having moved over the last STRETCH frames.
+        """The chi-square, of 2 degrees of freedom, of the translation over the last STRETCH frames.
 
-        found: from `registered`. None after fewer frames.
+        found: from `registered`, whose covariance is used. None before STRETCH frames.
         """
         if len(self._trail) < STRETCH:
             return None
@@ -107,7 +108,7 @@ class Keyframes:
 
 
 def _after(pose: FloatArray, motion: FloatArray) -> FloatArray:
-    """(3,) the pose after a motion (3,) from another."""
+    """(3,) the pose that a motion (3,) leads to from `pose` (3,)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     right, ahead, turn = motion
     way = [right * cos + ahead * sin, ahead * cos - right * sin, turn]
@@ -115,7 +116,7 @@ def _after(pose: FloatArray, motion: FloatArray) -> FloatArray:
 
 
 def _between(pose: FloatArray, later: FloatArray) -> FloatArray:
-    """(3,) the motion that leads from one pose to another."""
+    """(3,) the motion that leads from `pose` (3,) to `later` (3,)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     x, y, turn = later - pose
     return np.array([x * cos - y * sin, x * sin + y * cos, turn])

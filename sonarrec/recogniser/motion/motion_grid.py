@@ -1,4 +1,4 @@
-"""A coarse search for the sonar's motion, for when nothing is known about it."""
+"""A coarse grid search for the sonar's motion, used where nothing is known about it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ class MotionGrid:
     """Finds the best motion of a grid, at half the resolution.
 
     The later picture is cut into blocks. Each is correlated with the earlier picture around its own
-    place; the grid's motions say where each block should be found.
+    position. The best motion has the largest sum of the blocks' correlations at the shifts that it
+    predicts.
     """
 
     BLOCKS = (8, 6)  # down, across
     MOST = (0.09, 0.16, math.radians(6.0))  # m to the right, m ahead, rad: to either side
-    FINENESS = (0.01, 0.02)  # m, of the grid; its turns are two cells apart
+    FINENESS = (0.01, 0.02)  # m between the grid's shifts; its yaws are two cells apart
 
     def __init__(self, cells: CellPlaces) -> None:
         rows, columns = (side // 2 for side in cells.shape)
@@ -42,7 +43,7 @@ class MotionGrid:
         bearing = cells.bearing + middle[1] * cells.bearing_step
         ground, bearing = (a.ravel() for a in np.meshgrid(ground, bearing, indexing="ij"))
         before = cells.before(ground, bearing, motions)
-        # (motions, blocks) by how many cells of half the resolution each motion moves each block.
+        # (motions, blocks) shifts of each block by each motion, in cells of half the resolution.
         down, across = (
             np.rint((v - m.ravel()) / 2).astype(int)
             for v, m in zip(before, np.meshgrid(*middle, indexing="ij"), strict=True)
@@ -50,8 +51,8 @@ class MotionGrid:
         most_down = int(min(np.abs(down).max(), rows - 1))
         most_across = int(min(np.abs(across).max(), columns - 1))
         self._reach = most_down, most_across
-        # Where `best` has the correlation of each block at that shift: flat indices into an array
-        # (blocks, high, wide), with one more element, 0, for shifts beyond the picture.
+        # Flat indices into `best`'s correlations (blocks, high, wide), to which one more element,
+        # 0, is appended for shifts beyond the picture.
         high, wide = 2 * most_down + 1, 2 * most_across + 1
         inside = (np.abs(down) <= most_down) & (np.abs(across) <= most_across)
         place = (down + most_down) * wide + across + most_across
@@ -59,7 +60,7 @@ class MotionGrid:
         self._place = np.where(inside, place, place.shape[1] * high * wide).astype(np.int32)
 
     def best(self, before: FloatImage, now: FloatImage) -> FloatArray:
-        """(3,) the motion by which the blocks are most alike."""
+        """(3,) the motion, as Registration.motion, with the largest summed correlation."""
         earlier, later = (
             cv2.resize(p, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for p in (before, now)
         )
@@ -70,7 +71,7 @@ class MotionGrid:
         rows, columns = self.BLOCKS
         parts = later[: rows * high, : columns * wide].reshape(rows, high, columns, wide)
         parts = parts.swapaxes(1, 2)
-        filled = tuple(map(cv2.getOptimalDFTSize, size))  # with 0: quickly transformed
+        filled = tuple(map(cv2.getOptimalDFTSize, size))  # padded with 0 to a fast length
         spectrum = np.fft.rfft2(windows[:rows, :columns], filled)
         spectrum *= np.fft.rfft2(parts, filled).conj()
         found = np.fft.irfft2(spectrum, filled)[..., : 2 * down + 1, : 2 * across + 1]
@@ -82,6 +83,6 @@ class MotionGrid:
 def motion_grid(cells: CellPlaces) -> MotionGrid:
     """The grid for pictures with these cells.
 
-    Cached: making it takes as long as ten frames, and many logs are of one sonar.
+    Cached, since it takes as long to make as ten frames, and many logs come from one sonar.
     """
     return MotionGrid(cells)

@@ -12,24 +12,24 @@ from sonarrec.poses import PoseTable
 from sonarrec.recogniser.motion.image_motion import ImageMotion
 from sonarrec.recogniser.plane import Plane
 
-# The table's turns are compared with the images' where either is at least this large. The table is
-# doubted where the images contradict most of at least so many turns.
+# The pans by the table and by the images are compared where either is at least LEAST_TURN_DEG. A
+# note doubts the table if at least LEAST_COMPARED were compared and most of them contradict.
 LEAST_TURN_DEG = 0.3
 LEAST_COMPARED = 10
 
 
 @dataclass(slots=True)
 class PoseTally:
-    """What the frames so far say of the table of poses."""
+    """Counts, over the frames so far, by which the table of poses is checked."""
 
     span: tuple[int, int] | None = None
-    """Of the frames, ns."""
+    """First and last time of the frames, ns."""
     frames: int = 0
     without_pose: int = 0
     compared: int = 0
-    """Turns that are in the images too."""
+    """Frames whose pan was measured in the images too."""
     differing: int = 0
-    """Of these, which the images contradict."""
+    """Those of `compared` in which the images contradict the table."""
 
 
 class Odometry:
@@ -44,8 +44,8 @@ class Odometry:
     def step(self, image: ByteImage, timestamp_ns: int) -> Motion | None:
         """The motion since the last frame. `known` is False where neither source gives it.
 
-        None for the first frame, and where there is no pose and images are not looked at. image:
-        the working image. timestamp_ns: of the frame.
+        None for the first frame; also where no pose is known and the motion is not measured in
+        images. image: the working image. timestamp_ns: of the frame.
         """
         before, self._before_ns = self._before_ns, timestamp_ns
         by_poses = None
@@ -64,7 +64,7 @@ class Odometry:
         return self._images.step(image, None if before is None else (timestamp_ns - before) / 1e9)
 
     def _compare(self, pose_deg: float, image_deg: float | None) -> None:
-        """Count a turn by the poses, and whether that by the images contradicts it."""
+        """Count a pan by the poses, and whether the one by the images contradicts it."""
         if image_deg is None:
             return
         larger = max(abs(pose_deg), abs(image_deg))
@@ -73,7 +73,7 @@ class Odometry:
             self.tally.differing += abs(pose_deg - image_deg) > 0.5 * larger
 
     def tell(self, diagnostics: Diagnostics) -> None:
-        """Tell what is wrong with the table: rows, frames that have no pose, contradictions."""
+        """Report what is wrong with the table: bad rows, frames without a pose, contradictions."""
         if self._poses is None:
             return
         tally, poses = self.tally, self._poses

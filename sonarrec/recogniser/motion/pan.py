@@ -1,4 +1,4 @@
-"""The pan of a sonar that stands, by correlation of its images along the bearing."""
+"""Measures the pan of a standing sonar by correlating its images along the bearing."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ RANGES = 128
 BEARINGS = 192
 LEAST_OVERLAP = 0.4  # of two frames, as a share of the field of view
 MOST_SHIFT = int((1 - LEAST_OVERLAP) * BEARINGS)
-CIRCLE = 320  # beams: at no shift that is tried one meets another from the other edge
-# A turn of about a cell is measured too short, for what leaks from beam to beam turns with the
-# sonar. From frame to frame these errors would add up. So turns are measured from a keyframe, an
-# earlier picture 6 to 12 cells away, as long as it matches.
+CIRCLE = 320  # beams after zero-padding: no shift that is tried wraps round to the other edge
+# Sub-cell rotations are biased low: side-lobe leakage rotates with the sonar. From frame to frame
+# the bias would add up, so rotations are measured from a keyframe, an earlier picture 6 to 12 cells
+# away, as long as it matches.
 KEYFRAME_CELLS = 12
 LEAST_KEYFRAME_MATCH = 0.5
-KEYFRAME_SIGMA = 0.05  # cells, by which turns from keyframes scatter (simulated slow pans)
+KEYFRAME_SIGMA = 0.05  # cells, standard error of rotations from keyframes (simulated slow pans)
 
 
 class _View(NamedTuple):
-    """A picture as PanEstimator correlates it."""
+    """A picture, prepared for correlation."""
 
     spectrum: npt.NDArray[np.complexfloating[Any]]
-    """(RANGES, CIRCLE / 2 + 1) of its rows, zero-padded."""
+    """(RANGES, CIRCLE / 2 + 1) Fourier transform of its zero-padded rows."""
     energy: FloatArray
-    """(BEARINGS + 1,) sum of squares of the beams before each."""
+    """(BEARINGS + 1,) cumulative sum of squares over the beams, from 0."""
 
 
 class PanEstimator:
@@ -39,8 +39,8 @@ class PanEstimator:
 
     range_m: (RANGES,), bearing_deg: (BEARINGS,) of the cells' middles. seen: (RANGES, BEARINGS)
     float32, 1 where a cell shows floor. picture: (RANGES, BEARINGS) float32 of the last image: grey
-    level less the mean of its range bin and of its beam, 0 where nothing is seen. scatter_deg: by
-    which turns from keyframes scatter.
+    level less the mean of its range bin and of its beam, 0 where nothing is seen. scatter_deg:
+    standard error of rotations from keyframes.
     """
 
     def __init__(self, plane: Plane) -> None:
@@ -57,30 +57,30 @@ class PanEstimator:
         self.picture: FloatImage = np.zeros_like(self.seen)
         self._cells = np.maximum(self.seen.sum(axis=1, keepdims=True), 1)
         self._shift = shift = np.arange(-MOST_SHIFT, MOST_SHIFT + 1)
-        # The beams that two frames have in common at each shift: [low, high) of the later one.
+        # The beams [low, high) of the later frame that overlap the earlier one at each shift.
         self._low, self._high = np.maximum(-shift, 0), np.minimum(BEARINGS - shift, BEARINGS)
         self._before: _View | None = None
-        self._heading = 0.0  # deg, turned since the first image
-        # Heading and view of each, the older first.
+        self._heading = 0.0  # deg, sum of the pans since the first image
+        # The heading and the view of each keyframe, the older first.
         self._keyframes = deque[tuple[float, _View]](maxlen=2)
 
     def step(self, image: ByteImage) -> tuple[float, float]:
-        """(pan in deg since the last image, correlation there, 0 to 1).
+        """(pan in deg since the last image, correlation at that pan, 0 to 1).
 
-        The pan is positive where the sonar turned right, so that objects moved to the left.
-        (0, 0) for the first image and for a blank one.
+        The pan is positive to the right, so that objects move to the left. (0, 0) for the first
+        image and for a blank one. image: the working image.
         """
         polar = cv2.remap(image, *self._map, cv2.INTER_LINEAR).astype(np.float32)
-        # What does not turn with the floor would pull the match to no shift. The means of the range
-        # bins hold the fall-off with range, those of the beams the beams' gains.
+        # What does not move with the floor would bias the pan towards 0: the fall-off with range,
+        # which is in the range bins' means, and the beams' gains, which are in the beams' means.
         mean = polar.sum(axis=1, keepdims=True) / self._cells
-        # Not by BLAS, whose sums end in other digits on other processors.
+        # Not by BLAS: the last digits of its sums depend on the processor.
         of_mean = np.einsum("i,ij->j", mean[:, 0], self.seen)
         polar -= mean + (polar.sum(axis=0) - of_mean) / RANGES
         polar *= self.seen
         self.picture = polar
         wide = cv2.copyMakeBorder(polar, 0, 0, 0, CIRCLE - BEARINGS, cv2.BORDER_CONSTANT)
-        # Scaled by its length: else numpy takes twice the time, in double precision.
+        # norm="forward" keeps float32; without it numpy computes in float64, in twice the time.
         spectrum = np.fft.rfft(wide, norm="forward")
         energy = np.concatenate([[0.0], np.cumsum(np.einsum("ij,ij->j", polar, polar))])
         view = _View(spectrum, energy)
@@ -91,9 +91,9 @@ class PanEstimator:
         return self._from_keyframe(before, view, pan_deg, match), match
 
     def _from_keyframe(self, before: _View, view: _View, pan_deg: float, match: float) -> float:
-        """The pan since the last view, by the turn from a keyframe; `pan_deg` where none matches.
+        """The pan since the last view, measured from a keyframe; `pan_deg` where none matches.
 
-        pan_deg, match: from the last view to this one.
+        pan_deg, match: measured from the last view to this one.
         """
         heading = self._heading + pan_deg
         if match < LEAST_KEYFRAME_MATCH:
@@ -114,8 +114,8 @@ class PanEstimator:
         return pan_deg
 
     def _turn(self, before: _View, now: _View) -> tuple[float, float]:
-        """(turn in deg from one view to another, correlation there, 0 to 1)."""
-        # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a turn to the right.
+        """(rotation in deg from one view to another, correlation there, 0 to 1)."""
+        # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a rotation to the right.
         crossed = (before.spectrum * now.spectrum.conj()).sum(axis=0)
         product = CIRCLE * np.fft.irfft(crossed, CIRCLE, norm="forward")[self._shift]
         low, high = self._low, self._high
@@ -133,5 +133,5 @@ class PanEstimator:
 
 
 def _as_map(column: FloatArray, row: FloatArray) -> tuple[FloatImage, FloatImage]:
-    """For cv2.remap."""
+    """Coordinates as cv2.remap takes them."""
     return column.astype(np.float32), row.astype(np.float32)

@@ -1,9 +1,9 @@
 """Surge, sway and yaw of the sonar, registered between two polar pictures of a flat floor.
 
-A point of the floor that now lies in a cell of range and bearing lay elsewhere before; where
-follows from the motion and the height. The earlier picture is resampled to where its points should
-lie now and compared with the later one; Gauss-Newton steps lead to the motion by which the two are
-most alike. Where nothing is known of the motion they start at the best of a coarse grid.
+The motion and the sonar's height say where each cell of the later picture lay in the earlier one.
+The earlier picture is resampled accordingly and compared with the later one, and Gauss-Newton
+steps minimise the squared difference. Where nothing is known of the motion, the steps start at the
+best motion of a coarse grid.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from sonarrec.recogniser.motion.motion_grid import motion_grid
 
 STEPS = 8  # Gauss-Newton steps, at most
 CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad
-FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; steps that lead beyond it are lost
-# Standard errors (m, m, rad) beyond which a registration is not believed.
+FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; beyond it the registration has failed
+# Standard errors (m, m, rad) beyond which a registration is not accepted.
 LOOSEST = (0.015, 0.015, math.radians(0.6))
 LEAST_SHARE = 0.02  # least regression slope of the later picture on the earlier one
 # Standard deviation of the height's change from frame to frame, m. It moves echoes along the range
 # as surge does, more so the nearer they are.
 HEAVE_M = 0.01
 GRAIN = 4.0  # cells in a grain of speckle, which count as one observation
-# (down, across) blocks of a picture. Their residuals are independent: a block is larger than a
-# grain of speckle, and wider than beams leak into each other.
+# (down, across) blocks of a picture. Their residuals count as independent: a block is larger than a
+# grain of speckle, and wider than the leakage between beams.
 BLOCKS = (8, 12)
-# The quick registration looks at every so many rows, in fewer blocks.
+# The quick registration uses every EVERY-th row, and fewer blocks.
 EVERY = 8
 QUICK_BLOCKS = (4, 8)
 
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """How two pictures fit together.
+    """The motion between two pictures.
 
-    motion: (3,) how far the sonar was carried to the right and ahead (m, in the axes of the earlier
-    picture), and turned to the right (rad). covariance: (3, 3). match: the pictures' correlation.
+    motion: (3,) shift to the right and ahead (m, in the axes of the earlier picture), and yaw to
+    the right (rad). covariance: (3, 3). match: the pictures' correlation after the motion.
     """
 
     motion: FloatArray
@@ -50,30 +50,30 @@ class Registration:
 
     @property
     def sigma(self) -> FloatArray:
-        """(3,) standard errors of the motion."""
+        """(3,) standard errors of the motion, m, m and rad."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def loose(self) -> bool:
-        """Whether its standard errors are too large for it to be believed."""
+        """Whether its standard errors are too large for it to be accepted."""
         return bool((self.sigma > LOOSEST).any())
 
     def translation(self, motion: FloatArray) -> float:
-        """The chi-square, of 2 degrees of freedom, of a motion (3,) being more than a turn.
+        """The chi-square, of 2 degrees of freedom, of the translation of a motion (3,).
 
-        Its translation is taken to have this registration's covariance.
+        The covariance is this registration's.
         """
         way = motion[:2]
         try:
             return float(way @ np.linalg.solve(self.covariance[:2, :2], way))
-        except np.linalg.LinAlgError:  # pictures that are the same to the bit leave no error at all
+        except np.linalg.LinAlgError:  # identical pictures have no residual, so no covariance
             return math.inf if way.any() else 0.0
 
 
 class FloorRegistration:
-    """Registers polar pictures of one shape, (rows, columns) float32, 0 where no floor is seen.
+    """Registers polar pictures (rows, columns), float32, 0 where no floor is seen.
 
-    The mean of each row and column is 0. floor: the pictures' cells.
+    The mean of each row and each column must be 0. floor: the pictures' cells.
     """
 
     def __init__(self, floor: FloorCells) -> None:
@@ -85,7 +85,7 @@ class FloorRegistration:
     def refined(
         self, before: FloatImage, now: FloatImage, start: FloatArray
     ) -> Registration | None:
-        """The motion near `start`; None where the steps do not come to rest.
+        """The motion near `start`; None where the steps do not converge.
 
         start: (3,) as Registration.motion.
         """
@@ -104,14 +104,14 @@ class FloorRegistration:
         return None
 
     def searched(self, before: FloatImage, now: FloatImage) -> FloatArray:
-        """(3,) the likeliest motion of a coarse grid, a start for `refined`."""
+        """(3,) the best motion of a coarse grid, a start for `refined`."""
         return motion_grid(self.floor.places).best(before, now)
 
     def quick(self, before: FloatImage, now: FloatImage, turn: float) -> Registration | None:
-        """The motion near a turn alone (rad): one step, for motions of a small part of a cell.
+        """A single Gauss-Newton step from a yaw of `turn` (rad), for motions of a part of a cell.
 
-        It looks at some of the rows, and takes the height as constant. None where the pictures have
-        nothing in common.
+        It uses every EVERY-th row, and takes the height as constant. None where the pictures do not
+        correlate.
         """
         shift = np.float32(turn / self.floor.places.bearing_step)
         earlier, later = (self._sampled_rows(p) for p in (before, now))
@@ -149,7 +149,7 @@ class FloorRegistration:
         return Registration(rest, inverse @ (blocks @ blocks.T) @ inverse, match)
 
     def _sampled_rows(self, picture: FloatImage) -> FloatImage:
-        """(3, rows, columns): above each row of the quick registration, that row, and below it."""
+        """(3, rows, columns): the quick registration's rows, with those above and those below."""
         stop = self._quick.stop
         return np.stack([picture[k : stop - 1 + k : EVERY] for k in range(3)])
 
@@ -165,11 +165,11 @@ class FloorRegistration:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Two pictures compared under one motion, each (rows, columns).
+    """Two pictures (rows, columns) compared under one motion.
 
-    later: where both show floor, else 0. residual: later less the earlier one, moved and scaled to
-    fit. inner: 1 where slopes can be taken. slopes: (4, rows, columns) derivatives of the earlier
-    by the motion and the height.
+    later: the later picture where both show floor, else 0. residual: later less the earlier one,
+    which is resampled by the motion and scaled to fit. inner: 1 where derivatives can be taken.
+    slopes: (4, rows, columns) derivatives of the earlier one by the motion and the height.
     """
 
     floor: FloorCells
@@ -178,13 +178,13 @@ class _Fit:
     inner: ByteImage
     slopes: FloatImage
     match: float
-    heave_weight: float  # what a change of height costs, per m^2: the prior of HEAVE_M
+    heave_weight: float  # weight of the prior on a change of height (HEAVE_M), per m^2
 
     @classmethod
     def of(
         cls, floor: FloorCells, before: FloatImage, now: FloatImage, motion: FloatArray
     ) -> _Fit | None:
-        """Compare two pictures under a motion (3,); None where they have nothing in common."""
+        """Compare two pictures under a motion (3,); None where they do not correlate."""
         row, column = floor.places.before(floor.ground, floor.bearing, motion.astype(np.float32))
         earlier = np.asarray(cv2.remap(before, column, row, cv2.INTER_LINEAR), np.float32)
         seen = np.asarray(cv2.remap(floor.seen, column, row, cv2.INTER_LINEAR))
@@ -206,7 +206,7 @@ class _Fit:
         return cls(floor, later, residual, inner, slopes, match, heave_weight)
 
     def step(self) -> FloatArray:
-        """(3,) the Gauss-Newton step to a motion by which they are more alike."""
+        """(3,) the Gauss-Newton step of the motion."""
         flat = self.slopes.reshape(4, -1)
         normal = (flat @ flat.T).astype(float)
         normal[3, 3] += self.heave_weight
@@ -216,9 +216,9 @@ class _Fit:
     def covariance(self) -> FloatArray | None:
         """(3, 3) of the motion, by the sandwich estimator; None where it is not determined.
 
-        curvature^-1 scatter curvature^-1. The curvature is the product of the slopes of both
-        pictures: that of one with itself would count its noise. The scatter is that of the blocks'
-        scores (slope times residual).
+        It is curvature^-1 scatter curvature^-1. The curvature multiplies the slopes of one picture
+        by those of the other, since a picture's product with itself would include its noise. The
+        scatter is the covariance of the blocks' scores (slope times residual).
         """
         first, second = self.slopes, _slopes(self.floor, self.later, self.inner)
         curvature = (first.reshape(4, -1) @ second.reshape(4, -1).T).astype(float)

@@ -1,8 +1,8 @@
 """The width of the sonar's beams: as the settings or the log state it, else the usual one.
 
-It was also measured, by the speckle of the first frames. Where beams were wider than usual that
-cost landmarks, and in pictures that are averages it found widths that are not there. Widths that
-are too narrow cost little, those that are too wide much: so the number of beams is a bound.
+Measuring it by the speckle of the first frames was tried and dropped: with beams wider than usual
+it cost landmarks, and averaged pictures gave wrong widths. A width that is too narrow costs little,
+one that is too wide costs much. So the spacing of the beams sets an upper bound.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from sonarrec.nouns import Fan, Frame
 # of 60 deg, and those of 120 to 130.
 USUAL_DEG = ((40.0, 0.4), (80.0, 0.6), (360.0, 1.0))
 MOST_BEAMS = 2.0
-"""The usual width is at most that of so many beams' spacings, where their number is known."""
+"""Upper bound of the usual width, in spacings of the beams, where their number is known."""
 
 
 def with_beams(
     configs: Sequence[Config], stated_deg: float | None, first: Frame
 ) -> tuple[list[Config], list[str]]:
-    """The settings, with the beam width filled in where they leave it open, and a note on it.
+    """The settings, with the beam width filled in where they leave it open, and notes on it.
 
     stated_deg: the width that the log states, if any. first: its first frame. There is no note if
     the width is the usual one.

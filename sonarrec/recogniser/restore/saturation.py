@@ -1,11 +1,11 @@
 """Restores the grey levels of saturated and of equalised pictures.
 
 Saturated: the gain was too high, so all strong echoes are drawn at the highest level. A ring then
-stands out little from the floor beside it, since both reach that level. But the ring reaches it
-more often, and from how often follows how much brighter it is.
+stands out little from the floor beside it, since both reach that level. But more of the ring's
+pixels reach it, and their share tells how much brighter the ring is.
 
-Equalised: a viewer drew as many pixels at each level as at any other, so echoes that are brighter
-or darker than most hardly differ from the rest.
+Equalised: a viewer equalised the histogram, so that every level has as many pixels. Bright and dark
+echoes then hardly differ from the rest.
 """
 
 from __future__ import annotations
@@ -27,28 +27,29 @@ from sonarrec.recogniser.restore.static_pixels import BLACK
 # excess of what the levels below them suggest. JPEG spreads the highest level over a few.
 LEAST_SHARE = 0.02
 HIGHEST, NEXT = 4, 8  # grey levels
-SAMPLED = 4  # every so many rows and columns are counted
+SAMPLED = 4  # every SAMPLED-th row and column is counted
 # Standard deviation, in disc radii, of the surroundings in which saturated pixels are counted.
 SURROUNDINGS = 0.065
-FEWEST, MOST = 0.02, 0.99  # shares are limited to these: beyond them the lift is not known
-# Speckle in decibels is skewed: it reaches above the mean less far than a Gaussian does.
+FEWEST, MOST = 0.02, 0.99  # shares are clipped to these: beyond them the lift is uncertain
+# Factor on a Gaussian's lift: speckle in decibels is skewed, and reaches less far above its mean.
 OF_GAUSSIAN = 0.6
 LEAST_SPREAD = 4.0  # grey levels
-# A picture is equalised if equal spans of its levels, without the OUTERMOST pixels, hold equally
-# many pixels, up to the factor EVEN. Other pictures have few pixels in the first and last span.
-SPANS, EVEN = 8, 2.0  # other pictures: 6.5 at least
+# A picture is equalised if SPANS equal spans of its levels hold equally many pixels, up to the
+# factor EVEN. The OUTERMOST share of the pixels at either end does not count. Other pictures have
+# few pixels in the first and last span: their factor is 6.5 at least.
+SPANS, EVEN = 8, 2.0
 OUTERMOST = 0.002
 INNERMOST, LEVELS = np.array([OUTERMOST, 1 - OUTERMOST]), np.arange(256.0)
-MEAN, SPREAD = 128.0, 40.0  # of the levels that it is given
+MEAN, SPREAD = 128.0, 40.0  # mean and standard deviation of the levels that replace equalised ones
 
 
 def _lifts() -> FloatImage:
-    """(256,) by how much the mean level of saturated pixels exceeds the highest level, in standard
-    deviations of the speckle, by their share about a pixel in 255ths."""
+    """(256,) by how much saturated pixels exceed the highest level on average, in standard
+    deviations of the speckle. Index: their share in the surroundings, in 255ths."""
     normal = NormalDist()
     shares = np.clip(np.arange(256) / 255, FEWEST, MOST).tolist()
-    above = [normal.inv_cdf(s) for s in shares]  # of the mean over the highest level
-    # The mean of a Gaussian beyond a limit.
+    above = [normal.inv_cdf(s) for s in shares]  # height of the mean over the highest level
+    # The mean of a truncated Gaussian.
     means = [a + normal.pdf(a) / s for a, s in zip(above, shares, strict=True)]
     return OF_GAUSSIAN * np.array(means, np.float32)
 
@@ -59,8 +60,7 @@ LIFTS = _lifts()
 class Levels:
     """Finds the saturated and the equalised pictures of one log, and restores their levels.
 
-    radius_m: of the landmarks. seen, saturated, equalised: how many pictures there were, and how
-    many of them were so.
+    radius_m: of the landmarks. seen, saturated, equalised: numbers of pictures so far.
     """
 
     def __init__(self, radius_m: float) -> None:
@@ -70,10 +70,10 @@ class Levels:
         self.seen = self.saturated = self.equalised = 0
 
     def restored(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames of a log, those that are saturated or equalised with other `pixels`.
+        """The frames of a log; those that are saturated or equalised get restored `pixels`.
 
-        In the former the brightest exceed the others by more, and all are scaled so that none
-        exceeds 255. In the latter the levels are spread as in a Gaussian.
+        Saturated pixels are lifted above the others, and all are scaled so that none exceeds 255.
+        Levels of equalised pictures are mapped to a Gaussian distribution.
         """
         for frame in frames:
             self.seen += 1
@@ -89,7 +89,7 @@ class Levels:
                 yield frame
 
     def _echoes(self, frame: Frame) -> IntArray:
-        """(256,) how many of some pixels within the fan hold an echo of up to each level."""
+        """(256,) cumulative histogram of the echoes in the sampled pixels within the fan."""
         if (frame.fan, frame.pixels.shape) != self._shown_of:
             self._shown_of = frame.fan, frame.pixels.shape
             shown = np.full(frame.pixels.shape, 255, np.uint8)
@@ -102,7 +102,10 @@ class Levels:
         return counts.cumsum(dtype=np.int64)
 
     def _lift(self, frame: Frame, first: int, spread: float) -> ByteImage:
-        """first: the level from which on pixels are saturated. spread: of speckle, in levels."""
+        """The pixels of a saturated frame, restored.
+
+        first: the lowest saturated level. spread: standard deviation of the speckle, in levels.
+        """
         fan = frame.fan
         if frame.polar is None:
             row_m = column_m = fan.metres_per_pixel
@@ -122,14 +125,14 @@ class Levels:
 
 
 def _box(sigma: float) -> int:
-    """The side, in pixels, of the box that applied twice has about this standard deviation."""
+    """Side in pixels of a box filter which, applied twice, has about this standard deviation."""
     return max(3, 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1)
 
 
 def saturated_from(up_to: IntArray) -> int | None:
-    """The level from which on pixels are saturated; None of a picture that is not saturated.
+    """The lowest saturated level of a picture; None if the picture is not saturated.
 
-    up_to: (256,) how many of its pixels hold an echo of up to each level.
+    up_to: (256,) cumulative histogram of its echoes.
     """
     echoes = int(up_to[-1])
     if not echoes:
@@ -153,7 +156,7 @@ def evenly_spread(up_to: IntArray) -> bool:
 
 
 def _gaussian(up_to: IntArray) -> ByteImage:
-    """(256,) the level that each level of such a picture becomes."""
+    """(256,) the level to which each level of an equalised picture is mapped."""
     rank = (up_to - np.diff(up_to, prepend=0) / 2 + 0.5) / (up_to[-1] + 1)
     normal = NormalDist(MEAN, SPREAD)
     levels = [normal.inv_cdf(r) for r in rank[BLACK + 1 :].tolist()]
@@ -161,6 +164,6 @@ def _gaussian(up_to: IntArray) -> ByteImage:
 
 
 def _spread(up_to: IntArray) -> float:
-    """The standard deviation of the speckle, in levels: from the median down, where none is cut."""
+    """Standard deviation of the speckle, in levels, from the unsaturated half below the median."""
     low, middle = up_to.searchsorted([0.16 * up_to[-1], 0.5 * up_to[-1]])
     return max(float(middle - low), LEAST_SPREAD)

@@ -1,7 +1,7 @@
 """Fills pixels that never change while the picture does: drawn lines and text, dead beams.
 
 They show nothing of the floor, and stage 1 would take them for edges and rings. So before stage 1
-they get the level of the nearest pixel that does change.
+each gets the level of the nearest pixel that does change.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from sonarrec.arrays import BoolArray, ByteImage, FloatImage, IndexArray, quanti
 from sonarrec.geometry import fan_mask
 from sonarrec.nouns import Frame
 
-# Only frames that show a new picture count, called looks: the median change of their pixels since
-# the last look exceeds this share of the difference between neighbouring pixels. A sonar that
-# stands still has one look, since its whole picture may stay the same.
+# Only frames with a new view count, called looks. A view is new if the median change of its pixels
+# since the last look exceeds CHANGED of the median difference between neighbouring pixels. A sonar
+# that stands still has one look, since its whole picture may stay the same.
 CHANGED = 0.7
 SAMPLED = 40  # rows, and columns, that are compared to find a look
-JUDGED_AFTER = (8, 16, 64)  # looks
+JUDGED_AFTER = (8, 16, 64)  # looks after which pixels are judged
 # Frames that are read before the first one is yielded; fewer if they are large.
 AHEAD, MOST_BYTES_AHEAD = 40, 2**24
-# A pixel is still if its levels vary by less than this share of what its surroundings vary by:
-# compression lets a drawn line change a little. From the second judgement on, the share is FAINT
-# for pixels that are always brighter than the others by MIXED: there the floor shines through.
-# Pixels that touch a still one and are always brighter or darker are a line's smooth edge.
+# A pixel is still if its levels vary by less than STILL of what its surroundings vary by; not 0,
+# since compression changes a drawn line a little. From the second judgement on, the share is FAINT
+# for pixels that are always brighter than the others by MIXED: a half-transparent line over the
+# floor. Pixels that touch a still one and are always brighter or darker are a line's smooth edge.
 STILL, FAINT, MIXED = 0.2, 0.4, 0.2
-LEAST_USUAL = 8.0  # grey levels
-COARSE, SURROUNDINGS = 8, (5, 5)  # pixels in a block, blocks
+LEAST_USUAL = 8.0  # grey levels by which the surroundings must vary, else a pixel is not judged
+COARSE, SURROUNDINGS = 8, (5, 5)  # side of a block in pixels; surroundings in blocks
 LEAST_COUNTED = 0.02  # share of the surroundings' pixels that is needed for a mean
 LEAST_SPOT = 30  # connected pixels: fewer may be still by chance
-# Pixels that stay dark are a dead beam if they run through this share of the rows and are narrower
-# than so many pixels; else they are a shadow, or show nothing anyway.
+# Pixels that stay dark are a dead beam if they run through LEAST_BEAM of the rows and are narrower
+# than WIDEST pixels; else they are a shadow or lie outside the picture.
 LEAST_BEAM, WIDEST = 0.35, 13
 BLACK = 8  # up to this level there is no echo
-# Where echoes are few, a pixel may stay dark by chance. It counts as dark only if the probability
-# of that, estimated from the changing pixels around it, is at most this.
+# Where echoes are few, a pixel may stay dark by chance. It counts as dark only if that has at most
+# this probability, estimated from the changing pixels around it.
 CHANCE = 1e-3
 
 
 class Unchanging:
     """Finds unchanging pixels in the frames of one log, and fills them.
 
-    share: of the pixels that show the fan, how many are filled now, 0 to 1.
+    share: of the fan's pixels that are filled now, 0 to 1.
     """
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class Unchanging:
         self._lit: ByteImage = self._least  # in how many looks there was an echo
         self._inside: BoolArray = np.empty((0, 0), bool)  # pixels of the fan
         self._holes: IndexArray = np.empty(0, np.intp)
-        self._beside: IndexArray = self._holes  # what each is filled from
+        self._beside: IndexArray = self._holes  # the pixel that each is filled from
 
     def filled(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The frames of a log, with the unchanging ones of their `pixels` filled."""
@@ -86,7 +86,7 @@ class Unchanging:
         return replace(frame, pixels=pixels)
 
     def _look(self, frame: Frame) -> None:
-        """Take a frame in if it is a look; images of another size than the first do not count."""
+        """Use a frame if it is a look; images of another size than the first do not count."""
         pixels = frame.pixels
         if self._looks == JUDGED_AFTER[-1] or (self._looks and pixels.shape != self._least.shape):
             return
@@ -128,14 +128,15 @@ class Unchanging:
         self.share = len(self._holes) / max(int(np.count_nonzero(~away)), 1)
 
     def _unchanging_pixels(self) -> tuple[BoolArray, BoolArray]:
-        """(rows, columns) which pixels are drawn or dead; which show nothing anyway."""
+        """(rows, columns) masks of the pixels that are drawn or dead, and of those that are outside
+        the fan or in shadow."""
         inside, change = self._inside, cv2.subtract(self._most, self._least)
         usual = _local_mean(change, inside & (self._most > BLACK))
         others = inside & (change > usual / 2)
         usual = _local_mean(change, others)
         judged = inside & (usual > LEAST_USUAL)
         least = np.float32(STILL if self._looks < JUDGED_AFTER[1] else FAINT) * usual
-        if np.count_nonzero(judged & (change <= least)) < LEAST_SPOT:  # mostly so: all is well
+        if np.count_nonzero(judged & (change <= least)) < LEAST_SPOT:  # as in most logs
             return np.zeros_like(inside), ~inside
         middle = _local_mean(cv2.addWeighted(self._least, 0.5, self._most, 0.5, 0), others)
         margin = np.float32(MIXED) * usual
@@ -160,9 +161,9 @@ class Unchanging:
 
 
 def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
-    """(rows, columns) mean over each pixel's surroundings of those values, uint8, that count.
+    """(rows, columns) mean, over each pixel's surroundings, of the uint8 values where `counts`.
 
-    0 if fewer than LEAST_COUNTED count. On a coarse grid, since it changes little between pixels.
+    0 if fewer than LEAST_COUNTED count. Computed on a coarse grid, since it is smooth.
     """
     rows, columns = values.shape
     mask = counts.view(np.uint8) * np.uint8(255)
@@ -177,7 +178,7 @@ def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
 
 
 def _changed(before: npt.NDArray[np.int16], now: npt.NDArray[np.int16]) -> bool:
-    """Whether two pictures, sampled at every few rows and columns, show different floor."""
+    """Whether two sampled pictures show different views."""
     seen = (before > 0) & (now > 0)
     beside = seen[:, 1:] & seen[:, :-1]
     if not beside.any():
