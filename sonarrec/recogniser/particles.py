@@ -1,4 +1,4 @@
-"""Groups of particles, a row each: they walk, are weighed and resampled."""
+"""The groups of particles of stage 2, as tables with a row for each group."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ Rows = BoolArray | IndexArray
 
 @dataclass(slots=True)
 class Table:
-    """Arrays with a row for each of n things."""
+    """Arrays with a row for each of n objects."""
 
     numbers: IntArray
     """(n,) of the groups, stable over frames."""
     places: FloatArray
-    """(n, 2) working pixels: where each was last a candidate, moved with the floor since. At the
-    fan's edge, where the score map ends, particles stay when their object leaves; these do not."""
+    """(n, 2) working pixels: where each was last a candidate, moved with the floor since. Unlike
+    the particles, they leave the fan with their object."""
     existence: FloatArray
     """(n,) probability that there is an object, 0 to 1."""
     sight_deg: FloatArray
-    """(n,) deg, by how much the line of sight to it has turned over the floor since it began."""
+    """(n,) deg, rotation over the floor of the line of sight to it since the group began."""
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -60,7 +60,10 @@ class ParticleGroups(Table):
         sigma: float,
         rng: np.random.Generator,
     ) -> Self:
-        """Groups that begin: `count` particles round each of (n, 2) places, `sigma` pixels wide."""
+        """New groups of `count` particles, normally distributed round each of (n, 2) positions.
+
+        sigma: standard deviation along each axis, pixels.
+        """
         cloud = rng.standard_normal((len(places), count, 2), np.float32) * np.float32(sigma)
         particles = cloud + places[:, None].astype(np.float32)
         strikes = np.zeros(len(places), np.int64)
@@ -72,7 +75,7 @@ class ParticleGroups(Table):
         self.particles += noise * np.float32(sigma)
 
     def mean(self) -> npt.NDArray[np.float32]:
-        """(n, 2) the particles' mean. As a product: mean(axis=1) takes twenty times as long."""
+        """(n, 2) the particles' mean. A product, since mean(axis=1) takes twenty times as long."""
         count = self.particles.shape[1]
         return np.asarray((np.full((1, count), 1 / count, np.float32) @ self.particles)[:, 0])
 
@@ -114,11 +117,11 @@ class ParticleGroups(Table):
 
 @dataclass(slots=True)
 class LostGroups(Table):
-    """Groups that left the view. Their places say where they are now, outside it."""
+    """Groups that left the view; `places` are their positions now, outside it."""
 
     frames_left: IntArray
-    """(n,) for how many more frames each is remembered."""
+    """(n,) frames for which each is still remembered."""
     drift: FloatArray
-    """(n,) variance of the place, in disc diameters squared."""
+    """(n,) variance of the position, in disc diameters squared."""
     missed: IntArray
-    """(n,) frames in which its place was in view and it did not show."""
+    """(n,) frames in which its position was in view but it was no candidate."""

@@ -1,8 +1,8 @@
-"""The plane in which objects are looked for: the fan as it is, or the floor seen from above.
+"""The working plane, in which objects are searched: the fan itself, or the floor seen from above.
 
 In the fan a floor circle is squeezed along the range and stretched across it (Eq. 1, and the
 exact form in `geometry`). Resampled to the floor it is a circle of one known size everywhere,
-a pan of the sonar is a rotation about the apex, and fewer pixels do the work.
+a pan of the sonar is a rotation about the apex, and there are fewer pixels.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ Pair = tuple[FloatArray, FloatArray]
 
 
 class Plane(ABC):
-    """Makes working images of frames, and converts places in them to slant range and bearing."""
+    """Makes working images of frames, and converts their pixels to slant range and bearing."""
 
     fan: Fan
-    """The geometry of the images that it is made for."""
+    """The geometry of the frames' images."""
     shape: tuple[int, int]
     """(rows, columns) of the working image."""
     axes: tuple[float, float]
-    """(across, along) semi-axes in its pixels of a disc of the landmark's radius."""
+    """(across, along) semi-axes of a landmark's disc, in working pixels."""
     inside: ByteImage
     """`shape`, 1 where there is sonar data."""
     scale: float
     """Working pixels per fan pixel."""
     apex: tuple[float, float]
-    """(column, row) of the sonar in working pixels: in either plane a pan is a turn about it."""
+    """(column, row) of the sonar in working pixels. In either plane a pan rotates about it."""
 
     @abstractmethod
     def warp(self, pixels: ByteImage, polar: PolarImages | None = None) -> ByteImage:
@@ -68,17 +68,17 @@ class Plane(ABC):
 
     @abstractmethod
     def _slant_per_pixel(self, position: FloatArray, distance: FloatArray) -> Values:
-        """How many metres the slant range grows over one pixel away from the sonar.
+        """Derivative of the slant range by the distance from the apex, in metres per pixel.
 
-        position: (n, 2) working pixels. distance: (n,) theirs from the apex, in pixels.
+        position: (n, 2) working pixels. distance: (n,) their distance from the apex, in pixels.
         """
 
     @abstractmethod
     def _carried(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
-        """(column, row) of still objects once the sonar was carried, before it turns."""
+        """(column, row) of static objects after the motion's shift, before its pan."""
 
     def disc_share(self) -> FloatImage:
-        """`shape` float32: the share of a disc centred on each pixel that the fan shows."""
+        """`shape` float32: the share inside the fan of a disc centred on each pixel."""
         margin = [int(np.ceil(axis)) for axis in self.axes]
         y, x = np.mgrid[-margin[1] : margin[1] + 1, -margin[0] : margin[0] + 1].astype(float)
         disc = (np.hypot(x / self.axes[0], y / self.axes[1]) <= 1).astype(np.float32)
@@ -101,7 +101,7 @@ class Plane(ABC):
         return radial * self._slant_per_pixel(position, distance), np.degrees(turning)
 
     def moved(self, position: FloatArray, motion: Motion) -> FloatArray:
-        """(..., 2) where still objects on the floor, at working pixels, appear after a motion."""
+        """(..., 2) working pixels of static objects on the floor after a motion of the sonar."""
         column, row = position[..., 0], position[..., 1]
         if motion.right_m or motion.ahead_m:
             column, row = self._carried(column, row, motion)
@@ -114,10 +114,10 @@ class Plane(ABC):
         return after
 
     def sight_turned(self, before: FloatArray, after: FloatArray, motion: Motion) -> FloatArray:
-        """(n,) by how much a motion turns the line of sight to still objects over the floor, deg.
+        """(n,) rotation over the floor of the line of sight to static objects by a motion, deg.
 
         before, after: (n, 2) working pixels; the latter from `moved`. Counter-clockwise, seen from
-        above; 0 where the sonar only turns about itself.
+        above; 0 after a pan alone.
         """
         if not (motion.right_m or motion.ahead_m):
             return np.zeros(len(before))
@@ -179,7 +179,7 @@ class FloorPlane(Plane):
     """The floor seen from above: discs are circles of one size."""
 
     def __init__(self, fan: Fan, radius_m: float, disc_radius_px: float) -> None:
-        """disc_radius_px: radius of a disc in working pixels, if that is no finer than the fan.
+        """disc_radius_px: radius of a disc in working pixels, unless the fan's pixels are coarser.
 
         Raises SonarrecError where the floor lies beyond the range window.
         """
@@ -210,7 +210,7 @@ class FloorPlane(Plane):
             inside &= (fan_column >= 0) & (fan_column <= fan.columns - 1)
             inside &= (fan_row >= 0) & (fan_row <= fan.rows - 1)
             floor[band] = inside
-        # The outermost pixels are mixed with the black outside.
+        # The outermost pixels are interpolated with the black outside.
         self.inside = np.asarray(
             cv2.erode(floor, np.ones((3, 3), np.uint8), borderValue=0), np.uint8
         )
@@ -220,11 +220,11 @@ class FloorPlane(Plane):
         self._resampling: Resampling | None = None  # of images that are as `_polar` says
 
     def _lay_out(self, polar: PolarImages | None) -> None:
-        """Prepare for frames whose `polar` is this.
+        """Prepare for frames with this `polar`.
 
-        A floor pixel is to be the mean of what it covers. So images are first shrunk by whole
-        blocks. Beams lie the closer together the nearer the range: across them a blur whose width
-        depends on the range does what the blocks do along it.
+        A floor pixel is the mean of the area that it covers, so images are first shrunk by whole
+        blocks. Polar images have closer beams at nearer ranges. Across the beams a blur, whose
+        width depends on the range, replaces the blocks.
         """
         along_m = self.fan.metres_per_pixel if polar is None else polar.bin_m
         across, along = 1, max(1, round(self._pixel_m / along_m))
@@ -236,8 +236,8 @@ class FloorPlane(Plane):
                 np.nan_to_num(ground_range(self.fan, polar.ranges_m)), self._pixel_m
             )
             covered = self._pixel_m / (np.radians(polar.beam_deg) * ground)  # beams in a pixel
-            # As variances, in beams squared: a mean of three beams has 2/3; a mean over a floor
-            # pixel and the look-up between two of them have covered^2 (1/12 + 1/6).
+            # Variances in beams squared: a mean of three beams has 2/3; a mean over a floor pixel
+            # and the interpolation between two of them have covered^2 (1/12 + 1/6).
             share = np.minimum(3 / 8 * covered**2, 1).astype(np.float32)
             share = np.repeat(share[:, None], polar.shape[1], axis=1)
             self._blur = share, 1 - share
@@ -252,7 +252,7 @@ class FloorPlane(Plane):
             self._resampling.fill(band, across_px, along_px, seen)
 
     def warp(self, pixels: ByteImage, polar: PolarImages | None = None) -> ByteImage:
-        # Polar images go to the floor in one step: the fan has many more pixels than either.
+        # Polar images are resampled to the floor directly, since a fan has many more pixels.
         if self._resampling is None or polar is not self._polar:
             self._lay_out(polar)
         assert self._resampling is not None

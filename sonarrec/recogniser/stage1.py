@@ -26,15 +26,15 @@ OUTSIDE = (1.08, 1.35)
 # from its plate, whatever the floor is like; but beams as wide as the gap fill it with echoes of
 # ring and symbol.
 GAP_SHARE, FILLED_GAP_SHARE = 0.75, 0.5
-# Width of the gap at which it is filled, and at which it is clear: in beams, midway in the window.
+# Widths of the gap, in beams at the middle of the window, at which it is filled, and is clear.
 FILLED_BEAMS, CLEAR_BEAMS = 1.0, 1.5
 COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
 LEAST_SIGMA = 0.5  # grey levels
 LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
 BESIDE = np.ones((3, 3), np.uint8)  # a pixel and its neighbours
-# Peaks that are compared with each other, at most, on a floor with room for FLOOR_DISCS discs or
-# fewer; a frame with more is all noise. On a larger floor more lies: there may be more peaks, and
-# more candidates, in proportion, up to MOST_TIMES. All measured kinds of scene have smaller floors.
+# At most MOST_PEAKS peaks are compared with each other on a floor with room for FLOOR_DISCS discs
+# or fewer; a frame with more is all noise. On a larger floor the limits of peaks and candidates
+# grow in proportion, up to MOST_TIMES. All measured kinds of scene have smaller floors.
 MOST_PEAKS, FLOOR_DISCS, MOST_TIMES = 64, 300, 8
 
 
@@ -49,7 +49,7 @@ class CandidateSelector:
         beam_width_deg: float,
         detector: Detector | None = None,
     ) -> None:
-        """beam_width_deg: of the sonar's beams, as in Features. detector: None: the settings'."""
+        """beam_width_deg: as in Features. detector: by default the one that `config` names."""
         self._config = config
         self._inside = plane.inside
         self._cells = max(1, int(np.count_nonzero(plane.inside)))
@@ -69,13 +69,13 @@ class CandidateSelector:
             self._detector = RingScore(config, plane, landmarks, self._surroundings, share)
 
     def __call__(self, image: ByteImage) -> Selection:
-        """Candidates in a working image (uint8, the plane's shape)."""
+        """Candidates in a working image (uint8, the plane's shape), best first."""
         around = self._surroundings
         mean = around.mean(cv2.bitwise_and(image, image, mask=self._inside))
         relief = np.asarray(
             cv2.subtract(image, around.fine(mean), mask=self._inside, dtype=cv2.CV_32F), np.float32
         )
-        # A black or even frame has no relief but that of rounding.
+        # A black or uniform frame has only rounding errors as relief.
         sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
         sigma = max(sigma, LEAST_SIGMA)
         maps = self._detector(image, relief, sigma)
@@ -84,12 +84,12 @@ class CandidateSelector:
         return Selection(score, positions, scores, mean, maps.sigma)
 
     def levels(self, selection: Selection, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) mean and deviation of the grey levels about (n, 2) places in the frame's image."""
+        """(n,) mean and standard deviation of the grey levels around (n, 2) positions, pixels."""
         around = self._surroundings
         return around.at(selection.mean, places), around.at(selection.sigma, places)
 
     def _peaks(self, maps: ScoreMaps) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) peaks that score enough, with sub-pixel positions, and (n,) scores; best first."""
+        """(n, 2) sub-pixel positions of peaks above the threshold, (n,) scores; best first."""
         peaks, score = maps.peaks, maps.peak_score
         top = (peaks >= cv2.dilate(peaks, BESIDE)) & (score >= self._config.threshold)
         row, column = np.divmod(np.flatnonzero(top), score.shape[1])
@@ -113,7 +113,7 @@ class CandidateSelector:
 
 
 class Surroundings:
-    """Means over each pixel's surroundings, on a coarse grid: they change little between pixels."""
+    """Means over each pixel's surroundings, on a coarse grid, since they are smooth."""
 
     def __init__(self, plane: Plane) -> None:
         size = 4 * _reach(plane) // COARSE + 1
@@ -127,7 +127,7 @@ class Surroundings:
         return np.asarray(self._sum(_whole(values)) / self._seen, np.float32)
 
     def mean_square(self, values: FloatImage) -> FloatImage:
-        """The same of the values' squares."""
+        """Local means of the values' squares, as `mean`."""
         whole = _whole(values)
         return np.asarray(self._sum(np.multiply(whole, whole, out=whole)) / self._seen, np.float32)
 
@@ -139,7 +139,7 @@ class Surroundings:
         return np.asarray(fine[:rows, :columns], np.float32)
 
     def at(self, coarse: FloatImage, places: FloatArray) -> FloatArray:
-        """(n,) what `fine` would give at the pixels nearest to (n, 2) places."""
+        """(n,) values of `fine` at the pixels nearest to (n, 2) positions."""
         if len(places) == 0:  # OpenCV refuses empty maps
             return np.empty(0)
         rows, columns = self._shape
@@ -150,14 +150,14 @@ class Surroundings:
         return np.asarray(found, float).ravel()
 
     def _sum(self, whole: npt.NDArray[Any]) -> FloatImage:
-        """Sum over each pixel's surroundings, in units of their size. whole: from `_whole`."""
+        """Sum over each pixel's surroundings, divided by their size. whole: from `_whole`."""
         size = (whole.shape[1] // COARSE, whole.shape[0] // COARSE)
         coarse = cv2.resize(whole, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         return np.asarray(cv2.blur(coarse, self._size, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
 def _whole(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """(rows, columns) values, filled up with 0 to whole blocks of the coarse grid."""
+    """(rows, columns) values, padded with 0 to whole blocks of the coarse grid."""
     rows, columns = (-side % COARSE for side in values.shape)
     filled = cv2.copyMakeBorder(values, 0, rows, 0, columns, cv2.BORDER_CONSTANT, value=0)
     return np.asarray(filled)
@@ -167,23 +167,23 @@ class ScoreMaps(NamedTuple):
     """A detector's maps of one frame, each (rows, columns) float32."""
 
     score: FloatImage
-    """Of a disc centred on each pixel."""
+    """Score of a disc centred on each pixel."""
     peaks: FloatImage
-    """Smoothed where scores have plateaus; its peaks are the candidates' positions."""
+    """Scores, smoothed where they have plateaus; its local maxima are the candidates."""
     peak_score: FloatImage
-    """Score of a candidate whose peak is at this pixel."""
+    """Score of a candidate whose maximum is at this pixel."""
     sigma: FloatImage
     """Standard deviation of the grey levels in each pixel's surroundings, on their coarse grid; one
     value where it is the same everywhere."""
 
 
 class Detector(Protocol):
-    """How well a landmark's circle fits at every pixel."""
+    """Scores how well a landmark's circle fits at every pixel."""
 
     def __call__(self, image: ByteImage, relief: FloatImage, sigma: float) -> ScoreMaps:
         """The score maps of a working image.
 
-        relief: (rows, columns) grey level over that of the surroundings; it may be written over.
+        relief: (rows, columns) grey level over that of the surroundings; it may be overwritten.
         sigma: its standard deviation.
         """
         ...
@@ -200,7 +200,7 @@ class EdgeScore:
         kernel = (outline / outline.sum()).astype(np.float32)
         self._correlate = Correlation(kernel, plane.inside.shape)
         self._gain = _gain(plane, outline.astype(float), config)
-        # The fan's own edge is an edge too, and so is what the blur makes of it.
+        # The fan's own edge, widened by the blur, must not count as an edge of the image.
         border = config.blur_px // 2 + 1
         self._away = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
         self._tolerance = np.ones((2 * config.edge_tolerance_px + 1,) * 2, np.uint8)
@@ -211,7 +211,7 @@ class EdgeScore:
         relief: FloatImage,  # noqa: ARG002
         sigma: float,
     ) -> ScoreMaps:
-        """Edges are found in the grey levels themselves."""
+        """Edges are found in the grey levels, so the relief is not used."""
         config = self._config
         grey_sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
         blurred = cv2.GaussianBlur(image, (config.blur_px | 1, config.blur_px | 1), 0)
@@ -219,8 +219,8 @@ class EdgeScore:
         edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
         on_edge = (edges > 0).astype(np.float32)
         score = self._correlate(on_edge) * self._gain
-        # The tolerance makes plateaus. The circle is in the middle of one, and scores as its best
-        # pixel.
+        # The tolerance makes plateaus. The circle is at the middle of a plateau, and gets the score
+        # of its best pixel.
         size = 2 * config.edge_tolerance_px + 3
         peaks = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
         best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
@@ -258,8 +258,8 @@ class RingScore:
         relief: FloatImage,
         sigma: float,
     ) -> ScoreMaps:
-        """Contrast is counted in the relief's standard deviation about each pixel."""
-        # Never far below the whole frame's: an even patch must not turn its noise into rings.
+        """Contrast is in standard deviations of the relief around each pixel."""
+        # Not far below the whole frame's, else the noise of a uniform patch would score as rings.
         least = (LEAST_LOCAL_SIGMA * sigma) ** 2
         local = np.sqrt(np.maximum(self._surroundings.mean_square(relief), least))
         score = np.multiply(self._correlate(relief), self._gain, out=relief)
@@ -270,26 +270,26 @@ class RingScore:
 class Correlation:
     """Does what `_correlate` does, by FFT, for many images of one shape and one symmetric kernel.
 
-    Arrays are kept from image to image, for each thread its own, and columns are transformed as
-    rows: each saves a good part of the time. So does single precision, whose errors stay under a
-    millionth of the largest sum; numpy keeps to it where a transform is scaled by its length.
+    For speed, arrays are reused from image to image (each thread has its own), columns are
+    transformed as rows, and precision is single: errors stay under a millionth of the largest sum.
+    numpy keeps single precision only with norm="forward".
     """
 
     def __init__(self, kernel: FloatImage, shape: tuple[int, int]) -> None:
-        """kernel: square, of an odd number of rows, the same when turned by 180 degrees.
+        """kernel: square, of an odd number of rows, the same after a rotation by 180 degrees.
 
         shape: of the images. Raises ValueError for another kernel.
         """
         if not np.array_equal(kernel, kernel[::-1, ::-1]):
             raise ValueError("the kernel is not symmetric")
         reach = kernel.shape[0] // 2
-        # So large that the kernel reaches from neither side of an image round to the other.
+        # So large that the kernel does not wrap round from one side of an image to the other.
         size = [cv2.getOptimalDFTSize(max(side, reach + 1) + reach) for side in shape]
         whole = np.zeros(size)
         whole[: len(kernel), : len(kernel)] = kernel
         whole = np.roll(whole, (-reach, -reach), axis=(0, 1))
-        # (half the columns, rows), times what the transforms of an image are divided by. Its
-        # imaginary part is 0, for the kernel is symmetric.
+        # (half the columns, rows), times the factor by which an image's transforms are divided. Its
+        # imaginary part is 0, since the kernel is symmetric.
         spectrum = np.fft.rfft2(whole).real.T * whole.size
         self._kernel = np.ascontiguousarray(spectrum, np.float32)
         self._size = shape[0], whole.shape[1]
@@ -311,14 +311,14 @@ class Correlation:
         self._free.append((padded, both))
         return found
 
-    # Any: numpy's stubs know the transforms' 64 bits alone.
+    # Any, since numpy's stubs know only transforms of 64 bits.
     def _arrays(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """(rows, padded columns) of an image, and of its transform, columns first."""
         return np.zeros(self._size, np.float32), np.zeros(self._kernel.shape, np.complex64)
 
 
 def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:
-    """Weight of the gap, beside the floor outside, by how many beams wide it is."""
+    """Weight of the gap against the floor outside, by the gap's width in beams."""
     middle_m = (fan.range_min_m + fan.range_max_m) / 2
     gap_m = (landmarks.ring[0] - landmarks.symbol[1]) * landmarks.radius_m
     beams = gap_m / (np.radians(beam_width_deg) * middle_m)
@@ -326,12 +326,12 @@ def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:
 
 
 def _reach(plane: Plane) -> int:
-    """Radius of the kernel, which takes in the floor round a disc, in pixels."""
+    """Radius in pixels of the kernel, which includes the floor round a disc."""
     return int(np.ceil(max(plane.axes) * OUTSIDE[1]))
 
 
 def _radii(plane: Plane) -> tuple[FloatArray, float]:
-    """Distance of each pixel of a kernel from its middle, and the size of one, in disc radii."""
+    """Distance of each pixel of a kernel from its middle, and a pixel's size, in disc radii."""
     across, along = plane.axes
     reach = _reach(plane)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(float)
@@ -346,8 +346,8 @@ def _gain(plane: Plane, ring: FloatArray, config: Candidates) -> FloatImage:
     least = config.min_visible
     visible = _correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
     visible /= ring.sum()
-    # The correlation falls with the share that is visible, its noise with the share's root.
-    # Divided by the root, chance candidates are as frequent at the fan's edge as within it.
+    # The correlation falls with the visible share, its noise with the root of that share. Divided
+    # by the root, false candidates are as frequent at the fan's edge as within it.
     power = -0.5 if config.edge_gain == "root" else 0.0
     return np.where(visible >= least, np.maximum(visible, least) ** power, 0).astype(np.float32)
 

@@ -5,15 +5,15 @@ stage 1 is high; the mean of a group is the object's position. A group is delete
 reasons:
 
 1. spread out: it was too wide in some frames (the paper's only rule);
-2. unlikely: its object was a candidate too seldom to exist;
-3. astray: the sonar's motion is known, and the group was pulled off the place that follows from it;
-4. merged: it ran into an older group, which has that object;
+2. unlikely: its object was too seldom a candidate to exist;
+3. astray: the sonar's motion is known, and the group left the position that follows from it;
+4. merged: it met an older group, which keeps the object;
 5. out of view: too little of its disc is inside the fan. If the sonar's motion is known, a group
    that is just coming in stays.
 
 If the sonar's motion is known, a group that was deleted only because it is out of view is
-remembered. A candidate near its place takes up its number again. It is forgotten if it was away too
-long, did not show where it should, or the motion is no longer known.
+remembered. A candidate near its position gets its number again. The group is forgotten if it was
+out of view too long, if it did not show where it should, or if the motion is no longer known.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from sonarrec.nouns import Groups, Motion, Selection
 from sonarrec.recogniser.particles import LostGroups, ParticleGroups
 from sonarrec.recogniser.plane import Plane
 
-NEW_EXISTENCE = 0.5  # of a group that has just begun
-WHOLE = 0.9  # share of a disc in view with which its object should show
+NEW_EXISTENCE = 0.5  # probability of existence of a group that has just begun
+WHOLE = 0.9  # share of a disc in view from which on its object should be a candidate
 
 
 class ContinuityFilter:
@@ -42,11 +42,11 @@ class ContinuityFilter:
         self._plane = plane
         self._sigma = config.sigma_px * plane.scale
         self._sigma_known = config.sigma_known_px * plane.scale
-        # A candidate's place is known far better than a particle walks at random: a group that
-        # began as wide would stray to peaks beside its own before it has gathered.
+        # A candidate's position is known far better than a particle's random step. A group that
+        # began as wide as that would move to neighbouring peaks before it has converged.
         self._sigma_new = self._sigma if config.motion == "random_walk" else self._sigma_known
         self._diameter = 2 * np.array(plane.axes)
-        # With a border for all that lies beyond the image.
+        # The border stands for all positions beyond the image.
         self._share = cv2.copyMakeBorder(
             plane.disc_share(), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=-1
         )
@@ -91,7 +91,7 @@ class ContinuityFilter:
     ) -> Groups:
         """The groups by rising number; born: (n, 2) centres of those that have just begun."""
         if len(born):
-            # Those that came back go to their old place in the order.
+            # A recalled group has an old number, so the order must be restored.
             order = np.argsort(self._groups.numbers)
             self._groups = self._groups.take(order)
             wide = np.full((len(born), 2), self._sigma_new) / self._diameter
@@ -111,7 +111,7 @@ class ContinuityFilter:
         )
 
     def _predict(self, motion: Motion | None) -> None:
-        """Eq. 3: a random walk; where the sonar's own motion is known a narrower one round it."""
+        """Eq. 3: a random walk; a narrower one, after the sonar's motion, if that is known."""
         groups, sigma = self._groups, self._sigma
         if motion is not None:
             groups.particles = self._plane.moved(groups.particles, motion).astype(np.float32)
@@ -132,9 +132,10 @@ class ContinuityFilter:
     def _without_neighbours(self, weight: FloatArray, candidates: FloatArray) -> FloatArray:
         """(n, particles) weights, 0 for particles that are nearer to a neighbour's candidate.
 
-        The candidate near where a group's object should be is its own. Where others lie so near
-        that their circles overlap (chance rings of a blotchy floor), particles beyond the middle
-        between the two do not count: they would draw the group to whichever peak is broader.
+        A group's own candidate is the one near its object's expected position. Where the circle of
+        another candidate overlaps that of its own (false rings of a blotchy floor), particles
+        beyond the middle between the two do not count, else the broader peak would attract the
+        group.
         """
         groups, config = self._groups, self._config
         if len(groups) == 0 or len(candidates) == 0:
@@ -162,9 +163,9 @@ class ContinuityFilter:
     def _pulled(
         self, positions: FloatArray, expected: FloatArray, motion: Motion | None
     ) -> BoolArray:
-        """(n,) which groups were pulled off the (n, 2) places where the motion expects them.
+        """(n,) which groups are too far from the (n, 2) positions where the motion expects them.
 
-        The floor does not move: a group pulled this far has left its object for another.
+        Objects on the floor do not move, so such a group has left its object for another.
         """
         moved = np.hypot(*((positions - expected) / self._diameter).T)
         farthest = self._config.jump + 2 * self._uncertain(motion) / self._diameter[0]
@@ -175,11 +176,11 @@ class ContinuityFilter:
     ) -> tuple[BoolArray, BoolArray]:
         """(n,) which groups show enough of the disc, and which are in view.
 
-        In view are also those that are just coming in. before: (n, 2) places in the last frame.
+        Those just coming in count as in view. before: (n, 2) positions in the last frame.
         """
         shares = self._shares(self._groups.places)
         if motion is not None:
-            # At the fan's edge particles may stay when their object leaves, or leave before it.
+            # At the fan's edge particles may stay behind their object, or leave before it.
             shares = np.minimum(shares, self._shares(positions))
         shown = shares >= self._config.least_in_view
         if motion is None or shown.all():
@@ -187,9 +188,9 @@ class ContinuityFilter:
         return shown, shown | (hit & (shares > self._shares(before)))
 
     def _uncertain(self, motion: Motion | None) -> float:
-        """Standard error, in pixels, of where a motion puts what lies midway in the window.
+        """Standard error in pixels, at the middle of the window, of positions after a motion.
 
-        0 where the sonar only turned: sigma_known_px has room for that.
+        0 after a pan alone, whose error sigma_known_px covers.
         """
         if motion is None or not (motion.right_m or motion.ahead_m):
             return 0.0
@@ -202,11 +203,14 @@ class ContinuityFilter:
         return metres * self._plane.scale / self._plane.fan.metres_per_pixel
 
     def _place(self, positions: FloatArray, there: BoolArray, motion: Motion | None) -> None:
-        """Update the objects' places: the group's own where `there`, else moved with the floor."""
+        """Update the objects' positions: the group's own where `there`, else moved by the motion.
+
+        Remembered groups are moved too, and their drift grows.
+        """
         groups, lost = self._groups, self._lost
         if motion is None:
             groups.places = positions
-            self._lost = _no_lost_groups()  # where they are now is not known
+            self._lost = _no_lost_groups()  # their positions are no longer known
             return
         groups.places[there] = positions[there]
         if len(lost):
@@ -220,7 +224,7 @@ class ContinuityFilter:
             lost.drift += turned**2 + carried**2 + self._config.recall_drift**2
 
     def _carry(self, table: ParticleGroups | LostGroups, motion: Motion) -> None:
-        """Move places with the floor, and turn the lines of sight to them."""
+        """Move positions by the sonar's motion, and rotate the lines of sight to them."""
         after = self._plane.moved(table.places, motion)
         table.sight_deg = table.sight_deg + self._plane.sight_turned(table.places, after, motion)
         table.places = after
@@ -228,7 +232,7 @@ class ContinuityFilter:
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
         """Count strikes of groups that are too wide, and update existence by hit or miss (Bayes).
 
-        Existence does not change while the object is out of view: a miss there means nothing.
+        Existence does not change while the object is out of view, where a miss is no evidence.
         """
         config, groups = self._config, self._groups
         wide = (spread > config.spread_limit).any(axis=1)
@@ -242,13 +246,13 @@ class ContinuityFilter:
         groups.existence = np.where(in_view, existence, groups.existence)
 
     def _delete(self, pulled: BoolArray, in_view: BoolArray, motion: Motion | None) -> BoolArray:
-        """Delete groups for the five reasons at the top. Returns which are kept."""
+        """Delete groups for the five reasons above. Returns (n,) which are kept."""
         config, groups = self._config, self._groups
         spread_out = groups.strikes >= config.strikes
         unlikely = groups.existence < config.min_existence
         astray = pulled & in_view
         alive = ~(spread_out | unlikely | astray)
-        # Groups are in order of age: of two on one object the older stays.
+        # Groups are ordered by age; of two on one object the older stays.
         near = np.tril(self._distances(groups.places, groups.places) < config.merge, k=-1)
         merged = (near & alive[None, :]).any(axis=1)
         alive &= ~merged
@@ -261,7 +265,7 @@ class ContinuityFilter:
         return kept
 
     def _forget(self) -> None:
-        """Forget those that were away too long, or did not show where they should."""
+        """Forget groups that were out of view too long, or did not show where they should."""
         lost = self._lost
         if len(lost) == 0:
             return
@@ -270,7 +274,7 @@ class ContinuityFilter:
         self._lost = lost.take((lost.frames_left > 0) & (lost.missed <= self._config.strikes))
 
     def _remember(self, left: BoolArray) -> None:
-        """Remember groups that went only because they are out of view. left: (n,) which."""
+        """Remember groups that were deleted only because they are out of view. left: (n,) which."""
         if not left.any():
             return
         groups = self._groups
@@ -287,14 +291,14 @@ class ContinuityFilter:
         self._lost = joined([self._lost, gone])
 
     def _begin(self, positions: FloatArray, selection: Selection) -> FloatArray:
-        """Start a group round every candidate that no group has. Returns their (n, 2) centres.
+        """Start a group round every candidate without one. Returns their (n, 2) centres.
 
-        positions: (m, 2) of the groups that there are.
+        positions: (m, 2) of the existing groups.
         """
         far = self._distances(selection.positions, positions) > self._config.new_group
         born = selection.positions[far.all(axis=1)]
         if len(self._lost) and len(born):
-            # A candidate that may be a lost group waits until enough of it shows to decide.
+            # A candidate that may be a lost group waits until enough of it is in view to decide.
             near = (self._distances(born, self._lost.places) <= self._gate()).any(axis=1)
             hidden = self._shares(born) < self._config.recall_in_view
             born = born[~(near & hidden)]
@@ -303,10 +307,10 @@ class ContinuityFilter:
         return born
 
     def _recall(self, born: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """Numbers, places, existence and sight_deg of groups that begin at (n, 2) places.
+        """Numbers, positions, existence and sight_deg of groups that begin at (n, 2) positions.
 
-        A group that begins near a lost one takes over all of these but the place; nearest pairs
-        first. Others get a new number.
+        A group that begins near a lost one takes over all of these but the position; the nearest
+        pairs first. Others get a new number.
         """
         lost = self._lost
         numbers = np.zeros(len(born), np.int64)
@@ -327,7 +331,7 @@ class ContinuityFilter:
         return numbers, born, existence, sight_deg
 
     def _gate(self) -> FloatArray:
-        """(n,) how far a candidate may lie from each lost group that it is, in disc diameters."""
+        """(n,) largest distance at which a candidate recalls each lost group, in disc diameters."""
         config = self._config
         return np.minimum(config.recall + 2 * np.sqrt(self._lost.drift), config.recall_most)
 
@@ -346,7 +350,7 @@ class ContinuityFilter:
         return np.asarray(self._share[row, column])
 
     def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """(len(a), len(b)) distances in disc diameters, as measured on the disc's own ellipse."""
+        """(len(a), len(b)) distances in disc diameters, along the semi-axes of the disc's image."""
         offset = (a[:, None] - b[None]) / self._diameter
         return np.asarray(np.hypot(offset[..., 0], offset[..., 1]))
 
