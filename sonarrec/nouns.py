@@ -244,7 +244,7 @@ class Estimate:
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
     orientation_sigma_deg: standard errors, NaN if the method has none. sight_deg, in_view: as in
-    Groups. chapter: as in Evidence. These three are not written. corners: of a drawn plate that was
+    Groups. episode: as in Evidence. These three are not written. corners: of a drawn plate that was
     seen, (4, 2) slant range (m) and bearing (deg), clockwise in the image from the far left on.
     """
 
@@ -264,7 +264,7 @@ class Estimate:
     bearing_sigma_deg: float = math.nan
     orientation_sigma_deg: float = math.nan
     sight_deg: float = 0.0
-    chapter: int = 0
+    episode: int = 0
     in_view: bool = True
     corners: FloatArray | None = None
 

@@ -57,8 +57,8 @@ class EstimateMaker:
             won = np.concatenate([wins(p) for p in np.split(beliefs.probabilities, ends)])
             scores = np.where(won, scores, 0.0)
             beliefs = replace(beliefs, earned=beliefs.earned & won)
-        chapters, least = batch.evidence.chapters, self._features.declare
-        return self._estimates(method, batch.tracked, chapters, beliefs, scores, least)
+        episodes, least = batch.evidence.episodes, self._features.declare
+        return self._estimates(method, batch.tracked, episodes, beliefs, scores, least)
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
         """SMI's estimates of a batch's candidates, without standard errors."""
@@ -72,22 +72,22 @@ class EstimateMaker:
             in_view=np.ones(n, bool),
             remembered=np.empty(0, np.int64),
         )
-        chapters = np.zeros(n, np.int64)
+        episodes = np.zeros(n, np.int64)
         threshold = self._declare_smi
-        return self._estimates(method, objects, chapters, found.beliefs, found.score, threshold)
+        return self._estimates(method, objects, episodes, found.beliefs, found.score, threshold)
 
     def _estimates(
         self,
         method: str,
         objects: Groups,
-        chapters: IntArray,
+        episodes: IntArray,
         beliefs: Beliefs,
         scores: FloatArray,
         threshold: float,
     ) -> list[Estimate]:
         """One Estimate for each of n objects.
 
-        chapters: (n,) as in Evidence. scores: (n,). threshold: as `declared`.
+        episodes: (n,) as in Evidence. scores: (n,). threshold: as `declared`.
         """
         landmark_index, _ = likeliest(beliefs.probabilities)
         positions, spread = objects.positions, objects.spread
@@ -95,8 +95,8 @@ class EstimateMaker:
         column, row = self._plane.to_fan(*positions.T)
         range_m, bearing_deg = self._plane.to_polar(*positions.T)
         _, left_deg = whole_steps(objects.sight_deg)
-        orientation_deg = (90 - bearing_deg - left_deg + beliefs.turn * STEP_DEG) % 360
-        orientation_sigma = beliefs.turn_sigma * STEP_DEG
+        orientation_deg = (90 - bearing_deg - left_deg + beliefs.rotation * STEP_DEG) % 360
+        orientation_sigma = beliefs.rotation_sigma * STEP_DEG
         claimed = declared(scores, threshold) & beliefs.earned
         return [
             Estimate(
@@ -116,7 +116,7 @@ class EstimateMaker:
                 bearing_sigma_deg=float(bearing_sigma[i]),
                 orientation_sigma_deg=float(orientation_sigma[i]),
                 sight_deg=float(objects.sight_deg[i]),
-                chapter=int(chapters[i]),
+                episode=int(episodes[i]),
                 in_view=bool(objects.in_view[i]),
             )
             for i in range(len(positions))

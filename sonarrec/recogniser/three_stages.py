@@ -45,11 +45,11 @@ class ThreeStages:
         smi: str | None = SMI,
         poses: PoseTable | None = None,
     ) -> None:
-        """fan: the geometry that all frames of the log share. model: None: the built-in one.
+        """fan: the geometry of all frames of the log. model: by default the built-in one.
 
-        method: name of the framework in the estimates. smi: name of the single-frame method; None:
-        it is not run. poses: of the sonar; as far as they give its motion, it is not measured in
-        the images.
+        method: name of the framework in the estimates. smi: name of the single-frame method; None
+        if it is not to run. poses: of the sonar; where they give its motion, that is not measured
+        in the images.
         """
         self.fan = fan
         rng = np.random.default_rng(config.seed)
@@ -60,8 +60,8 @@ class ThreeStages:
         self.odometry = Odometry(plane, config.continuity, poses)
         self._continuity = ContinuityFilter(config.continuity, plane, rng)
         self._sampler = sampler = shape_matrix.ShapeSampler(landmarks, plane.axes)
-        turned = shape_matrix.turned_codes(landmarks)
-        self._identify = partial(identify, bands=sampler.bands, turned=turned)
+        codes = shape_matrix.rotated_codes(landmarks)
+        self._identify = partial(identify, bands=sampler.bands, codes=codes)
         self._measurement: Measurement
         if features.measurement == "single":
             self._measurement = PublishedMeasurement(
@@ -100,8 +100,8 @@ class ThreeStages:
     def stage2(self, frame: WorkingImage, selection: Selection) -> AfterStage2:
         """Continuity evaluation (Section 3.3): which candidates are objects that persist?
 
-        Frames must come in the log's order. The shape matrices that stage 3 needs are sampled here
-        too, while the image is at hand.
+        Frames must come in the log's order. The shape matrices for stage 3 are sampled here too, so
+        that images need not be kept.
         """
         image = frame.image
         motion = self.odometry.step(image, frame.timestamp_ns)
@@ -109,12 +109,12 @@ class ThreeStages:
         groups = self._continuity.step(selection, known)
         # Shape matrices (Section 3.4.2) of the candidates, then of the groups.
         n = len(selection.positions)
-        places = np.concatenate([selection.positions, groups.positions])
-        sight = self._plane.line_of_sight(places)
-        # A group's matrices are turned by whole steps only, so that their cells coincide.
+        positions = np.concatenate([selection.positions, groups.positions])
+        sight = self._plane.line_of_sight(positions)
+        # A group's matrices are rotated by whole steps only, so that their cells coincide.
         sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sight_deg)[1])
-        levels = self._select.levels(selection, places)
-        grey, seen = self._sampler(image, self._plane.inside, places, sight, *levels)
+        levels = self._select.levels(selection, positions)
+        grey, seen = self._sampler(image, self._plane.inside, positions, sight, *levels)
         evidence = self._measurement.gather(groups, grey[n:], seen[n:])
         return AfterStage2(
             frame=frame.frame,
@@ -131,8 +131,8 @@ class ThreeStages:
     def stage3(self, frames: Sequence[AfterStage2]) -> list[FrameResult]:
         """Bayesian feature estimation (Section 3.4): which landmark is each object?
 
-        frames: one or more, in the log's order. How they are divided among calls changes nothing
-        but rounding.
+        frames: one or more, in the log's order. How they are divided among calls affects only the
+        rounding.
         """
         batch = Batch(frames)
         beliefs = self._measurement.beliefs(batch.groups, batch.evidence)

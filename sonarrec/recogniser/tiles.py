@@ -1,4 +1,4 @@
-"""Pictures of the floor added up on one grid, in square tiles that may wait on the disk."""
+"""Sums of pictures on one grid on the floor, in square tiles that may be moved to the disk."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sonarrec.arrays import FloatArray, FloatImage
 
 SIDE = 256  # pixels of a tile
 Tile = tuple[int, int]
-"""(column, row) of a tile, in tiles from the grid's origin; either may be negative."""
+"""(column, row) of a tile, counted from the grid's origin; either may be negative."""
 
 
 class Tiles:
@@ -25,8 +25,8 @@ class Tiles:
     def __init__(self, layers: int, most: int) -> None:
         """layers: values of a pixel. most: tiles in memory."""
         self._layers, self._most = layers, most
-        self._here: dict[Tile, FloatImage] = {}  # the last used one last
-        self._away: dict[Tile, Path] = {}
+        self._in_memory: dict[Tile, FloatImage] = {}  # the last used one last
+        self._on_disk: dict[Tile, Path] = {}
         self._folder: TemporaryDirectory[str] | None = None
 
     def __enter__(self) -> Tiles:
@@ -37,44 +37,39 @@ class Tiles:
 
     def clear(self) -> None:
         """Forget all tiles, and remove their files."""
-        self._here, self._away = {}, {}
+        self._in_memory, self._on_disk = {}, {}
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None
 
     def __iter__(self) -> Iterator[Tile]:
         """All tiles that were written to."""
-        return iter([*self._here, *self._away])
+        return iter([*self._in_memory, *self._on_disk])
 
     def tile(self, tile: Tile) -> FloatImage:
         """(SIDE, SIDE, layers) of a tile, to be read and written; valid until the next call."""
-        found = self._here.pop(tile, None)
-        if found is None:
-            path = self._away.pop(tile, None)
-            found = np.zeros((SIDE, SIDE, self._layers), np.float32) if path is None else None
-            if found is None:
-                assert path is not None
-                found = np.asarray(np.load(path), np.float32)
-        self._here[tile] = found
-        if len(self._here) > self._most:
-            oldest = next(iter(self._here))
+        found = self._in_memory.pop(tile, None)
+        if found is None and (path := self._on_disk.pop(tile, None)) is not None:
+            found = np.asarray(np.load(path), np.float32)
+        elif found is None:
+            found = np.zeros((SIDE, SIDE, self._layers), np.float32)
+        self._in_memory[tile] = found
+        if len(self._in_memory) > self._most:
+            oldest = next(iter(self._in_memory))
             self._folder = self._folder or TemporaryDirectory(prefix="sonarrec-")
             path = Path(self._folder.name, "{}_{}.npy".format(*oldest))
-            np.save(path, self._here.pop(oldest))
-            self._away[oldest] = path
+            np.save(path, self._in_memory.pop(oldest))
+            self._on_disk[oldest] = path
         return found
-
-    def has(self, tile: Tile) -> bool:
-        """Whether a tile was written to."""
-        return tile in self._here or tile in self._away
 
     def rows(self, row: int, first: int, columns: int) -> FloatImage:
         """(SIDE, columns, layers) of the tiles of one row, from a tile's column on."""
         whole = np.zeros((SIDE, columns, self._layers), np.float32)
         for n in range(-(-columns // SIDE)):
-            if self.has((first + n, row)):
+            tile = (first + n, row)
+            if tile in self._in_memory or tile in self._on_disk:
                 part = whole[:, n * SIDE : (n + 1) * SIDE]
-                part[:] = self.tile((first + n, row))[:, : part.shape[1]]
+                part[:] = self.tile(tile)[:, : part.shape[1]]
         return whole
 
 
@@ -83,18 +78,13 @@ def warped(picture: FloatImage, matrix: FloatArray) -> tuple[FloatImage, tuple[i
 
     matrix: (2, 3) from the picture's (column, row, 1) to the grid's (column, row).
     """
-    rows, columns = picture.shape[:2]
-    corners = np.array(
-        [[0, 0, 1], [columns - 1, 0, 1], [0, rows - 1, 1], [columns - 1, rows - 1, 1]]
-    )
-    reached = corners @ matrix.T
+    right, bottom = picture.shape[1] - 1, picture.shape[0] - 1
+    reached = np.array([[0, 0, 1], [right, 0, 1], [0, bottom, 1], [right, bottom, 1]]) @ matrix.T
     low, high = np.floor(reached.min(axis=0)).astype(int), np.ceil(reached.max(axis=0)).astype(int)
     moved = matrix.copy()
     moved[:, 2] -= low
-    width, height = (high - low + 1).tolist()
-    return np.asarray(cv2.warpAffine(picture, moved, (width, height)), np.float32), tuple(
-        low.tolist()
-    )
+    (column, row), (width, height) = low.tolist(), (high - low + 1).tolist()
+    return np.asarray(cv2.warpAffine(picture, moved, (width, height)), np.float32), (column, row)
 
 
 def parts(

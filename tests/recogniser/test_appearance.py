@@ -124,19 +124,19 @@ def test_a_track_that_comes_back_earns_what_it_was_by_looking_the_same(same):
         np.testing.assert_allclose(found.brightness, now)
         np.testing.assert_allclose(found.count, count)
         assert found.frames.tolist() == [i + (3 if same else 1)]
-        # Another picture is another chapter of the track's life.
-        assert (found.chapters == before.chapters).all() == same
+        # Another picture is another episode of the track's life.
+        assert (found.episodes == before.episodes).all() == same
 
 
-def test_what_looks_somewhat_the_same_goes_on_in_its_old_chapter_after_three_frames():
+def test_what_looks_somewhat_the_same_goes_on_in_its_old_episode_after_three_frames():
     matrix = TrackMatrix(10.0, 1)
     angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
     picture = np.sin(angle)[None, None]
     alike = (0.6 * np.sin(angle) + 0.8 * np.cos(3 * angle))[None, None]  # correlation .6
     seen, nothing = np.ones((1, 1, ANGLES), bool), np.empty((0, 1, ANGLES))
-    first = matrix.step(groups(3), picture, seen).chapters.tolist()
+    first = matrix.step(groups(3), picture, seen).episodes.tolist()
     matrix.step(groups(remembered=[3]), nothing, nothing)
-    again = [matrix.step(groups(3), alike, seen).chapters.tolist() for _ in range(4)]
+    again = [matrix.step(groups(3), alike, seen).episodes.tolist() for _ in range(4)]
     assert again[0] == again[1] > first
     assert again[2] == again[3] == first
 
@@ -439,7 +439,7 @@ def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing
         track = dataclasses.replace(groups(1), positions=centre, existence=SURE[:1])
         evidence = measurement.gather(track, grey, visible)
     known = measurement.beliefs([track], evidence)
-    return known.probabilities[0], float(sight[0] + known.turn[0] * STEP)
+    return known.probabilities[0], float(sight[0] + known.rotation[0] * STEP)
 
 
 @pytest.mark.parametrize("landmark", sorted(SECTORS))

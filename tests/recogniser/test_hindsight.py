@@ -18,13 +18,13 @@ NONE = np.array([0.002, 0.002, 0.002, 0.004, 0.99])
 UNSURE = np.array([0.1, 0.1, 0.5, 0.1, 0.2])
 
 
-def result(frame: int, chapter: int, beliefs: np.ndarray) -> FrameResult:
-    """A frame in which track 7 is seen, in a chapter of its life."""
+def result(frame: int, episode: int, beliefs: np.ndarray) -> FrameResult:
+    """A frame in which track 7 is seen, in an episode of its life."""
     best = int(beliefs[:-1].argmax())
     score = float(beliefs[best])
     place = (10.0, 10.0, 2.0, 0.0, 0.0, 0.9)
     estimate = Estimate(
-        "m", 7, *place, beliefs, BASIN.ids[best], score, score > 0.75, chapter=chapter
+        "m", 7, *place, beliefs, BASIN.ids[best], score, score > 0.75, episode=episode
     )
     return FrameResult(frame, frame * 10**8, 1, 1, (estimate,))
 
@@ -36,7 +36,7 @@ def revised(frames: list[FrameResult]) -> list[Estimate]:
     return [hindsight.revised(frame).estimates[0] for frame in frames]
 
 
-def test_one_belief_for_all_frames_of_a_chapter() -> None:
+def test_one_belief_for_all_frames_of_a_episode() -> None:
     found = revised([result(i, 1, UNSURE if i < 4 else SURE) for i in range(12)])
     assert len({tuple(e.probabilities) for e in found}) == 1
     assert all(e.declared and e.landmark == 3 for e in found)
@@ -61,7 +61,7 @@ def test_nothing_is_declared_while_too_little_is_in_view() -> None:
 
 
 @pytest.mark.parametrize("second", [1, 2])
-def test_another_object_that_took_up_the_number_is_a_chapter_of_its_own(second: int) -> None:
+def test_another_object_that_took_up_the_number_is_a_episode_of_its_own(second: int) -> None:
     """Held for one life, the twenty frames that come later would outweigh the six before."""
     frames = [result(i, 1, SURE) for i in range(6)]
     frames += [result(40 + i, second, NONE) for i in range(20)]

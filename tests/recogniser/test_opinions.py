@@ -13,7 +13,7 @@ from sonarrec.recogniser.stage3 import Evidence
 from sonarrec.recogniser.stage3.opinions import (
     FRAME_EXPONENT,
     LEAST_BELIEF,
-    LEAST_NOW,
+    LEAST_FRAME_BELIEF,
     TRACK_EXPONENT,
     Opinion,
     Opinions,
@@ -39,15 +39,15 @@ def groups(*numbers: int, remembered: tuple[int, ...] = ()) -> Groups:
     )
 
 
-def evidence(*chapters: int) -> Evidence:
-    n = len(chapters)
+def evidence(*episodes: int) -> Evidence:
+    n = len(episodes)
     cells = np.zeros((n, 1, 1))
-    return Evidence(cells, cells, np.ones(n, np.int64), np.array(chapters, np.int64))
+    return Evidence(cells, cells, np.ones(n, np.int64), np.array(episodes, np.int64))
 
 
-def beliefs_of(chapters: list[int], frames: np.ndarray) -> np.ndarray:
-    """Of track 7, seen in so many frames, each in a chapter of its life."""
-    return TrackBelief(IDS, 400)([groups(7)] * len(frames), evidence(*chapters), frames)
+def beliefs_of(episodes: list[int], frames: np.ndarray) -> np.ndarray:
+    """Of track 7, seen in so many frames, each in an episode of its life."""
+    return TrackBelief(IDS, 400)([groups(7)] * len(frames), evidence(*episodes), frames)
 
 
 @given(said)
@@ -59,7 +59,9 @@ def test_the_pool_is_the_weighted_geometric_mean_so_far(frames: np.ndarray) -> N
         sure = np.prod(floored**floored, axis=1) ** 2
         weight = sure * np.arange(1, i + 2)
         so_far = np.prod(floored ** (weight / weight.sum())[:, None], axis=0)
-        expected = np.maximum(frames[i], LEAST_NOW) ** FRAME_EXPONENT * so_far**TRACK_EXPONENT
+        expected = (
+            np.maximum(frames[i], LEAST_FRAME_BELIEF) ** FRAME_EXPONENT * so_far**TRACK_EXPONENT
+        )
         np.testing.assert_allclose(found[i], expected / expected.sum(), atol=1e-12)
 
 
@@ -100,7 +102,7 @@ def test_one_frame_that_disagrees_does_not_overturn_many() -> None:
 
 
 @pytest.mark.parametrize("returns_to", [1, 2])
-def test_a_new_chapter_forgets_until_the_old_one_goes_on(returns_to: int) -> None:
+def test_a_new_episode_forgets_until_the_old_one_goes_on(returns_to: int) -> None:
     none = [0.01, 0.01, 0.01, 0.01, 0.96]
     first = [0.96, 0.01, 0.01, 0.01, 0.01]
     frames = np.array([none] * 8 + [first] * 3)
@@ -113,21 +115,21 @@ def test_a_new_chapter_forgets_until_the_old_one_goes_on(returns_to: int) -> Non
         assert found[10, 0] < alone[2, 0]  # the eight frames count again
 
 
-def test_chapters_that_prove_to_be_one_share_their_opinion() -> None:
+def test_episodes_that_prove_to_be_one_share_their_opinion() -> None:
     opinions = Opinions(lambda: Opinion(np.zeros(IDS + 1)))
-    for frame, chapter in enumerate((1, 1, 2, 1)):
-        opinions.current(7, chapter, frame).add(np.full(IDS + 1, 0.2))
+    for frame, episode in enumerate((1, 1, 2, 1)):
+        opinions.current(7, episode, frame).add(np.full(IDS + 1, 0.2))
     assert opinions.get(7, 1) is opinions.get(7, 2)
     assert opinions.get(7, 1).frames == 4
 
 
 def test_what_cannot_come_back_is_forgotten() -> None:
-    """Of a track that returns again and again, the chapters that came to nothing too."""
+    """Of a track that returns again and again, the episodes that came to nothing too."""
     belief = TrackBelief(IDS, 10)
     row = np.full((1, IDS + 1), 0.2)
-    for chapter in range(100):
-        belief([groups(7)] * 3, evidence(chapter, chapter, chapter), row.repeat(3, axis=0))
-        assert len(belief._opinions._of) <= 5  # ten frames hold parts of five chapters at most
+    for episode in range(100):
+        belief([groups(7)] * 3, evidence(episode, episode, episode), row.repeat(3, axis=0))
+        assert len(belief._opinions._of) <= 5  # ten frames hold parts of five episodes at most
     before = belief([groups(1)], evidence(200), np.eye(IDS + 1)[:1])
     belief([groups(2)] * 10, evidence(*[300] * 10), row.repeat(10, axis=0))
     again = belief([groups(1)], evidence(200), row)  # away for ten frames: still known

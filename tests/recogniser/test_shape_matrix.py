@@ -13,13 +13,13 @@ from sonarrec.recogniser.stage3.shape_matrix import (
     ANGLES,
     STEP,
     ShapeSampler,
-    turned_codes,
+    rotated_codes,
 )
 from sonarrec.recogniser.stage3.smi import Identification, identify, otsu_levels
 from tests.support.drawn import SECTORS, disc_pattern, draw_ellipse_disc, surroundings
 
 BASIN = load_landmarks("basin")
-TURNED = turned_codes(BASIN)
+ROTATED = rotated_codes(BASIN)
 CENTRE = (101.3, 98.6)
 RADIUS = 80.0
 
@@ -42,7 +42,7 @@ def identified(
     grey, seen = sampler(
         image, inside, np.array([centre]), np.array([start_rad]), *surroundings(image)
     )
-    return identify(grey, seen, sampler.bands, TURNED)
+    return identify(grey, seen, sampler.bands, ROTATED)
 
 
 @pytest.mark.slow
@@ -56,7 +56,7 @@ def test_an_ideal_disc_gives_the_ideal_row_at_any_rotation(landmark, turn):
     assert found.similarity[0].argmax() == landmark - 1
     assert found.ring[0] > 0.98
     symmetry = np.pi if landmark == 2 else 2 * np.pi
-    off = (found.turn[0] * STEP - turn + symmetry / 2) % symmetry - symmetry / 2
+    off = (found.rotation[0] * STEP - turn + symmetry / 2) % symmetry - symmetry / 2
     assert abs(off) < 0.75 * STEP
 
 
@@ -70,7 +70,7 @@ def test_on_the_grid_of_angles_the_row_is_exact(landmark, start_deg):
     np.testing.assert_allclose(
         found.measurement()[0], np.array(agreement(landmark)) / sum(agreement(landmark))
     )
-    assert found.turn[0] in ((7, 25) if landmark == 2 else (7,))
+    assert found.rotation[0] in ((7, 25) if landmark == 2 else (7,))
 
 
 def test_the_trap_a_blank_disc_is_more_id_1_than_id_1():
@@ -144,10 +144,10 @@ def test_what_lies_outside_the_fan_counts_for_nothing(landmark, column, fill):
         > 2
     )
     seen &= edge  # bilinear samples beside the cut mix both sides
-    a = identify(np.where(seen, whole, 99.0), seen, sampler.bands, TURNED)
-    b = identify(np.where(seen, whole, -99.0), seen, sampler.bands, TURNED)
+    a = identify(np.where(seen, whole, 99.0), seen, sampler.bands, ROTATED)
+    b = identify(np.where(seen, whole, -99.0), seen, sampler.bands, ROTATED)
     np.testing.assert_array_equal(a.similarity, b.similarity)
-    np.testing.assert_array_equal(a.turn, b.turn)
+    np.testing.assert_array_equal(a.rotation, b.rotation)
     assert a.similarity.max() == pytest.approx(1, abs=0.03)
 
 
@@ -170,7 +170,7 @@ def test_identify_is_the_counting_of_cells_written_out(seed):
     bands = ShapeSampler(BASIN, (9.0, 9.0)).bands
     grey = rng.normal(size=(2, bands.outer.stop, ANGLES))
     seen = rng.random(grey.shape) < rng.uniform(0.3, 1)
-    found = identify(grey, seen, bands, TURNED)
+    found = identify(grey, seen, bands, ROTATED)
     for n in range(2):
         rows = [*range(bands.symbol.start, bands.symbol.stop)]
         ring = [*range(bands.ring.start, bands.ring.stop)]
@@ -181,8 +181,8 @@ def test_identify_is_the_counting_of_cells_written_out(seed):
         for turn, k in itertools.product(range(ANGLES), range(4)):
             code = [SECTORS[k + 1][(a - turn) % ANGLES // 9] for a in range(ANGLES)]
             fit[turn, k] = np.mean([(grey[n, r, a] > level) == code[a] for r, a in cells])
-        assert fit[found.turn[n]].max() == pytest.approx(fit.max())
-        np.testing.assert_allclose(found.similarity[n], fit[found.turn[n]])
+        assert fit[found.rotation[n]].max() == pytest.approx(fit.max())
+        np.testing.assert_allclose(found.similarity[n], fit[found.rotation[n]])
         bright = [grey[n, r, a] > level for r in ring for a in range(ANGLES) if seen[n, r, a]]
         assert found.ring[n] == pytest.approx(np.mean(bright))
 
@@ -224,7 +224,7 @@ def test_no_objects_and_objects_outside_the_image_are_no_trouble():
     for centres in (np.empty((0, 2)), np.array([[-500.0, 900.0]])):
         start = np.zeros(len(centres))
         grey, seen = sampler(image, np.ones_like(image), centres, start, *surroundings(image))
-        found = identify(grey, seen, sampler.bands, TURNED)
+        found = identify(grey, seen, sampler.bands, ROTATED)
         assert not seen.any()
         assert found.measurement().shape == (len(centres), 4)
         np.testing.assert_allclose(found.measurement().sum(axis=1), 1)

@@ -79,7 +79,10 @@ ABLATIONS = {
         ("continuity.recall=0.5", "continuity.recall_in_view=0")
     ),
     "what returns counts at once as what it was": Ablation(
-        code={f"{_STAGE3}.track_matrix.VERY_ALIKE": -2.0, f"{_STAGE3}.track_matrix.OLD_SHARE": 1.0}
+        code={
+            f"{_STAGE3}.track_matrix.AT_ONCE_CORRELATION": -2.0,
+            f"{_STAGE3}.track_matrix.OLD_SHARE": 1.0,
+        }
     ),
     "groups leave their own candidate for another's": Ablation(("continuity.own_candidate=2",)),
     "groups begin and walk as wide as the paper's": Ablation(("continuity.sigma_known_px=10",)),

@@ -76,7 +76,7 @@ class PlateMeasurement:
             brightness=np.array([t.picture for t in tracks]).reshape(n, FINE, FINE),
             count=np.full((n, FINE, FINE), [[[t.weight]] for t in tracks] if n else 0.0),
             frames=np.array([t.frames for t in tracks], np.int64),
-            chapters=np.array([t.chapter for t in tracks], np.int64),
+            episodes=np.array([t.episode for t in tracks], np.int64),
             matches=np.array([self._of_ids(t.matches) for t in tracks]).reshape(n, k),
             rival=np.array([t.rival for t in tracks], np.float32),
             lead=np.array([t.lead for t in tracks], np.float32),
@@ -143,7 +143,7 @@ class _Track:
 
     def __init__(self) -> None:
         self.picture: FloatImage = np.zeros((FINE, FINE), np.float32)
-        self.weight, self.frames, self.chapter, self.began = 0.0, 0, 0, 0
+        self.weight, self.frames, self.episode, self.began = 0.0, 0, 0, 0
         self.matches: FloatImage = np.empty(0, np.float32)
         self.turn_deg: FloatImage = np.empty(0, np.float32)
         self.rival = self.lead = 0.0

@@ -1,1 +1,1 @@
-"""Presets side by side over the same frames, and the revision in hindsight."""
+"""Several presets over the same frames, and the revision of past results by later frames."""

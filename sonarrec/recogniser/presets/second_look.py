@@ -1,8 +1,8 @@
-"""The `offline` preset's second look: at the frames' mean on the floor, where speckle is averaged.
+"""The `offline` preset's second look, at the mean of many frames, in which speckle is averaged.
 
-The frames of a stretch lie on the floor by the sonar's motion. Stage 1 finds discs in their mean
-that no single frame shows, stage 3 judges the mean pictures of all, and what it says goes back to
-every frame in which the disc is in view.
+The sonar's motion says where each frame lies on the floor. Stage 1 searches their mean for discs,
+and finds some that no single frame shows. Stage 3 judges these, and its beliefs are joined to the
+estimates of every frame in which the disc is in view.
 """
 
 from __future__ import annotations
@@ -30,22 +30,20 @@ from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, ShapeSampler
 from sonarrec.recogniser.tiles import SIDE, Tiles, parts, warped
 
-# A step whose standard error is larger, in disc radii, ends a stretch: its frames are not laid on
-# those before.
-MOST_STEP_ERROR = 0.25
-OLD_SHARE = 0.5  # of frames from one look to the next
-LEAST_WEIGHT = 2.0  # frames in a mean that is looked at
-LEAST_FRAMES = 12  # that show a disc; what fewer show, a track knows as well
-LEAST_SCORE = 0.25  # of a candidate in the mean, which has less chance in it than a frame
-GREY, MIDDLE = 24, 128  # grey levels of the mean: of one deviation of a frame's, and of its middle
-BLOCK = 2  # tiles along a side that are looked at together
-ON = 0.25  # disc diameters: a track as near to a disc is on it
-WHOLE = 0.5  # share of a disc in view from which a frame shows it
-FIRST_NUMBER = 1_000_000  # of objects that no track is on; tracks are fewer
-# The belief of both is the product of these powers of the track's and of the look's. They sum to
-# more than 1 as in TrackBelief. A disc on which no track is needs more belief. Tuning seeds.
+MOST_STEP_ERROR = 0.25  # disc radii; a motion with a larger standard error begins a new mean
+OLD_SHARE = 0.5  # weight of the frames of a look in the next
+LEAST_WEIGHT = 2.0  # frames in a pixel of the mean that is searched
+LEAST_FRAMES = 12  # in view of a disc; with fewer, a track knows as much as the mean
+LEAST_SCORE = 0.25  # of a candidate: the mean is less noisy than a frame, so a low score will do
+SIGMA_LEVELS, MIDDLE_LEVEL = 24, 128  # grey levels of the mean: a frame's deviation, and its mean
+BLOCK_TILES = 2  # tiles along a side that are searched together
+SAME_DISC = 0.25  # disc diameters up to which a track is of a disc
+LEAST_SHARE = 0.5  # of a disc in view, from which on a frame shows it
+FIRST_NUMBER = 1_000_000  # of the objects that have no track; tracks are fewer
+# The joint belief is the product of these powers of the track's belief and the look's. They sum to
+# more than 1 as in TrackBelief. A disc without a track needs more belief. Tuning seeds.
 TRACK_EXPONENT, LOOK_EXPONENT, DECLARE_ALONE = 0.575, 0.575, 0.9
-LEAST = 1e-4  # probability in the pool
+LEAST_BELIEF = 1e-4  # in the product
 EXISTENCE = 0.99  # probability that a candidate of the mean exists
 SPREAD = 0.02  # disc diameters: standard deviation of its position
 
@@ -54,12 +52,12 @@ SPREAD = 0.02  # disc diameters: standard deviation of its position
 class _Disc:
     """A disc in the mean.
 
-    number: of its object where no track is on it. place: (2,) pixels of the grid. probabilities:
+    number: of its object, if it has no track. position: (2,) pixels of the grid. probabilities:
     (K + 1,). orientation_deg: counter-clockwise from the right of yaw 0.
     """
 
     number: int
-    place: FloatArray
+    position: FloatArray
     probabilities: FloatArray
     orientation_deg: float
     orientation_sigma_deg: float
@@ -67,8 +65,12 @@ class _Disc:
 
 
 @dataclass(slots=True)
-class _Part:
-    """Half of what one look is at. poses: of its frames, (3,) yaw (rad), x, y (pixels)."""
+class _HalfLook:
+    """The frames between two looks, which take part in both, and the discs of the latest look.
+
+    poses: of the frames, (3,) yaw (rad), x and y (pixels of the grid; to the right and ahead of yaw
+    0).
+    """
 
     poses: list[FloatArray] = field(default_factory=list)
     discs: list[_Disc] = field(default_factory=list)
@@ -81,7 +83,10 @@ def looks_again(config: Config) -> bool:
 
 
 class SecondLook:
-    """The mean of one method's last frames, and what was found in it."""
+    """The mean of the last frames of one log, and the discs in it, for the results of one method.
+
+    tiles: the sums that make the mean; a context manager that must be entered.
+    """
 
     def __init__(
         self,
@@ -91,7 +96,7 @@ class SecondLook:
         landmarks: LandmarkSet,
         model: Classifier | None,
     ) -> None:
-        """config: of a method that works on the floor and judges pictures averaged along tracks."""
+        """config: one for which `looks_again`. model: by default the built-in one."""
         self._method, self._features = method, config.features
         select, features, radius_m = config.candidates, config.features, landmarks.radius_m
         self._landmarks, self._select = landmarks, replace(select, threshold=LEAST_SCORE)
@@ -116,52 +121,51 @@ class SecondLook:
         reach = max(plane.shape) // SIDE + 2
         self.tiles = Tiles(2, reach**2)
         self._waiting: deque[tuple[ByteImage, FloatImage, FloatImage]] = deque()
-        self._half = max(features.lag_frames // 2, 1)
+        self._half = max(features.lag_frames // 2, 1)  # frames between two looks
         self._pose: FloatArray = np.zeros(3)
-        self._part, self._before = _Part(), _Part()
-        self._seen: dict[int, tuple[FloatArray, _Part]] = {}  # frames that are not final, by number
+        self._now, self._before = _HalfLook(), _HalfLook()
+        # The pose and the half look of each frame whose result is not final, by its number.
+        self._seen: dict[int, tuple[FloatArray, _HalfLook]] = {}
         self._numbers = FIRST_NUMBER
         self._judged = 0
 
     def take(self, image: WorkingImage, selection: Selection) -> None:
-        """Take in a frame's picture; its result follows in `learn`."""
-        # Not the whole selection: its score map is four times as large as the picture.
+        """Add a frame's picture; its result follows in `learn`."""
+        # The selection's score map is not needed, and four times as large as the picture.
         self._waiting.append((image.image, selection.mean, selection.sigma))
 
     def learn(self, result: FrameResult) -> None:
-        """Lay the oldest frame that was taken on the floor, by the motion that its result tells."""
+        """Add the oldest picture to the mean, by the motion in its result."""
         image, mean, sigma = self._waiting.popleft()
         self._move(result.motion)
         fine = self._surroundings.fine
         picture = np.empty((*image.shape, 2), np.float32)
         relief = (image - fine(mean)) / fine(sigma)
         picture[..., 0], picture[..., 1] = relief * self._inside, self._inside
-        laid, first = warped(picture, self._matrix())
-        # At its edge a picture is mixed with what is not seen.
-        laid *= laid[..., 1:] > 0.99
-        for tile, inside, part in parts(laid.shape, first):
-            self.tiles.tile(tile)[inside] += laid[part]
-        self._part.poses.append(self._pose)
-        self._seen[result.index] = self._pose, self._part
-        if len(self._part.poses) == self._half:
+        on_grid, first = warped(picture, self._matrix())
+        # Pixels at the edge are interpolated with what was not seen.
+        on_grid *= on_grid[..., 1:] > 0.99
+        for tile, inside, part in parts(on_grid.shape, first):
+            self.tiles.tile(tile)[inside] += on_grid[part]
+        self._now.poses.append(self._pose)
+        self._seen[result.index] = self._pose, self._now
+        if len(self._now.poses) == self._half:
             self._look()
 
     def finish(self) -> None:
-        """Look at what there is: no more frames follow."""
-        if self._part.poses:
+        """Look at the remaining frames: no more follow."""
+        if self._now.poses:
             self._look()
 
     def _move(self, motion: Motion | None) -> None:
-        """Go on by a motion, or begin anew where it is not known well enough."""
-        if motion is None or not motion.known:
-            unsure = True
-        else:
-            sigma = (motion.pan_sigma_deg, motion.right_sigma_m, motion.ahead_sigma_m)
-            unsure = bool(np.linalg.norm(self._error_of * sigma) > MOST_STEP_ERROR)
-        if unsure or motion is None:
+        """Update the pose by a motion; where that is too uncertain, begin a new mean."""
+        sigma = np.full(3, np.inf)
+        if motion is not None and motion.known:
+            sigma = np.array([motion.pan_sigma_deg, motion.right_sigma_m, motion.ahead_sigma_m])
+        if motion is None or np.linalg.norm(self._error_of * sigma) > MOST_STEP_ERROR:
             self.finish()
             self.tiles.clear()
-            self._pose, self._part, self._before = np.zeros(3), _Part(), _Part()
+            self._pose, self._now, self._before = np.zeros(3), _HalfLook(), _HalfLook()
             return
         yaw, x, y = self._pose
         right, ahead = motion.right_m / self._pixel_m, motion.ahead_m / self._pixel_m
@@ -170,37 +174,37 @@ class SecondLook:
         self._pose = np.array([yaw + math.radians(motion.pan_deg), x + shift[0], y + shift[1]])
 
     def _matrix(self) -> FloatArray:
-        """(2, 3) from a working image's pixels to the grid's, whose rows run against ahead."""
+        """(2, 3) from a working image's pixels to the grid's, whose rows run opposite to y."""
         yaw, x, y = self._pose
         rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         return np.column_stack([rotation, np.array([x, -y]) - rotation @ self._plane.apex])
 
-    def _in_frame(self, pose: FloatArray, places: FloatArray) -> FloatArray:
+    def _in_frame(self, pose: FloatArray, on_grid: FloatArray) -> FloatArray:
         """(n, 2) working pixels, in a frame of this pose, of (n, 2) pixels of the grid."""
         yaw, x, y = pose
         rotation = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-        return np.asarray((places - (x, -y)) @ rotation.T + self._plane.apex)
+        return np.asarray((on_grid - (x, -y)) @ rotation.T + self._plane.apex)
 
     def _shares(self, positions: FloatArray) -> FloatArray:
-        """(n,) share of the disc inside the fan; 0 beyond the image."""
+        """(n,) share of a disc inside the fan; 0 beyond the image."""
         rows, columns = self._share.shape
         column, row = np.rint(positions).astype(int).T
         within = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
         return np.where(within, self._share[row.clip(0, rows - 1), column.clip(0, columns - 1)], 0)
 
     def _look(self) -> None:
-        """Search and judge the mean; it holds for the frames of both parts."""
+        """Search the mean for discs and judge them, for the frames of both halves."""
         found = [disc for block in self._blocks() for disc in self._discs(*block)]
-        self._part.discs = self._before.discs = found
-        self._before, self._part = self._part, _Part()
+        self._now.discs = self._before.discs = found
+        self._before, self._now = self._now, _HalfLook()
         for tile in list(self.tiles):
             self.tiles.tile(tile)[:] *= OLD_SHARE
 
     def _blocks(self) -> Iterator[tuple[FloatImage, tuple[int, int], tuple[int, int]]]:
-        """(what is round a block of tiles, the grid's pixel where that begins, the block's)."""
+        """(sums of a block of tiles with a margin, their first pixel on the grid, the block's)."""
         margin = math.ceil(3 * self._plane.axes[0])
-        size = BLOCK * SIDE
-        for column, row in sorted({(c // BLOCK, r // BLOCK) for c, r in self.tiles}):
+        size = BLOCK_TILES * SIDE
+        for column, row in sorted({(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in self.tiles}):
             left, top = column * size - margin, row * size - margin
             first, last = top // SIDE, (top + size + 2 * margin - 1) // SIDE
             begin = left // SIDE
@@ -218,34 +222,35 @@ class SecondLook:
     def _discs(
         self, sums: FloatImage, corner: tuple[int, int], block: tuple[int, int]
     ) -> list[_Disc]:
-        """The discs in a block of the mean. The arguments are as from `_blocks`."""
+        """The discs in a block of the mean. The arguments are from `_blocks`."""
         count = sums[..., 1]
         inside = (count >= LEAST_WEIGHT).astype(np.uint8)
         plane = copy.copy(self._plane)
         plane.inside, plane.shape = inside, (inside.shape[0], inside.shape[1])
         mean = sums[..., 0] / np.maximum(count, 1e-6)
-        image = np.clip(MIDDLE + GREY * mean, 0, 255).astype(np.uint8)
+        image = np.clip(MIDDLE_LEVEL + SIGMA_LEVELS * mean, 0, 255).astype(np.uint8)
         select = CandidateSelector(self._select, plane, self._landmarks, self._beam_width_deg)
         pixels = select(image * inside).positions
-        places = pixels + corner
-        own = ((places >= block) & (places < np.array(block) + BLOCK * SIDE)).all(axis=1)
-        pixels, places = pixels[own], places[own]
+        on_grid = pixels + corner
+        own = ((on_grid >= block) & (on_grid < np.array(block) + BLOCK_TILES * SIDE)).all(axis=1)
+        pixels, on_grid = pixels[own], on_grid[own]
         n = len(pixels)
         if not n:
             return []
         shown = [
-            (pose, self._in_frame(pose, places)) for pose in self._before.poses + self._part.poses
+            (pose, self._in_frame(pose, on_grid)) for pose in self._before.poses + self._now.poses
         ]
-        weight = np.array([self._shares(position) >= WHOLE for _, position in shown])
+        weight = np.array([self._shares(position) >= LEAST_SHARE for _, position in shown])
         towards = [
             np.exp(1j * (self._plane.line_of_sight(position) - pose[0])) for pose, position in shown
         ]
         sight = np.angle((weight * towards).sum(axis=0))
-        # In the frame that shows it best; its range says how far a beam smears it.
+        # Positions in the first frame that shows each disc; its range gives the beam's smear.
         best = np.argmax(weight, axis=0)
         positions = np.array([shown[k][1][i] for i, k in enumerate(best)])
         grey, seen = self._sampler(
-            image, inside, pixels, sight, np.full(n, float(MIDDLE)), np.full(n, float(GREY))
+            *(image, inside, pixels, sight),
+            *(np.full(n, float(MIDDLE_LEVEL)), np.full(n, float(SIGMA_LEVELS))),
         )
         often, _ = self._sampler(
             np.minimum(count, 255).astype(np.uint8), inside, pixels, sight, np.zeros(n), np.ones(n)
@@ -264,33 +269,33 @@ class SecondLook:
         )
         evidence = Evidence(grey, often, frames, np.zeros(n, np.int64))
         beliefs = self._measurement.beliefs([groups], evidence)
-        orientation = np.degrees(sight) + beliefs.turn * STEP_DEG
+        orientation = np.degrees(sight) + beliefs.rotation * STEP_DEG
         return [
             _Disc(
-                self._number(places[i]),
-                places[i],
+                self._number(on_grid[i]),
+                on_grid[i],
                 beliefs.probabilities[i],
                 float(orientation[i]),
-                float(beliefs.turn_sigma[i] * STEP_DEG),
+                float(beliefs.rotation_sigma[i] * STEP_DEG),
                 bool(beliefs.earned[i]),
             )
             for i in np.flatnonzero(frames >= LEAST_FRAMES).tolist()
         ]
 
-    def _number(self, place: FloatArray) -> int:
-        """Of the disc's track: that of the disc of the look before where it lies on that."""
+    def _number(self, position: FloatArray) -> int:
+        """The number of a disc's object: that of the last look's disc there, else a new one."""
         for disc in self._before.discs:
-            if math.dist(disc.place, place) <= 2 * ON * self._plane.axes[0]:
+            if math.dist(disc.position, position) <= 2 * SAME_DISC * self._plane.axes[0]:
                 return disc.number
         self._numbers += 1
         return self._numbers
 
     def revised(self, result: FrameResult) -> FrameResult:
-        """A past result with what the look at its frame and those round it says."""
-        pose, part = self._seen.pop(result.index)
-        if not part.discs:
+        """A past result with the beliefs of the latest look at its frame."""
+        pose, half = self._seen.pop(result.index)
+        if not half.discs:
             return result
-        positions = self._in_frame(pose, np.array([disc.place for disc in part.discs]))
+        positions = self._in_frame(pose, np.array([disc.position for disc in half.discs]))
         shares = self._shares(positions)
         estimates = list(result.estimates)
         own = [i for i, e in enumerate(estimates) if e.method == self._method]
@@ -298,12 +303,12 @@ class SecondLook:
         tracks = np.column_stack(self._plane.from_polar(*polar.reshape(-1, 2).T))
         distance = np.linalg.norm(positions[:, None] - tracks, axis=2) / (2 * self._plane.axes[0])
         added = 0
-        for n, disc in enumerate(part.discs):
+        for n, disc in enumerate(half.discs):
             nearest = int(distance[n].argmin()) if own else -1
-            if own and distance[n, nearest] <= ON and distance[:, nearest].argmin() == n:
+            if own and distance[n, nearest] <= SAME_DISC and distance[:, nearest].argmin() == n:
                 i = own[nearest]
                 estimates[i] = self._joined(estimates[i], disc, pose)
-            elif shares[n] >= WHOLE and (not own or distance[n].min() > 2 * ON):
+            elif shares[n] >= LEAST_SHARE and (not own or distance[n].min() > 2 * SAME_DISC):
                 new = self._estimate(disc, positions[n], pose)
                 if new.declared:
                     estimates.append(new)
@@ -311,33 +316,33 @@ class SecondLook:
         return replace(result, estimates=tuple(estimates), tracks=result.tracks + added)
 
     def _joined(self, estimate: Estimate, disc: _Disc, pose: FloatArray) -> Estimate:
-        """A track's estimate with the belief of both: their pool."""
-        logs = [np.log(np.maximum(p, LEAST)) for p in (estimate.probabilities, disc.probabilities)]
+        """A track's estimate with the joint belief of the track and the look."""
+        logs = [
+            np.log(np.maximum(p, LEAST_BELIEF))
+            for p in (estimate.probabilities, disc.probabilities)
+        ]
         pool = np.exp(TRACK_EXPONENT * logs[0] + LOOK_EXPONENT * logs[1])
         beliefs = pool / pool.sum()
         (index,), (score,) = likeliest(beliefs[None])
-        landmark = self._landmarks.ids[index]
-        claimed = bool(declared(score, self._features.declare)) and estimate.in_view
-        if landmark == self._landmarks.ids[int(likeliest(disc.probabilities[None])[0][0])]:
-            estimate = replace(
-                estimate,
-                orientation_deg=self._orientation(disc, pose),
-                orientation_sigma_deg=disc.orientation_sigma_deg,
-            )
+        orientation = estimate.orientation_deg, estimate.orientation_sigma_deg
+        if index == likeliest(disc.probabilities[None])[0][0]:
+            orientation = self._orientation(disc, pose), disc.orientation_sigma_deg
         return replace(
             estimate,
             probabilities=beliefs,
-            landmark=landmark,
+            landmark=self._landmarks.ids[index],
             score=float(score),
-            declared=claimed,
+            declared=bool(declared(score, self._features.declare)) and estimate.in_view,
+            orientation_deg=orientation[0],
+            orientation_sigma_deg=orientation[1],
         )
 
     def _orientation(self, disc: _Disc, pose: FloatArray) -> float:
-        """In a frame of this pose, as in Estimate."""
+        """The disc's orientation in a frame of this pose, as in Estimate."""
         return float((disc.orientation_deg + math.degrees(pose[0])) % 360)
 
     def _estimate(self, disc: _Disc, position: FloatArray, pose: FloatArray) -> Estimate:
-        """An estimate of a disc that no track is on."""
+        """An estimate of a disc that has no track."""
         plane = self._plane
         (index,), (score,) = likeliest(disc.probabilities[None])
         range_sigma, bearing_sigma = plane.polar_sigma(position[None], np.full((1, 2), SPREAD))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Restored(NamedTuple):
-    """Shares, 0 to 1: of the picture's pixels, which are static, and of frames by their levels."""
+    """Shares, 0 to 1: of the fan's pixels that are static, and of frames by their levels."""
 
     static: float
     saturated: float
@@ -34,11 +34,11 @@ class Restored(NamedTuple):
 
 
 class SideBySide:
-    """Several configurations over the same frames, their results put together.
+    """Several configurations over the same frames, with one result for each frame.
 
-    One configuration's methods are called `smi` and `framework`; those of several have the preset's
-    name appended. Presets with the same candidates and the same SMI share one `smi`, named for the
-    first of them. Results wait for the longest lag.
+    The methods of a single configuration are called `smi` and `framework`; those of several have
+    the preset's name appended. Presets with the same candidates and the same SMI share one `smi`,
+    named after the first of them. Results wait for the longest lag.
 
     tracking: the names of the framework's methods. methods: all names.
     """
@@ -51,10 +51,10 @@ class SideBySide:
         model: Classifier | None = None,
         poses: PoseTable | None = None,
     ) -> None:
-        drawn = isinstance(landmarks, DrawnSet)  # there is no single-frame method for plates
+        drawn = isinstance(landmarks, DrawnSet)  # plates have no single-frame method
         suffixes = [f":{c.preset}" if len(configs) > 1 else "" for c in configs]
         self.tracking = [FRAMEWORK + suffix for suffix in suffixes]
-        # The ring's candidates depend on the beams' width as well.
+        # The ring detector's candidates depend on the beam width as well.
         candidates = [
             (c.candidates, c.smi, c.candidates.detector == "ring" and c.features.beam_width_deg)
             for c in configs
@@ -103,8 +103,9 @@ class SideBySide:
     ) -> Iterator[FrameResult]:
         """Yield the results in the log's order, each when it is final.
 
-        anywhere, in_order: as in `Together.results`. An exception of the frames is raised after the
-        results of all before it. One on the way may leave some waiting: call `waiting` for these.
+        anywhere, in_order: as in `Together.results`. An exception of `frames` is raised after the
+        results of all frames before it. After one in the stages, `waiting` yields the results that
+        still wait.
         """
         whole = UntilBroken(frames)
         restored = self._levels.restored(self._unchanging.filled(whole))
@@ -120,8 +121,7 @@ class SideBySide:
                         if part is not None:
                             part.learn(result)
                 self._pending.append(results)
-                # Each at its own lag, so that a preset gives the same results beside others as
-                # alone.
+                # Each at its own lag, so that a preset's results do not depend on the others.
                 for i, hindsight in enumerate(self._hindsight):
                     if hindsight is not None and len(self._pending) > hindsight.lag:
                         self._revise(self._pending[-1 - hindsight.lag], i, hindsight)
@@ -133,7 +133,7 @@ class SideBySide:
         whole.end()
 
     def _show(self, selected: AfterStage1) -> None:
-        """Show a frame after stage 1 to those that look again."""
+        """Give a frame after stage 1 to the second looks."""
         of = dict(zip(self._recognisers, selected, strict=True))
         for i, look in zip(self._recogniser_of, self._looks, strict=True):
             if look is not None:
@@ -146,7 +146,7 @@ class SideBySide:
             results[i] = look.revised(results[i])
 
     def _of_each(self, found: Mapping[int, FrameResult]) -> list[FrameResult]:
-        """One frame's results, one for each configuration. found: by the recogniser's number."""
+        """One frame's results, one for each configuration. found: by the recogniser's index."""
         results = []
         for i, recogniser in enumerate(self._recogniser_of):
             result = found[recogniser]
@@ -158,7 +158,7 @@ class SideBySide:
         return results
 
     def waiting(self) -> Iterator[FrameResult]:
-        """Yield the results that still wait when the frames end, revised by what is known now."""
+        """Yield the results that wait at the end of the frames, revised by all frames so far."""
         for i, hindsight in enumerate(self._hindsight):
             if hindsight is not None:
                 for results in [*self._pending][-hindsight.lag :]:
@@ -167,20 +167,20 @@ class SideBySide:
             yield self._final()
 
     def tell(self, diagnostics: Diagnostics) -> None:
-        """Tell what is wrong with the poses of the frames so far."""
+        """Report what is wrong with the poses of the frames so far."""
         for recogniser in self._recognisers.values():
             recogniser.odometry.tell(diagnostics)
 
     @property
     def restored(self) -> Restored:
-        """What was done to the pictures before stage 1, so far."""
+        """What was restored in the pictures so far, before stage 1."""
         levels, seen = self._levels, max(self._levels.seen, 1)
         return Restored(self._unchanging.share, levels.saturated / seen, levels.equalised / seen)
 
     def _final(self) -> FrameResult:
-        """The results of the oldest frame that waits, put together."""
+        """The results of the oldest frame that waits, as one result."""
         results = self._pending[0]
-        self._pending.popleft()  # not before: Ctrl-C may come in between
+        self._pending.popleft()  # a statement of its own: Ctrl-C must not lose the results
         return replace(
             results[0],
             estimates=tuple(e for r in results for e in r.estimates),

@@ -1,8 +1,8 @@
-"""Stage 3: which landmark is it? (Section 3.4).
+"""Stage 3, Bayesian feature estimation: which landmark is each object? (Section 3.4).
 
-Two ways lead from shape matrices to beliefs, both a Measurement: the published one (published.py:
-single frames identified, Tables 2 and 3, Eq. 5 to 8) and the default (appearance.py: the matrix
-averaged along the track, described and judged by a model).
+Two measurements turn shape matrices into beliefs. The published one (published.py) identifies
+single frames and applies Tables 2 and 3 and Eq. 5 to 8. The default (appearance.py) averages the
+matrix along the track, describes it by features, and judges these by a model.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from sonarrec.nouns import Groups
 
 @dataclass(frozen=True, slots=True)
 class Beliefs:
-    """What n objects are, and how they lie."""
+    """Which landmarks n objects are, and their orientations."""
 
     probabilities: FloatArray
     """(n, K + 1): every ID, then 'none of these'; rows sum to 1."""
-    turn: FloatArray
-    """(n,) rotation of the likeliest ID from the line of sight, in steps of the shape matrix."""
-    turn_sigma: FloatArray
+    rotation: FloatArray
+    """(n,) rotation of the likeliest ID from the line of sight, counter-clockwise, in steps of the
+    shape matrix."""
+    rotation_sigma: FloatArray
     """(n,) its standard error in steps, NaN where unknown."""
     earned: BoolArray
-    """(n,) whether enough has shown for an ID to be declared."""
+    """(n,) whether enough has been seen for an ID to be declared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,39 +41,37 @@ class Evidence:
     count: FloatArray
     """(n, L, ANGLES) how often each cell was seen."""
     frames: IntArray
-    """(n,) frames since the object began, or came back."""
-    chapters: IntArray
-    """(n,) the number of the chapter of the track. A track that comes back into view with another
-    picture begins a new chapter. 0 in the published measurement, which keeps no pictures.
-    """
+    """(n,) frames since the track began, or since it came back into view."""
+    episodes: IntArray
+    """(n,) number of the track's episode: a track that comes back into view and looks different
+    begins a new one. 0 in the published measurement, which keeps no pictures."""
 
 
 class Measurement(Protocol):
-    """Turns the groups' shape matrices into beliefs. Frames must come in the log's order."""
+    """Converts the groups' shape matrices to beliefs. Frames must come in the log's order."""
 
     def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
-        """Take in a frame's matrices, (n, L, ANGLES) from ShapeSampler."""
+        """Add a frame's matrices (n, L, ANGLES), from ShapeSampler, to the groups' evidence."""
         ...
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """Beliefs in the groups of some frames, one frame after another.
+        """Beliefs about the groups of consecutive frames, concatenated.
 
-        evidence: from `gather`, of all those groups.
+        evidence: from `gather`, concatenated over the same frames.
         """
         ...
 
 
 def settled(values: FloatArray) -> FloatArray:
-    """Values rounded to the tables' six digits, so that a choice among them is the same everywhere.
+    """Values rounded to the tables' six digits, so that all processors choose the same maximum.
 
-    Sums that are equal on paper differ in their last digits, and differently on each processor.
-    Rounded they are equal, and the first is taken: for example where half of a disc is seen and two
-    IDs fit it equally well.
+    Two IDs may fit equally well, for example where half of a disc is seen. The last digits of
+    their sums depend on the processor; rounded they are equal, and the first ID is taken.
     """
     return np.asarray(np.round(values, 6))
 
 
 def likeliest(probabilities: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """(n,) index of the likeliest ID of (n, K + 1) beliefs, and (n,) the belief in it."""
+    """(n,) index of the likeliest ID by (n, K + 1) beliefs, and (n,) the belief in it."""
     best = settled(probabilities[:, :-1]).argmax(axis=1)
     return best, probabilities[np.arange(len(best)), best]

@@ -1,9 +1,9 @@
-"""The default measurement: what a disc's shape matrix looks like, gathered along its track.
+"""The default measurement: the appearance of a disc's shape matrix, averaged along its track.
 
-The paper measures each frame by itself and normalises away 'this is no landmark'. Here the grey
-shape matrix is averaged in the object's own frame (track_matrix.py), described under every ID
-(description.py), and judged by a model of what landmarks look like (model.py). What the model says
-of the track's frames so far is pooled (opinions.py), in place of Eq. 5 to 8.
+The paper measures each frame by itself, and normalising its similarities loses 'this is no
+landmark'. Here the grey shape matrix is averaged in the object's own frame (track_matrix.py),
+described under every ID (description.py), and judged by a model of landmarks (model.py). The
+beliefs of the track's frames so far are pooled (opinions.py), in place of Eq. 5 to 8.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from sonarrec.recogniser.stage3.opinions import TrackBelief
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 
-# Frames of a track from which on an ID is declared, where enough of the disc is in view. Discs
-# fewer than FEW_BEAMS beams wide need more: a single frame hardly shows their symbol.
+# An ID is declared from the LEAST_FRAMES-th frame of a track on, if enough of the disc is in view.
+# Discs fewer than FEW_BEAMS beams wide need more, since one frame hardly shows their symbol.
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
 
 
 class Classifier(Protocol):
-    """What judges discs by their features."""
+    """Judges discs by their features."""
 
     def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         """(n, K + 1): every ID, then 'none of these'; rows sum to 1.
@@ -42,7 +42,7 @@ class Classifier(Protocol):
 
 
 class AppearanceMeasurement:
-    """Beliefs from each track's averaged shape matrix, frame after frame."""
+    """Beliefs from each track's averaged shape matrix, frame by frame."""
 
     def __init__(
         self,
@@ -66,11 +66,11 @@ class AppearanceMeasurement:
         self._radius_m = landmarks.radius_m
 
     def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
-        """The average along each track, how often its cells were seen, and in how many frames."""
+        """Add a frame's matrices to the tracks' averages, see Measurement."""
         return self._matrix.step(groups, grey, seen)
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """The beliefs, as of Measurement."""
+        """The beliefs, see Measurement."""
         tracked = joined(groups)
         smear = self._smear(tracked.positions)
         description = self._describe(evidence.brightness, evidence.count, tracked.existence, smear)

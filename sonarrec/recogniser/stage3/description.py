@@ -1,4 +1,4 @@
-"""Describes an averaged shape matrix under every ID by the FEATURES that the model judges."""
+"""Describes an averaged shape matrix under every ID by FEATURES, which the model judges."""
 
 from __future__ import annotations
 
@@ -9,51 +9,51 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3.expected_symbol import expected_symbols
-from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands, turned_codes
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands, rotated_codes
 
-# Levels are in standard deviations of the grey levels about the object (see ShapeSampler). Those
-# named "local" are counted from the gap in the same direction, which late echoes and uneven light
-# raise as much as the symbol; that named "over_floor" from the floor just outside in the same
-# direction.
+# Levels are in standard deviations of the grey levels around the object (see ShapeSampler). Those
+# named "local" are relative to the gap in the same direction, which late echoes and uneven
+# illumination raise as much as the symbol. The one named "over_floor" is relative to the floor just
+# outside in the same direction.
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
-    # Log of the share that the ID leaves unexplained, less the same of the best rival.
+    # Log of the share of variation that the ID leaves unexplained, less that of the best rival.
     "rival_misfit",
-    # Log of how much more of what the ID leaves unexplained lies in broad patterns than of noise.
+    # Log of the share of the unexplained variation in broad patterns, relative to that of noise.
     "structure",
     "step",  # bright sectors over dark ones
-    "weakest_line_step_share",  # the least step along one line of the symbol; not the innermost
+    "weakest_line_step_share",  # the least step of the symbol's lines but the innermost
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
-    "bright_over_ring_share",  # a share of the ring's contrast over the gap, as all shares
+    "bright_over_ring_share",  # "share": divided by the ring's contrast over the gap
     "local_weakest_bright",  # darkest bright sector over the gap
     "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
     "local_strongest_dark",
     "strongest_dark_over_floor",
-    "weakest_bright_half_share",  # of the halves of sectors, over the gap
+    "weakest_bright_half_share",  # over the halves of sectors, relative to the gap
     "strongest_dark_half_share",
     "edge",  # step across the edges between bright and dark sectors, mean
     "weakest_edge",  # the least of them
-    "texture",  # spread within the sectors
+    "texture",  # standard deviation within the sectors
     "texture_share",
     "ring_over_floor",  # over the floor outside
     "ring_over_gap",
-    "weakest_ring",  # weakest quarter of the ring over what lies beside it
+    "weakest_ring",  # weakest quarter of the ring over the mean of gap and floor beside it
     "weakest_ring_over_gap",
-    "weakest_ring_by_frames",  # times log_frames: a few frames' least is partly chance
-    "ring_texture_share",  # spread along the ring
+    "weakest_ring_by_frames",  # times log_frames, since the minimum over few frames is noisy
+    "ring_texture_share",  # standard deviation along the ring
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
 )
-BEST_FIT = 0.995  # correlation
-LEAST_CONTRAST = 0.3  # of the ring, where shares are taken of it
-# The neighbours of each step, and the next ones, which a beam's smear of an edge hardly reaches.
+BEST_FIT = 0.995  # largest correlation that counts
+LEAST_CONTRAST = 0.3  # least contrast of the ring by which features are divided
+# The neighbours of each step, and their neighbours, which the smear of an edge hardly reaches.
 BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
-# Column by column, 1 over each quarter turn.
+# (ANGLES, ANGLES): column i is 1 over the quarter circle that begins at step i.
 QUARTERS = np.stack([np.roll(np.arange(ANGLES) < ANGLES // 4, i) for i in range(ANGLES)], 1) * 1.0
 ROTATION_SIGMA = 0.12  # scale of the standard error; tuning seeds, checked by `make scenes`
-LIMIT = 9.0  # of every feature's magnitude
+LIMIT = 9.0  # largest magnitude of every feature
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +75,9 @@ class _BandAverages:
     profiles: FloatArray
     """(4, n, ANGLES) mean over each band's lines."""
     weights: FloatArray
-    """(4, n, ANGLES) how often their cells were seen."""
+    """(4, n, ANGLES) how often the bands' cells were seen, weighted by their area."""
     levels: FloatArray
-    """(4, n) mean round the disc."""
+    """(4, n) mean over all angles."""
 
     @property
     def ring_over_gap(self) -> FloatArray:
@@ -86,34 +86,34 @@ class _BandAverages:
 
     @property
     def contrast(self) -> FloatArray:
-        """(n,) the ring's contrast, at least LEAST_CONTRAST, for features to be divided by."""
+        """(n,) the ring's contrast, at least LEAST_CONTRAST, by which features are divided."""
         return np.maximum(self.ring_over_gap, LEAST_CONTRAST)
 
 
-class _Parts:
-    """Means over equal parts of the circle, at every rotation."""
+class _SectorMeans:
+    """Means over `parts` equal sectors of the circle, at every rotation."""
 
     def __init__(self, parts: int) -> None:
-        place = (np.arange(ANGLES) + 0.5) / ANGLES * parts
-        # A part counts less towards its edges, where the beam mixes it with its neighbours.
-        member = place.astype(int)[:, None] == np.arange(parts)
-        member = member * np.sin(np.pi * (place % 1))[:, None]  # (ANGLES, parts)
+        position = (np.arange(ANGLES) + 0.5) / ANGLES * parts
+        # A sector's edges count less, since the beam mixes them with the neighbours.
+        member = position.astype(int)[:, None] == np.arange(parts)
+        member = member * np.sin(np.pi * (position % 1))[:, None]  # (ANGLES, parts)
         self._cells = member.sum(axis=0)
         # (ANGLES, ANGLES x parts)
-        turned = np.stack([np.roll(member, rotation, axis=0) for rotation in range(ANGLES)], axis=1)
-        self._member = turned.reshape(ANGLES, -1)
+        rotated = np.stack([np.roll(member, step, axis=0) for step in range(ANGLES)], axis=1)
+        self._member = rotated.reshape(ANGLES, -1)
 
     def levels(
         self, symbol: FloatArray, weight: FloatArray, rotation: IndexArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Mean level of every part for every ID's rotation, and whether enough of it has shown.
+        """Mean level of every sector at every ID's rotation, and whether enough of it was seen.
 
-        symbol, weight: (m, n, ANGLES). rotation: (n, K). Returns (m, n, K, parts).
+        symbol, weight: (m, n, ANGLES). rotation: (n, K). Both results are (m, n, K, parts).
         """
         shape = (*symbol.shape, len(self._cells))
-        turned = (slice(None), np.arange(len(rotation))[:, None], rotation)
-        share = (weight @ self._member).reshape(shape)[turned]
-        level = ((symbol * weight) @ self._member).reshape(shape)[turned]
+        at_rotation = (slice(None), np.arange(len(rotation))[:, None], rotation)
+        share = (weight @ self._member).reshape(shape)[at_rotation]
+        level = ((symbol * weight) @ self._member).reshape(shape)[at_rotation]
         full = weight.max(axis=-1)[..., None, None] * self._cells
         return level / np.maximum(share, 1e-9), share > 0.3 * np.maximum(full, 1e-9)
 
@@ -124,12 +124,12 @@ class Describer:
     def __init__(
         self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet, correlation_length: float
     ) -> None:
-        """bands, radii: of the lines, from ShapeSampler. correlation_length: as ExpectedSymbols."""
+        """bands, radii: from ShapeSampler. correlation_length: as in ExpectedSymbols."""
         self._starts = [b.start for b in (bands.symbol, bands.ring, bands.gap, bands.outer)]
         self._step_lines = slice(bands.symbol.start + 1, bands.symbol.stop)
-        # A line stands for its part of the disc's area; the innermost is little more than a point.
+        # A line is weighted by the area that it covers; the innermost covers hardly any.
         self._area = (radii / radii.max())[:, None]
-        codes = turned_codes(landmarks)
+        codes = rotated_codes(landmarks)
         # As a beam sees them: sector edges smeared over a step.
         self._codes = 0.5 * codes + 0.25 * (codes[..., BEFORE] + codes[..., AFTER])
         self._expected = expected_symbols(landmarks, correlation_length)
@@ -138,7 +138,7 @@ class Describer:
         table = np.asarray(landmarks.sectors, dtype=bool)
         self._sectors = table
         self._halves = np.repeat(table, 2, axis=1)
-        self._in_sector, self._in_half = (_Parts(n * table.shape[1]) for n in (1, 2))
+        self._in_sector, self._in_half = (_SectorMeans(n * table.shape[1]) for n in (1, 2))
 
     def __call__(
         self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
@@ -157,7 +157,7 @@ class Describer:
         best = fit.correlation[
             np.arange(len(rotation))[:, None], rotation, np.arange(rotation.shape[1])
         ]
-        # (n, K), or (n,) where it is the same of every ID
+        # (n, K), or (n,) if equal for every ID
         values = {
             "correlation": best,
             "rival_misfit": np.log(_unexplained(best) / _unexplained(fit.rival)[:, None]),
@@ -192,19 +192,20 @@ class Describer:
         weight, _, gap_weight, outer_weight = bands.weights
         gap_level = bands.levels[2]
         ids = np.arange(rotation.shape[1])
-        # The symbol counted from the gap's level, locally, and from the floor: (3, n, ANGLES).
+        # (3, n, ANGLES): the symbol over the gap's mean level, over the gap in the same direction,
+        # and over the floor in the same direction.
         floor = 0.5 * outer + 0.25 * (outer[:, BEFORE] + outer[:, AFTER])
-        counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
+        contrast = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
         known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
         dark, steps, textures = _regress(
-            np.concatenate([counted[0][:, None], average[:, self._step_lines]], axis=1),
+            np.concatenate([contrast[0][:, None], average[:, self._step_lines]], axis=1),
             np.concatenate([weight[:, None], count[:, self._step_lines]], axis=1),
             self._codes[rotation, ids],
         )
         dark, step, texture = dark[..., 0], steps[..., 0], textures[..., 0]
-        level, shown = self._in_sector.levels(counted, known, rotation)
-        brightest_dark = _most(level, shown & ~self._sectors)
-        half, half_shown = self._in_half.levels(counted[1:2], known[1:2], rotation)
+        level, seen = self._in_sector.levels(contrast, known, rotation)
+        brightest_dark = _greatest(level, seen & ~self._sectors)
+        half, half_seen = self._in_half.levels(contrast[1:2], known[1:2], rotation)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[rotation, ids])
         over_ring = dark + step - bands.ring_over_gap[:, None]
         share = 1 / bands.contrast[:, None]
@@ -214,12 +215,12 @@ class Describer:
             "dark_over_gap": dark,
             "bright_over_ring": over_ring,
             "bright_over_ring_share": over_ring * share,
-            "local_weakest_bright": -_most(-level[1], shown[1] & self._sectors),
+            "local_weakest_bright": -_greatest(-level[1], seen[1] & self._sectors),
             "strongest_dark": brightest_dark[0],
             "local_strongest_dark": brightest_dark[1],
             "strongest_dark_over_floor": brightest_dark[2],
-            "weakest_bright_half_share": -_most(-half[0], half_shown[0] & self._halves) * share,
-            "strongest_dark_half_share": _most(half[0], half_shown[0] & ~self._halves) * share,
+            "weakest_bright_half_share": -_greatest(-half[0], half_seen[0] & self._halves) * share,
+            "strongest_dark_half_share": _greatest(half[0], half_seen[0] & ~self._halves) * share,
             "edge": edge,
             "weakest_edge": weakest_edge,
             "texture": texture,
@@ -228,7 +229,7 @@ class Describer:
 
 
 def _of_ring(bands: _BandAverages, frames: FloatArray) -> dict[str, FloatArray]:
-    """The features of the ring, each (n,). frames: (n,) gathered."""
+    """The features of the ring, each (n,). frames: (n,) frames in the average."""
     _, ring, gap, outer = bands.profiles
     _, ring_weight, gap_weight, _ = bands.weights
     _, ring_level, _, outer_level = bands.levels
@@ -246,12 +247,12 @@ def _of_ring(bands: _BandAverages, frames: FloatArray) -> dict[str, FloatArray]:
 
 
 def _unexplained(correlation: FloatArray) -> FloatArray:
-    """Share of the variation; BEST_FIT at best, for the rest of a better fit is chance."""
+    """Unexplained share of the variation. Fits better than BEST_FIT differ only by chance."""
     return np.asarray(1 - np.clip(correlation, 0, BEST_FIT) ** 2)
 
 
-def _most(level: FloatArray, among: BoolArray) -> FloatArray:
-    """Greatest level over the last axis, among those marked; 0 where none is."""
+def _greatest(level: FloatArray, among: BoolArray) -> FloatArray:
+    """Greatest level over the last axis where `among`; 0 where nothing is."""
     most = np.where(among, level, -np.inf).max(axis=-1)
     return np.where(np.isfinite(most), most, 0.0)
 
@@ -259,13 +260,13 @@ def _most(level: FloatArray, among: BoolArray) -> FloatArray:
 def _exact_rotation(
     correlation: FloatArray, rotation: IndexArray, best: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, K) the rotation to a part of a step, and its standard error.
+    """(n, K) the sub-step rotation, and its standard error, in steps.
 
-    correlation: (n, ANGLES, K). rotation, best: (n, K) the whole step where it is greatest, and how
-    great it is there.
+    correlation: (n, ANGLES, K). rotation, best: (n, K) the whole step of its maximum, and that
+    maximum.
     """
     exact, bend = _peak(correlation, rotation)
-    # As in any least-squares fit: the noise that is left, over the root of the curvature.
+    # As in any least-squares fit: the residual noise over the root of the curvature.
     noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
     return exact, ROTATION_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
 
@@ -275,7 +276,7 @@ def _regress(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, K, L) level of the dark sectors, step to the bright ones, and residual deviation.
 
-    Weighted regression of every line of (n, L, ANGLES) on codes (n, K, ANGLES).
+    By weighted regression of every line of the symbol (n, L, ANGLES) on the codes (n, K, ANGLES).
     """
     share = weight / np.maximum(weight.sum(axis=2, keepdims=True), 1e-9)
     mean = (symbol * share).sum(axis=2)[:, None]  # (n, 1, L)
@@ -283,7 +284,7 @@ def _regress(
     code_mean = code @ share.swapaxes(1, 2)
     code_variance = code**2 @ share.swapaxes(1, 2) - code_mean**2
     covariance = code @ (share * symbol).swapaxes(1, 2) - mean * code_mean
-    # Where no edge between bright and dark has been seen, the step is not known.
+    # The step is unknown if no edge between bright and dark was seen.
     step = np.where(code_variance > 0.02, covariance / np.maximum(code_variance, 1e-9), 0.0)
     texture = np.sqrt(np.maximum(variance - step * covariance, 0))
     return mean - step * code_mean, step, texture
@@ -307,9 +308,10 @@ def _steepness(
 
 
 def _peak(correlation: FloatArray, rotation: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """(n, K) the maximum of (n, ANGLES, K) near a whole step, and how sharply it bends there.
+    """(n, K) position of the maximum of (n, ANGLES, K) near a whole step, and its curvature.
 
-    A parabola through three samples, each the mean of three: sector edges make the very top flat.
+    By a parabola through three samples, each the mean of three, since sector edges flatten the
+    maximum itself.
     """
     near = (rotation + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
     values = correlation[np.arange(len(rotation))[:, None], near, np.arange(rotation.shape[1])]
@@ -320,14 +322,14 @@ def _peak(correlation: FloatArray, rotation: IndexArray) -> tuple[FloatArray, Fl
 
 
 def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:
-    """Mean round the disc, over the last axis."""
+    """Weighted mean over all angles, the last axis."""
     return np.asarray((profile * weight).sum(axis=-1) / np.maximum(weight.sum(axis=-1), 1e-9))
 
 
 def _weakest_quarter(contrast: FloatArray, seen: FloatArray) -> FloatArray:
-    """(n,) least mean of (n, ANGLES) contrast over a quarter turn of which more than half was seen.
+    """(n,) least mean of (n, ANGLES) contrast over a quarter circle, more than half of it seen.
 
-    LIMIT where there is none.
+    LIMIT if no quarter was.
     """
     cells = seen @ QUARTERS
     mean = (contrast * seen) @ QUARTERS / np.maximum(cells, 1e-9)

@@ -1,18 +1,18 @@
-"""What a symbol should look like under every ID, at every rotation, as the beam smears it.
+"""The expected symbol of every ID at every rotation, smeared by the beam, and the fit to it.
 
-Far out, or on a small disc, a beam is as wide as a sector: seen through it, IDs differ less, and
-in other cells, than as drawn. A pan does not change the smear, for angles count from the line of
-sight and the beam smears across it.
+At long range, or on a small disc, a beam is as wide as a sector. Seen through it, IDs differ less
+than as drawn, and in other cells. A pan does not change the smear, since angles count from the line
+of sight and the beam smears across it.
 
-A symbol is compared by generalised least squares, because noise is correlated between neighbouring
-cells: speckle, which the floor keeps as the sonar pans, patches that fade, late echoes. A broad
-patch that looks like half a sector is weak evidence, a step at a sector's edge strong. Light and
-shade are correlated over a good part of the disc. They show on the ring and in the gap as well, so
-these are compared too, with the ring's level left free.
+Symbols are fitted by generalised least squares, since the noise is correlated between neighbouring
+cells: speckle (which stays with the floor as the sonar pans), patches that fade, late echoes. A
+broad patch that looks like half a sector is weak evidence; a step at a sector's edge is strong.
+Uneven illumination is correlated over a large part of the disc. It affects the ring and the gap as
+well, so these are fitted too, with the ring's level as a free parameter.
 
-Beside the IDs there are rivals: symbols that no ID of the set has. A disc that one of them explains
-better than every ID does is none of these. So is one of which even the best ID leaves more in broad
-patterns than noise would.
+Besides the IDs there are rivals: symbols that no ID of the set has. Two kinds of discs are none of
+these: those that a rival explains better than every ID, and those of which the best ID leaves more
+in broad patterns than noise would.
 """
 
 from __future__ import annotations
@@ -28,43 +28,46 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3 import settled
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, Bands, ShapeSampler
 
-# Typical echo levels over the floor, and the noise, dB. Grey levels are logarithms of the power,
-# which changes the shape of a smeared edge. Correlations hardly depend on these levels.
+# Typical echo levels relative to the floor, and the noise, dB. Grey levels are logarithms of the
+# power, which changes the shape of a smeared edge. Correlations hardly depend on these levels.
 RING_DB, SYMBOL_DB, PLATE_DB, FLOOR_DB, NOISE_DB = 12.0, 10.0, -8.0, 0.0, -6.0
 # Smears (sigma across the line of sight, in disc radii) are rounded to whole steps of this size,
 # MOST_STEPS at most.
 SMEAR_STEP = 0.04
 MOST_STEPS = 10
-PIXEL = 0.05  # sigma of a pixel's blur in any direction, in disc radii
+PIXEL = 0.05  # sigma of the pixels' blur in any direction, in disc radii
 # Gauss-Hermite points and weights for a standard normal distribution.
 _THREE = np.sqrt(3) * np.array([-1, 0, 1])
 _THREE_SHARE = np.array([1, 4, 1]) / 6
-BEAM_POINT = 0.08  # a beam is summed over points no farther apart than this, in disc radii
-# The noise's variances, as shares of that of the correlated noise (speckle and the like): of a cell
-# alone, for the mean cell's area, and of light and shade, with their correlation length (1/e, in
-# disc radii). On tuning seeds 0.1 of a cell does as well, as do correlation lengths of 0.3 or 0.6.
+BEAM_POINT = 0.08  # largest distance of the points over which a beam is summed, in disc radii
+# Variances of the noise, relative to that of the correlated noise (speckle and the like):
+# CELL_NOISE_SHARE of uncorrelated noise, for a cell of mean area; ILLUMINATION_SHARE of uneven
+# illumination, with its correlation length (1/e, in disc radii). On tuning seeds a cell's share of
+# 0.1 does as well, and so do correlation lengths of the correlated noise of 0.3 or 0.6.
 CELL_NOISE_SHARE = 0.3
 ILLUMINATION_SHARE, ILLUMINATION_LENGTH = 1.0, 2.0
-# Rivals have so many sectors, each bright or dark, and differ from every ID at every rotation
-# in at least this share of the circle. Of a disc that is partly hidden only the MOST_RIVALS best
-# are compared exactly.
+# Rivals have RIVAL_SECTORS sectors, each bright or dark, and differ from every ID at every rotation
+# in at least LEAST_DIFFERENCE of the circle. On a partly hidden disc only the MOST_RIVALS best
+# rivals are compared exactly.
 RIVAL_SECTORS = 8
 LEAST_DIFFERENCE = 0.12
 MOST_RIVALS = 48
-# A cross is a rival too: half the width of its arms, and where they begin, in disc radii. It looks
-# the same after a quarter turn.
+# A cross is a rival too: half the width of its arms, and their inner radius, in disc radii. It
+# looks the same after a rotation by 90 degrees.
 ARM, HUB = 0.07, 0.12
 CROSS_ROTATIONS = ANGLES // 4
 LEAST_SHOWN = 0.1  # share of a whole symbol's evidence; with less, correlations count as 0
-# Whitened noise is as strong in broad patterns as in fine ones. Broad are waves round the symbol of
-# up to WAVES periods. STEADY, of the patterns' mean square, lets few seen cells be solved for.
+# Whitened noise is as strong in broad patterns as in fine ones. Broad patterns are waves round the
+# symbol of up to WAVES periods. STEADY, relative to the patterns' mean square, regularises their
+# fit where few cells are seen.
 WAVES = 6
 STEADY = 1e-9
-# What is expected is itself off by so much of the variation, so less left unexplained tells nothing
-# (0 does as well on tuning seeds, but hangs on the last digits where few cells are seen).
+# The expected symbol itself is wrong by this share of the variation, so a smaller unexplained share
+# means nothing. (0 does as well on tuning seeds, but then the result depends on the last digits
+# where few cells are seen.)
 MISFIT = 0.05
 LEAST_STRUCTURE = 1e-3  # before the logarithm
-LEAST_VARIATION = 1e-12  # of an object, whitened; nothing is seen of one with less
+LEAST_VARIATION = 1e-12  # of an object, whitened; less means that nothing was seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +75,10 @@ class SymbolFit:
     """n symbols compared with K IDs.
 
     correlation: (n, ANGLES, K) with every ID at every rotation. Its square is the share of the
-    whitened variation about a level that the ID explains (generalised least squares). 0 where too
-    little of the ID has shown. rival: (n,) the best with a rival. rotation: (n, K) at which each
-    ID fits best. structure: (n, K) at that rotation, the logarithm of the share of what the ID
-    leaves unexplained that lies in broad patterns, over their share of the cells: 0 of noise alone.
+    whitened variation that the ID explains (generalised least squares); 0 where too little of the
+    ID was seen. rival: (n,) the largest correlation with a rival. rotation: (n, K) the best
+    rotation of each ID. structure: (n, K) at that rotation, the logarithm of the broad patterns'
+    share of the unexplained variation, over their share of the cells: 0 for noise alone.
     """
 
     correlation: FloatArray
@@ -86,11 +89,11 @@ class SymbolFit:
 
 @dataclass(frozen=True, slots=True)
 class _Products:
-    """Whitened products of n objects; of one that is partly seen, over the cells that are.
+    """Whitened inner products of n objects, over the cells that were seen.
 
-    own: (n,) with themselves. symbols: (n, T), symbols of length 1. patterns: (n, P). inverse: of
-    the products (n, P, P) of patterns with patterns. of_ids: (ANGLES x K, P) of IDs with patterns,
-    of objects that are partly seen alone.
+    own: (n,) with themselves. symbols: (n, T) with symbols of norm 1. patterns: (n, P) with broad
+    patterns. inverse: (n, P, P) inverse of the patterns' products with each other. of_ids: for each
+    partly seen object, (ANGLES x K, P) products of the IDs with the patterns.
     """
 
     own: FloatArray
@@ -101,10 +104,10 @@ class _Products:
 
 
 class ExpectedSymbols:
-    """Compares symbols, the gap and the ring round them, with what every ID of a set should show.
+    """Compares symbols, with the gap and the ring round them, with the expected symbols of a set.
 
-    T symbols take part: every ID at every rotation (ANGLES x K), a cross at CROSS_ROTATIONS, and
-    every other rival at every rotation. lines: which lines of the shape matrix take part.
+    There are T symbols: every ID at every rotation (ANGLES x K), a cross at CROSS_ROTATIONS, and
+    every other rival at every rotation. lines: the lines of the shape matrix that are compared.
     """
 
     def __init__(
@@ -115,7 +118,7 @@ class ExpectedSymbols:
         correlation_length: of the noise (1/e), in disc radii.
         """
         self._landmarks = landmarks
-        # Of the ring, whose lines all show the same, the middle one.
+        # The middle line stands for the ring, whose lines all show the same.
         self.lines = np.r_[bands.symbol, bands.gap, (bands.ring.start + bands.ring.stop) // 2]
         self._radii = radii[self.lines]
         self._ids = len(landmarks.ids)
@@ -131,7 +134,8 @@ class ExpectedSymbols:
     def fit(self, cells: FloatArray, seen: BoolArray, smear: FloatArray) -> SymbolFit:
         """Compare symbols with every ID and every rival.
 
-        cells, seen: (n, lines, ANGLES). smear: (n,) sigma across the line of sight in disc radii.
+        cells, seen: (n, lines, ANGLES). smear: (n,) the beam's sigma across the line of sight, in
+        disc radii.
         """
         shape = (len(cells), len(self._precision))
         seen = seen.reshape(shape)
@@ -150,11 +154,11 @@ class ExpectedSymbols:
             inverse=np.repeat(_steady_inverse(self._of_broad)[None], len(cells), axis=0),
             of_ids={},
         )
-        # Those that hide the same cells, as one track does in many frames, share most of the work.
-        alike: dict[tuple[int, bytes], list[int]] = {}
+        # Objects with the same unseen cells, such as a track in many frames, share most of the work.
+        equally_seen: dict[tuple[int, bytes], list[int]] = {}
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)).tolist():
-            alike.setdefault((int(steps[i]), seen[i].tobytes()), []).append(i)
-        for (step, _), of_step in alike.items():
+            equally_seen.setdefault((int(steps[i]), seen[i].tobytes()), []).append(i)
+        for (step, _), of_step in equally_seen.items():
             hidden = np.flatnonzero(~seen[of_step[0]])
             self._leave_out(hidden, products, np.array(of_step), whitened, step)
         np.maximum(products.own, LEAST_VARIATION, out=products.own)
@@ -174,10 +178,10 @@ class ExpectedSymbols:
         whitened: FloatArray,
         steps: int,
     ) -> None:
-        """Correct the products of objects, whose cells `hidden` are unseen, to the others.
+        """Restrict the products of some objects to their seen cells.
 
-        Unseen cells leave the precision by their Schur complement. objects: (m,) which of n.
-        whitened: (n, cells). steps: their smear.
+        objects: (m,) indices of those whose unseen cells are `hidden`; these are removed from the
+        precision by a Schur complement. whitened: (n, cells). steps: the objects' smear.
         """
         ids = ANGLES * self._ids
         symbols = products.symbols[objects]
@@ -188,29 +192,29 @@ class ExpectedSymbols:
         some = np.flatnonzero(compared.any(axis=0))
         expected = self._expected(steps)[np.ix_(hidden, some)]
         patterns, own = self._whitened_broad[hidden], whitened[np.ix_(objects, hidden)]
-        # To multiply by the inverse takes half as long as to solve for so many sides.
+        # `solve` takes twice as long as the inverse, for so many right-hand sides.
         inverse = np.linalg.inv(self._precision[np.ix_(hidden, hidden)])
         solved = inverse @ np.column_stack([patterns, expected])
-        at = patterns.shape[1]  # where the symbols begin
+        first = patterns.shape[1]  # column of the first symbol
         of_own, of_patterns = own @ solved, patterns.T @ solved
         products.own[objects] -= ((own @ inverse) * own).sum(axis=1)
-        products.patterns[objects] -= of_own[:, :at]
-        products.inverse[objects] = _steady_inverse(self._of_broad - of_patterns[:, :at])
-        power = 1 - (expected * solved[:, at:]).sum(axis=0)
+        products.patterns[objects] -= of_own[:, :first]
+        products.inverse[objects] = _steady_inverse(self._of_broad - of_patterns[:, :first])
+        power = 1 - (expected * solved[:, first:]).sum(axis=0)
         scale = np.sqrt(np.maximum(power, LEAST_SHOWN))
         shown = (power > LEAST_SHOWN) & compared[:, some]
         products.symbols[objects] = 0
         products.symbols[np.ix_(objects, some)] = np.where(
-            shown, (symbols[:, some] - of_own[:, at:]) / scale, 0.0
+            shown, (symbols[:, some] - of_own[:, first:]) / scale, 0.0
         )
-        of_ids = self._broad_in_ids(steps) - of_patterns[:, at : at + ids].T
+        of_ids = self._broad_in_ids(steps) - of_patterns[:, first : first + ids].T
         products.of_ids.update(dict.fromkeys(objects.tolist(), of_ids / scale[:ids, None]))
 
     def _structure(
         self, products: _Products, rotation: IndexArray, steps: IndexArray, seen: IndexArray
     ) -> FloatArray:
-        """The structure that SymbolFit states. rotation: (n, K). seen: (n,) how many cells."""
-        best = rotation * self._ids + np.arange(self._ids)  # among the symbols
+        """(n, K) `structure` of SymbolFit. rotation: (n, K). seen: (n,) number of cells."""
+        best = rotation * self._ids + np.arange(self._ids)  # index among the symbols
         of_best = np.empty((*best.shape, products.patterns.shape[1]))
         for i, step in enumerate(steps.tolist()):
             of_best[i] = products.of_ids.get(i, self._broad_in_ids(step))[best[i]]
@@ -223,11 +227,11 @@ class ExpectedSymbols:
         return np.asarray(np.log(np.maximum(share, LEAST_STRUCTURE)))
 
     def _broad_in(self, steps: int) -> FloatArray:
-        """(ANGLES x K, patterns) products of `_whitened` of the IDs with every broad pattern."""
+        """(ANGLES x K, P) products of the IDs' `_whitened` with every broad pattern."""
         return np.asarray(self._expected(steps)[:, : ANGLES * self._ids].T @ self._broad)
 
     def _whitened(self, steps: int) -> FloatArray:
-        """(cells, T) P e / sqrt(e' P e) for each `expected` e and the precision P.
+        """(cells, T) P e / sqrt(e' P e) for each `expected` symbol e and the precision P.
 
         A disc's product with it, over the root of the disc's own variation, is the correlation.
         """
@@ -236,7 +240,7 @@ class ExpectedSymbols:
         return np.asarray(whitened / np.sqrt((flat * whitened).sum(axis=0)))
 
     def expected(self, steps: int) -> FloatArray:
-        """(lines, ANGLES, T) what the lines show of every symbol, 0 on the plate to 1 on a symbol.
+        """(lines, ANGLES, T) expected levels of every symbol: 0 on the plate, 1 on a bright sector.
 
         steps: the smear in whole SMEAR_STEPs.
         """
@@ -251,7 +255,7 @@ class ExpectedSymbols:
         return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))
 
     def _lit(self, radius: FloatArray, angle: FloatArray, share: FloatArray) -> FloatArray:
-        """(cells, T) share of each cell that lies on the bright parts of every symbol.
+        """(cells, T) share of each cell that lies on the bright sectors of every symbol.
 
         radius, angle, share: from `_points`.
         """
@@ -261,41 +265,37 @@ class ExpectedSymbols:
         cell = np.broadcast_to(np.arange(cells).reshape(*radius.shape[:2], 1), radius.shape)[within]
         share = np.broadcast_to(share, radius.shape)[within]
         radius, angle = radius[within], angle[within]
-        # Summed by direction from the disc's centre. Steps and sectors are both whole numbers of
-        # directions, so to rotate a code is to roll it.
+        # Summed by direction from the disc's centre. A step and a sector are whole numbers of
+        # directions, so a code is rotated by rolling it.
         sectors = np.asarray(self._landmarks.sectors, dtype=float)
         directions = math.lcm(ANGLES, RIVAL_SECTORS, sectors.shape[1])
         direction = np.mod(angle, 2 * np.pi) / (2 * np.pi) * directions
-        at = cell * directions + np.minimum(direction, directions - 1).astype(int)
-        by_direction = np.bincount(at, share, cells * directions).reshape(cells, directions)
+        index = cell * directions + np.minimum(direction, directions - 1).astype(int)
+        by_direction = np.bincount(index, share, cells * directions).reshape(cells, directions)
         ids, rivals = (by_direction @ _rotated(c, directions).T for c in (sectors, self._rivals))
-        # The cross: what lies within its arms, at each of its rotations.
+        # The cross: the points within its arms, at each of its rotations.
         x, y = radius * np.cos(angle), radius * np.sin(angle)
         rotation = np.arange(CROSS_ROTATIONS)[:, None] * STEP
         cos, sin = np.cos(rotation), np.sin(rotation)
         off_axis = np.minimum(np.abs(x * cos + y * sin), np.abs(y * cos - x * sin))
         rotations, point = np.nonzero((off_axis < ARM) & (radius >= HUB))
-        at = cell[point] * CROSS_ROTATIONS + rotations
-        cross = np.bincount(at, share[point], cells * CROSS_ROTATIONS).reshape(
-            cells, CROSS_ROTATIONS
-        )
-        return np.concatenate([ids, cross, rivals], axis=1)
+        index = cell[point] * CROSS_ROTATIONS + rotations
+        cross = np.bincount(index, share[point], cells * CROSS_ROTATIONS)
+        return np.concatenate([ids, cross.reshape(cells, CROSS_ROTATIONS), rivals], axis=1)
 
 
 @lru_cache(maxsize=2)
 def expected_symbols(landmarks: LandmarkSet, correlation_length: float) -> ExpectedSymbols:
     """The expected symbols of a set on the lines of its shape matrices.
 
-    correlation_length: as ExpectedSymbols. Cached: logs and presets with the same set share them.
+    correlation_length: as ExpectedSymbols. Cached, so that logs and presets with one set share it.
     """
-    sampler = ShapeSampler(landmarks, (1.0, 1.0))  # where the lines lie does not depend on the axes
+    sampler = ShapeSampler(landmarks, (1.0, 1.0))  # its lines do not depend on the axes
     return ExpectedSymbols(landmarks, sampler.radii, sampler.bands, correlation_length)
 
 
 def _rivals(landmarks: LandmarkSet) -> FloatArray:
-    """(R, RIVAL_SECTORS) codes, 0 or 1, that differ from every ID.
-
-    Of those that are rotations of each other, one."""
+    """(R, RIVAL_SECTORS) codes, 0 or 1, that differ from every ID, without their rotations."""
     numbers = np.arange(1, 2**RIVAL_SECTORS - 1)
     codes = (numbers[:, None] >> np.arange(RIVAL_SECTORS)) & 1
     rotations = np.stack([np.roll(codes, rotation, axis=1) for rotation in range(RIVAL_SECTORS)])
@@ -310,18 +310,17 @@ def _rivals(landmarks: LandmarkSet) -> FloatArray:
 
 
 def _rotated(codes: FloatArray, directions: int) -> FloatArray:
-    """(ANGLES x K, directions) of codes (K, sectors): each at every rotation, one after another."""
+    """(ANGLES x K, directions): all codes (K, sectors) at the first rotation, then at the next."""
     lit = np.repeat(codes, directions // codes.shape[1], axis=1)
     step = directions // ANGLES
     return np.concatenate([np.roll(lit, rotation * step, axis=1) for rotation in range(ANGLES)])
 
 
 def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where the echoes in each cell come from: distance from the centre, angle, and share.
+    """The points whose echoes each cell mixes: distance from the centre, angle, and share.
 
     The first two are (lines, ANGLES, points), the share (points,). The points cover a pixel, along
-    the radius and round the disc so that rotations stay exact, and the beam across the line of
-    sight.
+    the radius and the circle so that rotations stay exact, and the beam across the line of sight.
     """
     half = math.ceil(2.4 * smear / BEAM_POINT)
     deviations = np.linspace(-2.4, 2.4, 2 * half + 1) if half else np.zeros(1)
@@ -330,20 +329,17 @@ def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, Fl
     angle = ((np.arange(ANGLES) + 0.5) * STEP)[:, None, None, None]  # from the line of sight
     out = radii[:, None, None, None, None] + PIXEL * _THREE[:, None, None]
     round_ = PIXEL * _THREE[:, None]
-    aside = out * np.sin(angle) + round_ * np.cos(angle) + smear * deviations  # to the left
-    away = out * np.cos(angle) - round_ * np.sin(angle) + 0 * deviations
+    across = out * np.sin(angle) + round_ * np.cos(angle) + smear * deviations  # to the left
+    along = out * np.cos(angle) - round_ * np.sin(angle) + 0 * deviations  # the line of sight
     points = (len(radii), ANGLES, share.size)
-    return (
-        np.hypot(aside, away).reshape(points),
-        np.arctan2(aside, away).reshape(points),
-        share.ravel(),
-    )
+    distance, direction = np.hypot(across, along), np.arctan2(across, along)
+    return distance.reshape(points), direction.reshape(points), share.ravel()
 
 
 def _broad(radii: FloatArray, symbol_to: float) -> FloatArray:
-    """(cells, patterns) waves round the symbol, which ends at `symbol_to`, of up to WAVES periods.
+    """(cells, P) waves of up to WAVES periods round the symbol, whose radius is `symbol_to`.
 
-    Each as strong on all its lines, and rising with the square of the radius.
+    Every wave is there twice: constant along the radius, and growing with its square.
     """
     angle = (np.arange(ANGLES) + 0.5) * STEP
     within = radii < symbol_to
@@ -357,7 +353,7 @@ def _broad(radii: FloatArray, symbol_to: float) -> FloatArray:
 
 
 def _steady_inverse(products: FloatArray) -> FloatArray:
-    """The inverse of a matrix of patterns' products, which few seen cells leave singular."""
+    """Regularised inverse of the patterns' products, which are singular if few cells are seen."""
     size = len(products)
     return np.linalg.inv(products + STEADY * np.trace(products) * np.eye(size))
 
@@ -365,8 +361,8 @@ def _steady_inverse(products: FloatArray) -> FloatArray:
 def _precision(radii: FloatArray, correlation_length: float, ring_from: float) -> FloatArray:
     """(cells, cells) inverse covariance of the noise in the cells on lines at `radii`.
 
-    Two levels are left free, of the ring, which begins at `ring_from`, and of all else: the
-    precision times either is 0.
+    Two levels are free parameters, that of the ring (radii above `ring_from`) and that of all other
+    cells: the precision times either is 0.
     """
     angle = (np.arange(ANGLES) + 0.5) * STEP
     x, y = (np.outer(radii, way(angle)).ravel() for way in (np.cos, np.sin))

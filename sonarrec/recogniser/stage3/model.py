@@ -1,9 +1,9 @@
-"""Judges a described disc: one curve per feature, added up to the log odds of each ID.
+"""The appearance model: an additive model of the log odds of each ID, one curve per feature.
 
 Log odds of an ID against 'none of these' = bias + sum over the features of a piecewise-linear
-curve. A curve shows at a glance what its feature is worth, as a file of weights would not.
-That depends on how far the beam smears the picture: there are two such sums, one for sharp pictures
-and one for smeared ones; between the two their weighted mean counts.
+curve. A curve shows what its feature is worth, as a file of weights would not. That depends on the
+beam's smear, so there are two sums, one for sharp and one for smeared pictures, and a weighted mean
+of the two in between.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ from sonarrec.tables.toml import Finite, brief, checked, from_table, length, par
 
 BUILT_IN = Path(__file__).parent / "appearance.toml"
 
-# A picture is sharp up to the first smear (the beam's standard deviation across the line of sight,
-# in disc radii) and smeared from the second on: discs 14 beams and 8 beams wide. Chosen on tuning
-# seeds.
+# A picture is sharp up to the smear SHARP (the beam's standard deviation across the line of sight,
+# in disc radii), and smeared from SMEARED on: discs 14 and 8 beams wide. Chosen on tuning seeds.
 SHARP, SMEARED = 0.06, 0.10
 
 
@@ -51,29 +50,29 @@ class AppearanceModel:
     values: tuple[FloatArray, ...]
 
     def log_odds(self, features: FloatArray, smear: FloatArray) -> FloatArray:
-        """(n, K) of each ID against 'none of these'.
+        """(n, K) log odds of each ID against 'none of these'.
 
-        features: (n, K, F). smear: (n,) as smeared_share.
+        features: (n, K, F). smear: (n,) as in smeared_share.
         """
-        knots, values, least, most, apart = self._end_to_end
-        at = np.minimum(np.maximum(features, least), most) + apart
+        knots, values, least, most, offset = self._end_to_end
+        abscissa = np.minimum(np.maximum(features, least), most) + offset
         sharp, smeared = (
-            bias + np.interp(at, knots, of_all).sum(axis=2)
-            for bias, of_all in zip(self.bias, values, strict=True)
+            bias + np.interp(abscissa, knots, ordinates).sum(axis=2)
+            for bias, ordinates in zip(self.bias, values, strict=True)
         )
         return np.asarray(sharp + smeared_share(smear)[:, None] * (smeared - sharp))
 
     @cached_property
     def _end_to_end(self) -> tuple[FloatArray, ...]:
-        """All curves laid end to end in one: a single interpolation serves them all.
+        """All curves end to end as one, so that a single interpolation serves them all.
 
-        Its knots and values; per feature its first knot, its last, and how far it was moved.
+        Its knots and values; per feature the first knot, the last, and the offset of its curve.
         """
         least, most = (np.array([k[end] for k in self.knots]) for end in (0, -1))
         room = most - least + 1.0
-        apart = np.cumsum(room) - room - least
-        moved = [k + by for k, by in zip(self.knots, apart, strict=True)]
-        return np.concatenate(moved), np.concatenate(self.values, axis=1), least, most, apart
+        offset = np.cumsum(room) - room - least
+        moved = [k + by for k, by in zip(self.knots, offset, strict=True)]
+        return np.concatenate(moved), np.concatenate(self.values, axis=1), least, most, offset
 
     def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         """(n, K + 1): every ID, then 'none of these'; rows sum to 1. Arguments as log_odds."""
@@ -103,19 +102,19 @@ class ModelFile:
     model: AppearanceModel
 
     def as_table(self) -> dict[str, str]:
-        """What run.toml keeps of it: all that a run needs to use it again."""
+        """What run.toml keeps of it, so that a run can use it again."""
         digest = hashlib.sha256(self.text.encode()).hexdigest()
         return {"name": self.name, "sha256": digest, "text": self.text}
 
 
 def read_model(path: Path) -> ModelFile:
-    """A model from a TOML file. Raises UsageError where the file is not such a model."""
+    """A model from a TOML file. Raises UsageError if the file is not such a model."""
     text = read_text(path, UsageError)
     return ModelFile(path.name, text, parse_model(text, str(path)))
 
 
 def model_from_table(table: Mapping[str, Any], where: str) -> ModelFile:
-    """The model that ModelFile.as_table wrote down. Raises UsageError where it is none."""
+    """The model in a table from ModelFile.as_table. Raises UsageError if it is not one."""
     try:
         name, text = table["name"], table["text"]
     except KeyError:
@@ -127,7 +126,7 @@ def model_from_table(table: Mapping[str, Any], where: str) -> ModelFile:
 
 @cache
 def built_in_model() -> AppearanceModel:
-    """The model that is used where none is given; read once, which takes longer than a frame."""
+    """The model that is used if none is given; cached, since reading takes longer than a frame."""
     return read_model(BUILT_IN).model
 
 
@@ -144,10 +143,7 @@ _BIASES = ("bias", "smeared_bias")
 
 
 def parse_model(text: str, where: str) -> AppearanceModel:
-    """The model in a TOML text; `where` names it in errors.
-
-    Raises UsageError where the text is not such a model.
-    """
+    """The model in a TOML text; `where` names it in errors. Raises UsageError if it is not one."""
     table = parse_toml(text, where, UsageError)
     known = (*_BIASES, *FEATURES)
     if wrong := [key for key in (*known, *table) if key not in known or key not in table]:

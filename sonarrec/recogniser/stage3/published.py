@@ -1,9 +1,7 @@
-"""The paper's measurement: single frames and Bayesian feature estimation.
+"""The paper's measurement (Section 3.4, Algorithms 1 and 2, Eq. 5 to 8).
 
-Section 3.4, Algorithms 1 and 2, Eq. 5 to 8.
-
-The belief of each object over the IDs is carried from frame to frame by the motion model, and
-updated with the shape matrices' measurement through the measurement model.
+The motion model carries each object's belief over the IDs from frame to frame; the measurement
+model updates it by the shape matrices of each frame.
 """
 
 from __future__ import annotations
@@ -37,16 +35,16 @@ TABLE_3 = np.array(  # range window 2.50 m
     ]
 )
 Identify = Callable[[FloatArray, BoolArray], Identification]
-LEAST_PREDICTED = 1e-300  # belief; 0 / 0 is avoided
+LEAST_PREDICTED = 1e-300  # belief, to avoid 0 / 0
 PAPER_SECTORS = ((1, 0, 0, 0), (1, 0, 1, 0), (1, 1, 0, 0), (1, 1, 1, 0))
 
 
 def measurement_model(landmarks: LandmarkSet, window_m: float) -> FloatArray:
     """(K, K) L[k, j] = P(measured as ID j | is ID k); rows sum to 1.
 
-    For the paper's four IDs it is Table 2 or 3, whichever's range window is nearer by ratio. For
-    other sets nothing is published: it is the share of sectors in which two IDs agree, normalised,
-    of which the tables are noisy versions.
+    For the paper's four IDs it is Table 2 or 3, that of the nearer range window by ratio. For other
+    sets nothing is published. There it is the normalised share of sectors in which two IDs agree,
+    of which the tables are noisy versions. window_m: length of the range window.
     """
     if landmarks.sectors == PAPER_SECTORS:
         model = TABLE_2 if window_m < (1.25 * 2.50) ** 0.5 else TABLE_3
@@ -62,7 +60,7 @@ def motion_model(now: FloatArray, before: FloatArray, power: float) -> FloatArra
     now: (n, 2), before: (m, 2) positions in pixels. Nearer than a pixel counts as a pixel.
     """
     distance = np.maximum(np.linalg.norm(now[:, None] - before[None], axis=2), 1.0)
-    # Counted in the least of a row: a high power of pixels would be 0 for all of them.
+    # Relative to the least of a row, since a high power of pixels would underflow to 0.
     closeness = (distance / distance.min(axis=1, keepdims=True)) ** -power
     return np.asarray(closeness / closeness.sum(axis=1, keepdims=True))
 
@@ -70,10 +68,9 @@ def motion_model(now: FloatArray, before: FloatArray, power: float) -> FloatArra
 def update(predicted: FloatArray, measured: FloatArray, model: FloatArray) -> FloatArray:
     """Eq. 6 to 8. predicted, measured: (n, K), model: (K, K) L[k, j]; returns (n, K).
 
-    Jeffrey's rule: the posterior under each measurement that may have been made, weighed by how
-    probable it is that it was.
+    Jeffrey's rule: the posteriors under each possible measurement, weighted by its probability.
     """
-    # Where the model confuses no IDs, one whose belief was rounded to 0 may be measured.
+    # If the model confuses no IDs, an ID whose belief was rounded to 0 may still be measured.
     predicted = np.maximum(predicted, LEAST_PREDICTED)
     joint = model[None] * predicted[:, :, None]  # Eq. 6: (n, k, j)
     posterior = joint / joint.sum(axis=1, keepdims=True)  # Eq. 7
@@ -89,12 +86,12 @@ class FeatureEstimator:
         self._config = config
         self._model = model
         self._numbers: list[int] = []
-        # Of the objects in view, which come first; those remembered have none.
+        # Of the objects in view, which come first; remembered ones have no position.
         self._positions: FloatArray = np.empty((0, 2))
         self._beliefs: FloatArray = np.empty((0, len(model)))
 
     def step(self, groups: Groups, measured: FloatArray) -> FloatArray:
-        """(n, H) beliefs after this frame; measured: (n, H) normalised similarities."""
+        """(n, H) beliefs after this frame. measured: (n, H) q of Eq. 8."""
         predicted = self._predict(groups)
         beliefs = update(predicted, measured, self._model)
         remembered = set(groups.remembered.tolist())
@@ -105,37 +102,37 @@ class FeatureEstimator:
         return beliefs
 
     def _predict(self, groups: Groups) -> FloatArray:
-        """(n, H) Eq. 5. The belief in an object that has just begun is as new_belief says."""
+        """(n, H) Eq. 5. Setting `new_belief` says what is believed of a new object."""
         hypotheses = len(self._model)
         config = self._config
         mixed = config.motion_model == "inverse_distance" and len(self._positions) > 0
         if mixed and config.new_belief == "neighbours":
             return self._mixed(groups.positions)
         predicted = np.full((len(groups.numbers), hypotheses), 1 / hypotheses)
-        place = {number: i for i, number in enumerate(self._numbers)}
+        row = {number: i for i, number in enumerate(self._numbers)}
         numbers = groups.numbers.tolist()
-        known = [i for i, number in enumerate(numbers) if number in place]
+        known = [i for i, number in enumerate(numbers) if number in row]
         if not known:
             return predicted
         if mixed:
             predicted[known] = self._mixed(groups.positions[known])
         else:
-            predicted[known] = self._beliefs[[place[numbers[i]] for i in known]]
+            predicted[known] = self._beliefs[[row[numbers[i]] for i in known]]
         return predicted
 
     def _mixed(self, positions: FloatArray) -> FloatArray:
-        """(n, H) beliefs of the frame before, mixed by the inverse distance to (n, 2) positions."""
+        """(n, H) the last frame's beliefs, mixed by the inverse distance to (n, 2) positions."""
         same = motion_model(positions, self._positions, self._config.distance_power)
         return np.asarray(same @ self._beliefs[: len(self._positions)])
 
 
 class PublishedMeasurement:
-    """The similarities of each frame by itself, and the beliefs that Eq. 5 to 8 make of them."""
+    """Similarities of single frames, and the beliefs by Eq. 5 to 8."""
 
     def __init__(
         self, config: Features, identify: Identify, landmarks: LandmarkSet, window_m: float
     ) -> None:
-        """identify: SMI of (n, L, ANGLES) matrices. window_m: length of the range window."""
+        """identify: SMI of (n, L, ANGLES) matrices. window_m: as in measurement_model."""
         self._least_ring = config.least_ring
         self._identify = identify
         self._estimator = FeatureEstimator(config, measurement_model(landmarks, window_m))
@@ -146,15 +143,15 @@ class PublishedMeasurement:
         grey: FloatArray,
         seen: BoolArray,
     ) -> Evidence:
-        """The frame's own matrices: nothing is gathered."""
+        """The frame's own matrices as evidence, see Measurement."""
         brightness = np.where(seen, grey, 0.0)
         n = len(grey)
         return Evidence(brightness, seen.astype(float), np.ones(n, np.int64), np.zeros(n, np.int64))
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """See Measurement. What is no landmark is normalised away: 'none of these' has 0."""
+        """See Measurement. The paper has no 'none of these', so its belief is 0."""
         single = self._identify(evidence.brightness, evidence.count > 0)
         ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
         measured = np.split(single.measurement(self._least_ring), ends)
         beliefs = [self._estimator.step(g, q) for g, q in zip(groups, measured, strict=True)]
-        return without_none(np.concatenate(beliefs), single.turn)
+        return without_none(np.concatenate(beliefs), single.rotation)

@@ -1,4 +1,4 @@
-"""Shape-matrix identification of a single frame (Section 3.4.2), the paper's baseline (SMI)."""
+"""Shape-matrix identification (SMI) of single frames (Section 3.4.2), the paper's baseline."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What SMI says of n objects in one frame."""
+    """The result of SMI for n objects."""
 
     similarity: FloatArray
-    """(n, K) share of inner cells that agree with each ID, at the one rotation that fits best."""
-    turn: IndexArray
-    """(n,) that rotation in steps."""
+    """(n, K) share of the symbol's cells that agree with each ID, at `rotation`."""
+    rotation: IndexArray
+    """(n,) steps: the rotation, common to all IDs, with the largest similarity."""
     ring: FloatArray
     """(n,) share of ring cells that are bright."""
 
     def measurement(self, least_ring: float = 0.0) -> FloatArray:
         """(n, K) q of Eq. 8: the similarities divided by their sum.
 
-        least_ring: if a smaller share of the ring is bright, there is no circle; q is then uniform,
-        since the symbol means nothing.
+        least_ring: q is uniform if a smaller share of the ring is bright, since without a circle
+        the symbol means nothing.
         """
         total = self.similarity.sum(axis=1, keepdims=True)
         uniform = np.full_like(self.similarity, 1 / self.similarity.shape[1])
@@ -42,24 +42,20 @@ class Identification:
     @property
     def beliefs(self) -> Beliefs:
         """The measurement as the belief; 'none of these' has 0."""
-        return without_none(self.measurement(), self.turn)
+        return without_none(self.measurement(), self.rotation)
 
 
-def without_none(probabilities: FloatArray, turn: IndexArray) -> Beliefs:
-    """(n, K) beliefs of a method that knows no 'none of these', and no error of (n,) turns."""
-    n = len(turn)
-    return Beliefs(
-        np.column_stack([probabilities, np.zeros(n)]),
-        turn.astype(float),
-        np.full(n, np.nan),
-        np.ones(n, bool),
-    )
+def without_none(probabilities: FloatArray, rotation: IndexArray) -> Beliefs:
+    """Beliefs (n, K) of a method without 'none of these' or standard errors of rotations (n,)."""
+    n = len(rotation)
+    with_none = np.column_stack([probabilities, np.zeros(n)])
+    return Beliefs(with_none, rotation.astype(float), np.full(n, np.nan), np.ones(n, bool))
 
 
-def identify(grey: FloatArray, seen: BoolArray, bands: Bands, turned: FloatArray) -> Identification:
-    """Single-frame shape-matrix identification of sampled objects.
+def identify(grey: FloatArray, seen: BoolArray, bands: Bands, codes: FloatArray) -> Identification:
+    """Shape-matrix identification of n sampled objects.
 
-    grey, seen: (n, L, ANGLES) from ShapeSampler. turned: from turned_codes. A cell is bright above
+    grey, seen: (n, L, ANGLES) from ShapeSampler. codes: from rotated_codes. A cell is bright above
     Otsu's threshold of its own disc's ring and symbol cells. Cells outside the fan do not count.
     """
     disc = np.concatenate([grey[:, bands.symbol], grey[:, bands.ring]], axis=1)
@@ -69,23 +65,22 @@ def identify(grey: FloatArray, seen: BoolArray, bands: Bands, turned: FloatArray
     bright = grey > level[:, None, None]
     weight = seen[:, bands.symbol].sum(axis=1)
     on = (bright & seen)[:, bands.symbol].sum(axis=1)
-    # Agreeing cells are bright where the code is 1, or dark where it is 0. Their number, summed
-    # over the lines, is on . code + off . (1 - code): one matrix product for all rotations and IDs.
+    # Cells agree if they are bright where the code is 1, or dark where it is 0. Their number is
+    # on . code + off . (1 - code): one matrix product for all rotations and IDs.
     off = weight - on
-    agreeing = (on - off).astype(float) @ turned.reshape(-1, ANGLES).T + off.sum(axis=1)[:, None]
+    agreeing = (on - off).astype(float) @ codes.reshape(-1, ANGLES).T + off.sum(axis=1)[:, None]
     total = np.maximum(weight.sum(axis=1), 1)[:, None]
-    fit = (agreeing / total).reshape(-1, *turned.shape[:2])
-    turn = fit.max(axis=2).argmax(axis=1)
+    fit = (agreeing / total).reshape(-1, *codes.shape[:2])
+    rotation = fit.max(axis=2).argmax(axis=1)
     ring_seen = seen[:, bands.ring].sum(axis=(1, 2))
     ring = (bright & seen)[:, bands.ring].sum(axis=(1, 2)) / np.maximum(ring_seen, 1)
-    return Identification(fit[np.arange(len(grey)), turn], turn, ring)
+    return Identification(fit[np.arange(len(grey)), rotation], rotation, ring)
 
 
 def otsu_levels(values: FloatArray, seen: BoolArray) -> FloatArray:
     """(n,) Otsu's threshold of each row of (n, m) values, over the cells that were seen.
 
-    The level that maximises the variance between the two classes it makes; brute force over the
-    row's own sorted values.
+    The threshold maximises the variance between the two classes, over the row's sorted values.
     """
     order = np.argsort(np.where(seen, values, np.inf), axis=1)
     ranked = np.take_along_axis(np.where(seen, values, 0.0), order, axis=1)

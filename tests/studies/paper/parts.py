@@ -11,7 +11,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
 from sonarrec.recogniser.estimates import wins
 from sonarrec.recogniser.stage3.published import measurement_model, motion_model, update
-from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, turned_codes
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rotated_codes
 from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 
@@ -30,7 +30,7 @@ class Parts:
         names = f"{FRAMEWORK}:paper", f"{SMI}:paper"
         self._stages = ThreeStages(config, fan, landmarks, None, *names)
         self._bands = ShapeSampler(landmarks, (1.0, 1.0)).bands
-        self._turned = turned_codes(landmarks)
+        self._codes = rotated_codes(landmarks)
         self._model = measurement_model(landmarks, fan.window_m)
         self._places: FloatArray = np.empty((0, 2))
         self._beliefs: FloatArray = np.empty((0, len(self._ids)))
@@ -42,11 +42,11 @@ class Parts:
         after = stages.stage2(image, stages.stage1(image))
         made = list(stages.stage3([after])[0].estimates)
         held = identify(
-            after.evidence.brightness, after.evidence.count > 0, self._bands, self._turned
+            after.evidence.brightness, after.evidence.count > 0, self._bands, self._codes
         )
         q, declare = held.measurement(), config.smi.declare
         made += self._estimates(CONTINUITY, after.groups.positions, q, held.score, declare)
-        single = identify(after.grey, after.seen, self._bands, self._turned)
+        single = identify(after.grey, after.seen, self._bands, self._codes)
         beliefs = self._carried(after.candidates, single.measurement(config.features.least_ring))
         won = wins(np.column_stack([beliefs, np.zeros(len(beliefs))]))
         score = np.where(won, beliefs.max(axis=1), 0.0)
