@@ -154,7 +154,7 @@ class ExpectedSymbols:
             inverse=np.repeat(_steady_inverse(self._of_broad)[None], len(cells), axis=0),
             of_ids={},
         )
-        # Objects with the same unseen cells, such as a track in many frames, share most of the work.
+        # Objects with the same unseen cells, as one track in many frames, share most of the work.
         equally_seen: dict[tuple[int, bytes], list[int]] = {}
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)).tolist():
             equally_seen.setdefault((int(steps[i]), seen[i].tobytes()), []).append(i)
