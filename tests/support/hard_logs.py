@@ -71,10 +71,9 @@ class HardLog:
     positions: where the chunks begin.
     """
 
-    def __init__(self, path: Path, *, finished: bool = True, data_crc: bool = False) -> None:
+    def __init__(self, path: Path, *, finished: bool = True) -> None:
         self._file = path.open("w+b")
         self._finished = finished
-        self._data_crc = data_crc
         self._definitions = [
             Schema(id=1, name="sensor_msgs/msg/Image", encoding="ros2msg", data=b""),
             Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1),
@@ -165,11 +164,7 @@ class HardLog:
         self._file.close()
 
     def _finish(self) -> None:
-        crc = 0
-        if self._data_crc:
-            self._file.seek(0)
-            crc = zlib.crc32(self._file.read())
-        self._file.write(built(DataEnd(crc)))
+        self._file.write(built(DataEnd(0)))
         summary_start = self._file.tell()
         statistics = Statistics(
             attachment_count=0,

@@ -19,24 +19,21 @@ MOST_BYTES = 2**31  # unpacked, or as many times the file's own size, whichever 
 MOST_TIMES = 100
 
 
-def _zstd(file: BinaryIO, size: int) -> Iterator[bytes]:
-    from sonarrec.readers.containers.mcap.chunks import inflated_zstd, pieces_of
+def _zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
+    from sonarrec.readers.containers.mcap.chunks import inflated_zstd
 
-    return inflated_zstd(pieces_of(file, 0, size))
+    return inflated_zstd(stored)
 
 
-def _lz4(file: BinaryIO, size: int) -> Iterator[bytes]:
+def _lz4(stored: Iterator[bytes]) -> Iterator[bytes]:
     from sonarrec.readers.containers.mcap.chunks import inflated_lz4
 
-    return inflated_lz4(file, 0, size, cut=True)
+    return inflated_lz4(stored)
 
 
-PACKINGS: dict[str, Callable[[BinaryIO, int], Iterator[bytes]]] = {
-    ".zst": _zstd,
-    ".zstd": _zstd,
-    ".lz4": _lz4,
-}
-"""By the ending of a name: yields the contents of a file of so many bytes, in pieces."""
+Unpack = Callable[[Iterator[bytes]], Iterator[bytes]]
+PACKINGS: dict[str, Unpack] = {".zst": _zstd, ".zstd": _zstd, ".lz4": _lz4}
+"""By the ending of a name: takes a file in pieces, yields its contents in pieces."""
 
 
 @contextmanager
@@ -61,20 +58,18 @@ def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
             Path(name).unlink()
 
 
-def _unpack_to(
-    path: Path, unpack: Callable[[BinaryIO, int], Iterator[bytes]], out: BinaryIO
-) -> str | None:
+def _unpack_to(path: Path, unpack: Unpack, out: BinaryIO) -> str | None:
     """Unpack a file into `out`; returns what was wrong with it, or None."""
     import zstandard
 
-    from sonarrec.readers.containers.mcap.chunks import DamagedError
+    from sonarrec.readers.containers.mcap.chunks import pieces_of
 
     written = 0
     with path.open("rb") as file:
         size = file.seek(0, 2)
         most = max(MOST_BYTES, MOST_TIMES * size)
         try:
-            for piece in unpack(file, size):
+            for piece in unpack(pieces_of(file, 0, size)):
                 written += len(piece)
                 if written > most:
                     raise SonarrecError(
@@ -82,7 +77,7 @@ def _unpack_to(
                         "not read; unpack it by hand if this is right"
                     )
                 out.write(piece)
-        except (zstandard.ZstdError, DamagedError, RuntimeError, EOFError, MemoryError) as error:
+        except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
             if not written:
                 raise SonarrecError(f"{path}: cannot be unpacked ({error})") from None
             return f"damaged after {written} unpacked bytes ({error}); what came before is read"

@@ -13,7 +13,6 @@ import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import islice
 from typing import BinaryIO
 
 import lz4.frame
@@ -29,7 +28,7 @@ HELD_BYTES = 64 * 2**20
 MAX_WINDOW_BYTES = 2**27  # of zstd: how much of its output it keeps in memory
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, inflated size, CRC, length of compression
-_PIECE = 2**20
+_PIECE = 2**16  # bytes; lz4 inflates them to at most 255 times as many
 
 
 class DamagedError(Exception):
@@ -170,11 +169,11 @@ class ChunkStore:
         return Contents(self._spill, place, place + size)
 
 
-def pieces_of(file: BinaryIO, start: int, end: int, size: int = _PIECE) -> Iterator[bytes]:
+def pieces_of(file: BinaryIO, start: int, end: int) -> Iterator[bytes]:
     """Read the bytes from `start` to `end` in pieces; stop early if the file ends."""
     while start < end:
         file.seek(start)
-        piece = file.read(min(size, end - start))
+        piece = file.read(min(_PIECE, end - start))
         if not piece:
             return
         start += len(piece)
@@ -204,12 +203,12 @@ def _check(chunk: ChunkHead, pieces: Iterable[bytes], out: BinaryIO | None = Non
 
 def _inflate(file: BinaryIO, chunk: ChunkHead) -> Iterator[bytes]:
     """Inflate a compressed chunk, in pieces of at most about 16 MB. Raises DamagedError."""
-    end = chunk.data_start + chunk.present
+    stored = pieces_of(file, chunk.data_start, chunk.data_start + chunk.present)
     try:
         if chunk.compression == "zstd":
-            yield from inflated_zstd(pieces_of(file, chunk.data_start, end))
+            yield from inflated_zstd(stored)
         elif chunk.compression == "lz4":
-            yield from inflated_lz4(file, chunk.data_start, end, chunk.cut)
+            yield from inflated_lz4(stored)
         else:
             raise DamagedError(f"has the unknown compression {chunk.compression!r}")
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
@@ -227,91 +226,21 @@ class _Source:
 
 
 def inflated_zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
-    """Inflate zstd frames, a MiB at a time; of a cut frame only whole blocks, whose sequences are
-    coded backwards from their ends. Raises zstandard.ZstdError if they cannot be inflated."""
+    """Inflate zstd frames, piece by piece; of a cut frame only whole blocks. Raises
+    zstandard.ZstdError if they cannot be inflated."""
     decoder = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
     with decoder.stream_reader(_Source(stored), read_across_frames=True) as reader:  # type: ignore[arg-type]
         while piece := reader.read(_PIECE):
             yield piece
 
 
-# LZ4 frames: https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md. The library inflates
-# whole blocks only; a cut one is decoded here as far as it goes.
-
-_LZ4_PIECE = 2**16  # bytes; lz4 inflates them to at most 255 times as many
-_LZ4_REACH = 2**16  # how far back a match may reach, also into the blocks before
-_LZ4_BLOCK_BYTES = {4: 2**16, 5: 2**18, 6: 2**20, 7: 2**22}
-
-
-def inflated_lz4(file: BinaryIO, start: int, end: int, cut: bool) -> Iterator[bytes]:
-    """Inflate the LZ4 frames between two positions of a file, in pieces of at most about 16 MB.
-    cut: whether the last frame may be cut; then its incomplete block is decoded as far as it goes.
-    Raises RuntimeError or DamagedError if they cannot be inflated."""
+def inflated_lz4(stored: Iterator[bytes]) -> Iterator[bytes]:
+    """Inflate LZ4 frames, in pieces of at most about 16 MB; of a cut frame only whole blocks.
+    Raises RuntimeError if they cannot be inflated."""
     decoder = lz4.frame.LZ4FrameDecompressor()
-    history, at = b"", start
-    for piece in pieces_of(file, start, end, _LZ4_PIECE):
-        at += len(piece)
+    for piece in stored:
         while piece:
             if decoder.eof:  # another frame
-                decoder, history, start = lz4.frame.LZ4FrameDecompressor(), b"", at - len(piece)
-            inflated = decoder.decompress(piece)
-            yield inflated
-            if cut:
-                history = (history + inflated)[-_LZ4_REACH:]
+                decoder = lz4.frame.LZ4FrameDecompressor()
+            yield decoder.decompress(piece)
             piece = (decoder.eof and decoder.unused_data) or b""
-    if cut and not decoder.eof:
-        block, size = _lz4_last_block(file, start, end)
-        yield lz4_cut_block(block, history, size)
-
-
-def _lz4_last_block(file: BinaryIO, start: int, end: int) -> tuple[bytes, int]:
-    """Find the incomplete block at the end of a frame that is cut at `end`. Returns (the bytes of
-    the block, the most bytes that it can inflate to). No bytes if the cut lies between blocks or in
-    an uncompressed block, which the library returns by itself."""
-    file.seek(start)
-    head = file.read(6)
-    if end - start < 7:
-        return b"", 0
-    flags, size = head[4], _LZ4_BLOCK_BYTES.get(head[5] >> 4 & 7, 0)
-    at = start + 7 + (8 if flags & 0x08 else 0) + (4 if flags & 0x01 else 0)
-    while at + 4 <= end:
-        file.seek(at)
-        length = struct.unpack("<I", file.read(4))[0]
-        stored_as_is, length = length >> 31, length & 0x7FFFFFFF
-        if at + 4 + length > end:
-            return (b"" if stored_as_is else file.read(end - at - 4)), size
-        at += 4 + length + (4 if flags & 0x10 else 0)
-    return b"", 0
-
-
-def lz4_cut_block(block: bytes, history: bytes, size: int) -> bytes:
-    """Decode the beginning of a compressed LZ4 block, to at most `size` bytes.
-
-    history: the output of the blocks before; matches may refer to it. Raises DamagedError if a
-    match refers to bytes before the beginning of the history.
-    """
-    out, most = bytearray(history), len(history) + size
-    stored = iter(block)
-
-    def length(nibble: int) -> int:
-        """A length whose first four bits are `nibble`."""
-        more = 255 if nibble == 15 else 0
-        while more == 255:
-            more = next(stored)
-            nibble += more
-        return nibble
-
-    try:
-        while len(out) < most:
-            token = next(stored)
-            out += bytes(islice(stored, length(token >> 4)))
-            distance = next(stored) | next(stored) << 8
-            if not 0 < distance <= len(out):
-                raise DamagedError("does not inflate (a match before the beginning)")
-            match = max(0, min(length(token & 15) + 4, most - len(out)))
-            start = len(out) - distance
-            pattern = out[start : start + match]  # repeated if it is shorter than the match
-            out += (pattern * (match // distance + 1))[:match]
-    except StopIteration:  # here the block is cut
-        pass
-    return bytes(out[len(history) : most])

@@ -3,9 +3,8 @@
 Chunks are opened in the order of their first messages. Messages of chunks that overlap in time are
 merged. Only the position of a message is kept until it is read.
 
-A chunk that contradicts itself is not read. A chunk without a checksum does if it does not have the
-messages that the index behind it names. Lost messages that the index names keep their places, so
-that later frames keep their numbers.
+A chunk that contradicts itself is not read. Lost messages that the index behind it names keep their
+places, so that later frames keep their numbers.
 """
 
 from __future__ import annotations
@@ -113,9 +112,9 @@ def _positions(
 class _Scan:
     """What a chunk holds.
 
-    end: where the last whole record ends. offsets, channels, times: offset of the record in the
-    chunk, channel and log time (ns) of each message of the chosen channels; 24 bytes of memory a
-    message. undefined: how many messages are of channels that nothing defines.
+    end: where the last whole record ends. positions, times: where each message of the chosen
+    channels begins in the contents, and its log time (ns); 16 bytes of memory a message. undefined:
+    how many messages are of channels that nothing defines.
     """
 
     def __init__(
@@ -123,7 +122,7 @@ class _Scan:
     ) -> None:
         """defined: the channels that the file defines."""
         self.end, self.undefined = contents.start, 0
-        self.offsets, self.channels, self.times = array("Q"), array("Q"), array("Q")
+        self.positions, self.times = array("Q"), array("Q")
         for opcode, body, length in records_in(contents, contents.start):
             self.end = body + length
             if opcode != Opcode.MESSAGE:
@@ -134,16 +133,10 @@ class _Scan:
                 continue
             channel, _, time, _ = MESSAGE_HEAD.unpack(head)
             if channel in channels:
-                self.offsets.append(body - RECORD_HEAD.size - contents.start)
-                self.channels.append(channel)
+                self.positions.append(body - RECORD_HEAD.size)
                 self.times.append(time)
             elif channel not in defined:
                 self.undefined += 1
-
-    def agrees(self, index: list[tuple[int, int, int]]) -> bool:
-        """Whether it has the messages of an index, or the index knows fewer than there are."""
-        found = zip(self.offsets, self.channels, self.times, strict=True)
-        return len(index) < len(self.offsets) or list(found) == index
 
 
 class _Pass:
@@ -160,8 +153,6 @@ class _Pass:
         # chunk is one run, or none; its contents are released after its last message.
         self._runs: list[tuple[_Position, Iterator[_Position], Contents | None]] = []
         self._passed_count = self._lost_count = 0
-        self._last_time, self._in_order = 0, True
-        self._all_checked = True  # by a checksum of its chunk
         self.spans: list[tuple[int, int, int]] = []
         self.back_ns = 0
 
@@ -181,7 +172,6 @@ class _Pass:
                 if channel == CHUNK:
                     self._open_chunk(position)
                 else:
-                    self._all_checked = False
                     self._add_run(self._rising(everything, position, channel))
             while self._runs:
                 yield self._next()
@@ -212,8 +202,6 @@ class _Pass:
             file = message.contents.file
             file.seek(message.offset + MESSAGE_HEAD.size)
             data = memoryview(file.read(message.length - MESSAGE_HEAD.size))
-        self._in_order &= message.log_time >= self._last_time
-        self._last_time = message.log_time
         heapq.heappop(self._runs)
         self._add_run(run, contents)
         return Message(message.channel, message.log_time, message.publish_time, data, problem)
@@ -239,30 +227,21 @@ class _Pass:
         except DamagedError as error:
             self._lose(chunk, str(error))
             return
-        self._all_checked &= chunk.crc != 0
         found = _Scan(contents, self._channels, log.channels)
-        count, stopped = len(found.offsets), found.end < contents.end
-        if chunk.cut:
-            share = chunk.size / max(found.end - contents.start, 1)
-            if more := round(count * (share - 1)):
-                log.fault(
-                    f"by its size, the chunk that is cut held {number_of(more, 'more frame')}"
-                )
-        elif stopped or not (chunk.crc or found.agrees(self._indexed(chunk))):
+        if found.end < contents.end and not chunk.cut:
             where = f"is damaged at byte {found.end - contents.start} of its contents"
-            where = where if stopped else "does not hold what its index names"
             self._lose(chunk, f"{where} (`mcap recover` may save some)")
             log.store.release(contents)
             return
         if found.undefined:
             number = number_of(found.undefined, "message")
             log.fault(f"not read: {number} of no channel, in the chunk at byte {position}")
-        if count:
+        if found.times:
             times = np.frombuffer(found.times, np.uint64)
             self.spans.append((position, int(times.min()), int(times.max())))
             self.back_ns = max(self.back_ns, int((np.maximum.accumulate(times) - times).max()))
         by_time = (
-            next(_positions(contents, contents.start + found.offsets[k], position, self._channels))
+            next(_positions(contents, found.positions[k], position, self._channels))
             for k in np.argsort(np.frombuffer(found.times, np.uint64), kind="stable")
         )
         self._add_run(by_time, contents)
@@ -298,7 +277,3 @@ class _Pass:
         if self._passed_count < count:
             gone = count - self._passed_count + self._lost_count
             log.fault(f"in all, {gone} of {count} frames are lost")
-        if not self._in_order:
-            log.fault("a chunk states a later time than it holds; frames are out of order there")
-        if not self._all_checked and not log.data_are_sound():
-            log.fault("its data fail their checksum; which frames are wrong cannot be known")

@@ -7,7 +7,6 @@ without an index; it uses the package only to parse single records.
 from __future__ import annotations
 
 import struct
-import zlib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -27,7 +26,6 @@ from sonarrec.readers.containers.mcap.chunks import (
     ChunkStore,
     Contents,
     DamagedError,
-    pieces_of,
     read_chunk_head,
 )
 
@@ -36,7 +34,6 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish ti
 CHUNK = -1  # stands for a channel in McapFile.channels_of_units
 _MAX_DEFINITION_BYTES = 4 * 2**20
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQ")  # start, end, position of the chunk
-_CRC = struct.Struct("<I")
 _FOOTER_BYTES = 20
 
 
@@ -83,7 +80,7 @@ class McapFile:
         self.channels_of_units = array("l")
         self._statistics: Statistics | None = None
         self._oddities: Counter[str] = Counter()
-        self._data_end: tuple[int, int] | None = None  # position and checksum
+        self._data_ended = False
         self.file = at.open("rb")
         self.store = ChunkStore(self.file)
         try:
@@ -105,14 +102,6 @@ class McapFile:
             raise DamagedError("has no readable head")
         return head
 
-    def data_are_sound(self) -> bool:
-        """Whether the data section matches its checksum, or has none. Reads the whole section."""
-        if self._data_end is None or not self._data_end[1]:
-            return True
-        end, stated = self._data_end
-        # Writers differ on whether the checksum includes the first eight bytes of the file.
-        return stated in (self._crc(0, end), self._crc(len(MAGIC), end))
-
     def _scan(self) -> None:
         self.file.seek(0)
         if self.file.read(len(MAGIC)) != MAGIC:
@@ -121,11 +110,9 @@ class McapFile:
         while not self.whole:
             resume = next((p for p in self._indexed_positions() if p > stop), None)
             if resume is None:
-                what = (
-                    "what is whole before it is read, the rest cannot be counted"
-                    if self._data_end is None
-                    else "only the summary is lost, no message"
-                )
+                what = "what is whole before it is read, the rest cannot be counted"
+                if self._data_ended:
+                    what = "only the summary is lost, no message"
                 self.fault(
                     f"cut short or damaged at byte {stop} of {self.size} (no footer): {what}"
                 )
@@ -136,12 +123,7 @@ class McapFile:
             )
             stop = self._scan_from(resume)
         if self.whole and (more := self.size - self._end):
-            self.file.seek(self._end)
-            another = self.file.read(len(MAGIC)) == MAGIC
-            self.fault(
-                f"{more} bytes follow its end at byte {self._end} and were not read"
-                + (": another recording begins there; cut the file in two" if another else "")
-            )
+            self.fault(f"{more} bytes follow its end at byte {self._end} and were not read")
         loose = self.counts.copy()
         for position, channel in zip(self.positions, self.channels_of_units, strict=True):
             if self._summary_is_complete():
@@ -180,15 +162,8 @@ class McapFile:
                 self.whole = self.file.read(len(MAGIC)) == MAGIC
                 self._end = body + length + len(MAGIC)
                 return at
-            if opcode == Opcode.DATA_END and length == _CRC.size:
-                self.file.seek(body)
-                self._data_end = at, int.from_bytes(self.file.read(_CRC.size), "little")
-                self._end = self._end_behind(body + length)
-                if not self._summary_is_sound():
-                    self.fault("the summary fails its checksum and was not used")
-                    self.whole = True
-                    return at
-            elif opcode == Opcode.CHUNK:
+            self._data_ended |= opcode == Opcode.DATA_END
+            if opcode == Opcode.CHUNK:
                 self._add_chunk(at)
             else:
                 self._note(opcode, at, length, last_times)
@@ -212,16 +187,6 @@ class McapFile:
             self._add_unit(time, at, channel)
         last_times[channel] = time
         self._count(channel, time)
-
-    def _end_behind(self, at: int) -> int:
-        """Where the recording ends: behind its footer, or at the file's end if it has none. at:
-        where its summary begins."""
-        for opcode, body, length in records_in(Contents(self.file, at, self.size), at):
-            if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
-                self.file.seek(body + length)
-                whole = self.file.read(len(MAGIC)) == MAGIC
-                return body + length + len(MAGIC) if whole else self.size
-        return self.size
 
     def _add_chunk(self, position: int) -> None:
         try:
@@ -281,48 +246,19 @@ class McapFile:
                 self._define(contents.file, opcode, length)
         self.store.release(contents)
 
-    # The end of the file, where the index is: it says how to go on after damage.
-
-    def _footer(self) -> tuple[int, Footer] | None:
-        """(position, contents) of the footer; None if the recording does not end with one."""
-        position = self._end - len(MAGIC) - _FOOTER_BYTES - RECORD_HEAD.size
-        if position < len(MAGIC):
-            return None
-        self.file.seek(position)
-        record = self.file.read(self._end - position)
-        head = RECORD_HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES)
-        if not record.startswith(head) or not record.endswith(MAGIC):
-            return None
-        return position, Footer.read(ReadDataStream(BytesIO(record[len(head) :])))
-
-    def _summary_is_sound(self) -> bool:
-        """Whether the summary matches its checksum in the footer, or there is none."""
-        end_footer = self._footer()
-        if end_footer is None or not end_footer[1].summary_crc:
-            return True
-        position, footer = end_footer
-        start = footer.summary_start or position
-        end = position + RECORD_HEAD.size + _FOOTER_BYTES - _CRC.size
-        return start <= position and self._crc(start, end) == footer.summary_crc
-
-    def _crc(self, start: int, end: int) -> int:
-        crc = 0
-        for piece in pieces_of(self.file, start, end):
-            crc = zlib.crc32(piece, crc)
-        return crc
-
     def _indexed_positions(self) -> list[int]:
         """Positions of the chunks according to the summary, and of the summary itself, rising."""
-        end_footer = self._footer()
-        if end_footer is None or not end_footer[1].summary_start or not self._summary_is_sound():
-            return []
-        end, footer = end_footer
-        positions = [footer.summary_start]
-        for opcode, body, length in records_in(
-            Contents(self.file, footer.summary_start, end), footer.summary_start
-        ):
+        end = self.size - len(MAGIC) - _FOOTER_BYTES - RECORD_HEAD.size
+        self.file.seek(max(end, 0))
+        record = self.file.read()
+        head = RECORD_HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES)
+        if not record.startswith(head) or not record.endswith(MAGIC):
+            return []  # the recording does not end with a footer
+        start = Footer.read(ReadDataStream(BytesIO(record[len(head) :]))).summary_start
+        positions = [start]
+        for opcode, body, length in records_in(Contents(self.file, start, end), start):
             if opcode == Opcode.CHUNK_INDEX and length >= _CHUNK_INDEX_HEAD.size:
                 self.file.seek(body)
                 head = self.file.read(_CHUNK_INDEX_HEAD.size)
                 positions.append(_CHUNK_INDEX_HEAD.unpack(head)[2])
-        return sorted(p for p in positions if p < end)
+        return sorted(p for p in positions if 0 < p < end)
