@@ -26,7 +26,6 @@ from sonarrec.tables.order import natural_order
 METADATA = "metadata.yaml"
 _ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
 _MAX_METADATA_BYTES = 2**24
-_MAX_LOST = 10**6  # messages of one part; larger numbers in metadata.yaml are ignored
 Open = Callable[[Path, Diagnostics], Recording]
 
 
@@ -145,17 +144,14 @@ def _parsed(data: bytes) -> tuple[dict[str, Any], str | None]:
 class _Part:
     """One file of a bag.
 
-    numbers: from the file's channel numbers to those of the bag. found, lost: messages by the bag's
-    channels. start, end: first and last log time, ns. sound: whole and without faults. read: first
-    and last log time of what a pass has read, ns; None if nothing.
+    numbers: from the file's channel numbers to those of the bag. start: first log time, ns. sound:
+    whole and without faults. read: first and last log time of what a pass has read, ns; None if
+    nothing.
     """
 
     path: Path
     numbers: dict[int, int] = field(default_factory=dict)
-    found: Counter[int] = field(default_factory=Counter)
-    lost: Counter[int] = field(default_factory=Counter)
     start: int = 0
-    end: int = 0
     sound: bool = False
     read: tuple[int, int] | None = None
 
@@ -179,13 +175,12 @@ class BagFolder(Recording):
                 self._look_into(part)
             else:
                 self.diagnostics.fault("this part of the bag is missing", part.path.name)
-            self.counts.update(part.found)
         if not any(part.numbers for part in self._parts):
             faults = self.diagnostics.faults
             reason = f" ({faults[0]})" if faults else ""
             raise SonarrecError(f"{path}: no part of this bag can be read{reason}")
         self.whole = all(part.sound for part in self._parts)
-        self._count_lost(metadata)
+        self._tell_lost(metadata)
 
     def _look_into(self, part: _Part) -> None:
         """Open a part and register its channels, counts, times and faults."""
@@ -200,14 +195,14 @@ class BagFolder(Recording):
         log.close()
         for number, channel in log.channels.items():
             part.numbers[number] = self._number_of(channel)
-            part.found[part.numbers[number]] += log.counts.get(number, 0)
+            self.counts[part.numbers[number]] += log.counts.get(number, 0)
         self.chunks.update(log.chunks)
         self.library = self.library or log.library
         part.sound = log.whole and len(self.diagnostics.faults) == known
         if log.span is not None:
-            part.start, part.end = log.span
+            part.start, end = log.span
             first, last = self.span or log.span
-            self.span = min(first, part.start), max(last, part.end)
+            self.span = min(first, part.start), max(last, end)
 
     def _number_of(self, channel: Channel) -> int:
         """The bag's number for a channel of a part; a new number for a new channel. A part may lack
@@ -222,47 +217,27 @@ class BagFolder(Recording):
         self.channels[len(self.channels)] = channel
         return len(self.channels) - 1
 
-    def _count_lost(self, metadata: dict[str, Any]) -> None:
-        """Find out how many messages each part has lost, from the counts in metadata.yaml."""
-        damaged = [part for part in self._parts if not part.sound]
-        files = _counts(metadata.get("files"), "path", "message_count")
+    def _tell_lost(self, metadata: dict[str, Any]) -> None:
+        """Tell of which channels the parts hold fewer messages than metadata.yaml counts."""
+        stated: Counter[object] = Counter()
         rows = metadata.get("topics_with_message_count")
-        flat = [
-            row["topic_metadata"] | {"count": row.get("message_count")}
-            for row in (rows if isinstance(rows, list) else [])
-            if isinstance(row, dict) and isinstance(row.get("topic_metadata"), dict)
-        ]
-        by_topic = _counts(flat, "name", "count")
-        topics = Counter(channel.topic for channel in self.channels.values())
+        for row in rows if isinstance(rows, list) else []:
+            if isinstance(row, dict) and isinstance(row.get("topic_metadata"), dict):
+                name, count = row["topic_metadata"].get("name"), row.get("message_count")
+                stated[str(name)] += count if isinstance(count, int) else 0
+        held: Counter[object] = Counter()
         for number, channel in self.channels.items():
-            count = by_topic.get(channel.topic, 0) if topics[channel.topic] == 1 else 0
-            short = count - self.counts[number]
-            if short <= 0 or short > _MAX_LOST:
-                continue
-            # Lost messages of all channels; right for this one if the others lost none.
-            shares = [files.get(part.path.name, 0) - part.found.total() for part in damaged]
-            if len(damaged) == 1:
-                damaged[0].lost[number] = short
-            elif damaged and min(shares) >= 0 and sum(shares) == short:
-                for part, share in zip(damaged, shares, strict=True):
-                    part.lost[number] = share
-            else:
-                where = "; in which part cannot be known" if damaged else ""
+            held[channel.topic] += self.counts[number]
+        for topic, count in held.items():
+            if stated[topic] > count:
+                told = number_of(stated[topic], "message")
                 self.fault(
-                    f"{METADATA} counts {number_of(count, 'message')} of {channel.topic}, the "
-                    f"parts hold {count - short}{where}, so numbers of frames may be too low"
+                    f"{METADATA} counts {told} of {topic}, the parts hold {count}; the numbers of "
+                    "frames after lost ones are too low"
                 )
-                continue
-            self.counts[number] = count
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
-        """The messages of some channels in log-time order; those of equal time by their parts. A
-        lost message that metadata.yaml counts is yielded without data, so that others keep their
-        numbers."""
-        end = 0
-        for part in self._parts:  # one that cannot be read follows the one before it
-            part.start = part.start or end
-            end = part.end = max(part.end, part.start)
+        """The messages of some channels in log-time order; those of equal time by their parts."""
         order = sorted(range(len(self._parts)), key=lambda i: (self._parts[i].start, i))
         runs: list[tuple[int, int, Message, Iterator[Message]]] = []
 
@@ -282,35 +257,19 @@ class BagFolder(Recording):
         self.note_set_back(part.read for part in self._parts if part.read is not None)
 
     def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
-        passed: Counter[int] = Counter()
-        last = part.start
         numbers = {own: number for own, number in part.numbers.items() if number in channels}
-        for message in self._read(part, numbers) if numbers else ():
-            number = numbers[message.channel]
-            passed[number] += 1
-            last = max(last, message.log_time)
-            part.read = part.read[0] if part.read else message.log_time, last
-            yield replace(message, channel=number)
-        for number in channels:
-            gone = part.found[number] + part.lost[number] - passed[number]
-            if part.lost[number]:
-                self.diagnostics.fault(
-                    f"{number_of(gone, 'message')} of {self.channels[number].topic} lost, by the "
-                    f"counts in {METADATA}",
-                    part.path.name,
-                )
-            for _ in range(gone if gone <= _MAX_LOST else 0):
-                yield Message(number, last, None, None)
-
-    def _read(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
-        """The messages of some channels of a part, by the part's own numbers."""
+        if not numbers:
+            return
         try:
             log = self._open(part.path, self.diagnostics)
         except (SonarrecError, OSError):  # it was there before
             self.diagnostics.fault("cannot be read any more", part.path.name)
             return
         try:
-            yield from log.messages(channels)
+            for message in log.messages(numbers):
+                first, last = part.read or (message.log_time, message.log_time)
+                part.read = first, max(last, message.log_time)
+                yield replace(message, channel=numbers[message.channel])
         except SonarrecError as error:
             self.diagnostics.fault(str(error).removeprefix(f"{printable(part.path)}: "), part.path)
         finally:
@@ -318,14 +277,3 @@ class BagFolder(Recording):
 
     def close(self) -> None:
         """Does nothing, because parts are closed when they have been read."""
-
-
-def _counts(rows: Any, name: str, count: str) -> dict[str, int]:
-    """Counts by name, from a list of tables in metadata.yaml; incomplete tables are left out."""
-    return {
-        PurePosixPath(row[name]).name if name == "path" else row[name]: row[count]
-        for row in (rows if isinstance(rows, list) else [])
-        if isinstance(row, dict)
-        and isinstance(row.get(name), str)
-        and isinstance(row.get(count), int)
-    }
