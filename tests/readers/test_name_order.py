@@ -31,7 +31,6 @@ CERTAIN: dict[str, Callable[[int], str]] = {
     "chapter.frame": lambda k: f"{k // 12}.{k % 12 + 1}",
     "counter and time": lambda k: f"{k}_{1_700_000_000 + k * 0.25}",
     "two counters": lambda k: f"{k:04d}_{3 * k + 100}",
-    "copies": lambda k: f"Capture 7 ({k + 1})" if k else "Capture 7",
     "size": lambda k: f"{k}_512x381",
 }
 WITH_TIMES = {  # and whether they are certain
@@ -44,6 +43,7 @@ WITH_TIMES = {  # and whether they are certain
     "%H%M%S_%f": False,
 }
 GUESSES: dict[str, Callable[[int], str]] = {
+    "copies": lambda k: f"Capture 7 ({k + 1})" if k else "Capture 7",
     "since 1970, ns without zeros": lambda k: f"{1_700_000_000 + k // 10}_{k % 10 * 10**8}",
     "date, then counter": lambda k: f"20240{k // 30 + 1}01_{k % 30:03d}",
     "negative": lambda k: str(k - 40),
@@ -55,9 +55,6 @@ GUESSES: dict[str, Callable[[int], str]] = {
     "folders": lambda k: f"scan{k // 9}_{k % 9}",
     "clock of 12 hours": lambda k: (NOON + timedelta(seconds=60 * k)).strftime("%I-%M-%S %p"),
     "unsaid half of day": lambda k: (NOON + timedelta(seconds=60 * k)).strftime("%I%M%S"),
-    "unsaid half of day with a date": lambda k: (
-        f"2024-05-01_{1 + (11 + k // 60) % 12:02d}-{k % 60:02d}-00"
-    ),
     "seconds of a minute": lambda k: f"{(50 + k / 4) % 60:.2f}",
     "hours and minutes": lambda k: f"{(1400 + k) // 60 % 24:02d}{(1400 + k) % 60:02d}",
     "thousands": lambda k: f"{k + 990:,}",

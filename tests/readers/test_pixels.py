@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import re
-import struct
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -306,18 +305,6 @@ def test_what_a_pgm_calls_white_is_white(tmp_path: Path, maxval: int, sample: st
             assert int(frame.pixels.max()) == pytest.approx(
                 grey.max() * (255 / (1 + bool(full))), 1
             )
-
-
-@pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("depth", [1, 2])
-def test_a_tiff_whose_0_is_white_is_turned_over(order: str, depth: int) -> None:
-    image = np.arange(12, dtype=f"u{depth}").reshape(3, 4) * 20
-    data = image.astype(f"{order}u{depth}").tobytes()
-    tags = {256: 4, 257: 3, 258: 8 * depth, 259: 1, 262: 0, 273: 8, 277: 1, 278: 3, 279: len(data)}
-    entries = (struct.pack(f"{order}HHIHH", tag, 3, 1, value, 0) for tag, value in tags.items())
-    directory = struct.pack(f"{order}H", len(tags)) + b"".join(entries) + bytes(4)
-    head = {"<": b"II*\0", ">": b"MM\0*"}[order] + struct.pack(f"{order}I", 8 + len(data))
-    np.testing.assert_array_equal(decode_image(head + data + directory), ~image)
 
 
 @pytest.mark.parametrize(

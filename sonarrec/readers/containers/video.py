@@ -67,7 +67,7 @@ class VideoFrames(RawLog):
                 timestamp_ns = None if rate is None else round(index * (1e9 / rate))
             yield RawFrame(f"frame {index}", timestamp_ns, pixels)
             index += 1
-        count = max(self.frame_count or 0, self._packets())
+        count = self.frame_count or 0
         if index < count and self._is_estimate():
             self.diagnostics.note(
                 f"{count} frames by its length and rate, {index} read: some were dropped as it was "
@@ -87,19 +87,6 @@ class VideoFrames(RawLog):
             tail = file.read()
         ending = tail.rfind(_CUES) > tail.rfind(_CLUSTER)  # which a cut one lacks
         return self._path.suffix.lower() == ".mkv" and ending
-
-    def _packets(self) -> int:
-        """How many frames the container holds, whether they decode or not; 0 if unknown. In AVI
-        files a packet may be empty or hold no frame; in the others each is one frame."""
-        if self._path.suffix.lower() == ".avi":
-            return 0
-        packets = 0
-        video = cv2.VideoCapture(self._name)
-        if video.set(cv2.CAP_PROP_FORMAT, -1):  # read without decoding
-            while video.grab():
-                packets += 1
-        video.release()
-        return packets
 
     def close(self) -> None:
         """Release the file."""

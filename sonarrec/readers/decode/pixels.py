@@ -9,7 +9,6 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from functools import cache
-from itertools import islice
 from typing import BinaryIO
 
 import cv2
@@ -91,47 +90,7 @@ def pgm_maxval(data: np.ndarray) -> int | None:
     return int(header[1]) if header and int(header[1]) not in (0, 255, 65535) else None
 
 
-# By the first bytes of a TIFF, struct formats: byte order, where the offset of the first directory
-# is, an offset, the length of a directory, and the bytes of an entry.
-_TIFFS = {
-    b"II*\0": ("<", 4, "I", "H", 12),
-    b"MM\0*": (">", 4, "I", "H", 12),
-    b"II+\0": ("<", 8, "Q", "Q", 20),
-    b"MM\0+": (">", 8, "Q", "Q", 20),
-}
-_SUBFILE_TYPE, _PART_OF_ANOTHER = 254, 0b101  # bits: a smaller copy of another image, its mask
-_PHOTOMETRIC, _WHITE_IS_ZERO = 262, 0
-_PLANES, _APART = 284, 2
-_SHORT = 3  # type of a field
-
-
-def _tiff_images(data: memoryview) -> Iterator[dict[int, int]]:
-    """The first value of each field of each image of a TIFF, by its tag; none for other files. It
-    ends where the file does, or where it leads back."""
-    if (kind := data[:4].tobytes()) not in _TIFFS:
-        return
-    order, first_at, offset, length, entry_bytes = _TIFFS[kind]
-    met = set[int]()
-    with contextlib.suppress(struct.error, OverflowError):
-        (at,) = struct.unpack_from(order + offset, data, first_at)
-        while at and at not in met:
-            met.add(at)
-            (entries,) = struct.unpack_from(order + length, data, at)
-            at += struct.calcsize(order + length)
-            end = at + entries * entry_bytes
-            (following,) = struct.unpack_from(order + offset, data, end)
-            fields = {}
-            for entry in range(at, end, entry_bytes):
-                # A number of two bytes stands first in its field.
-                tag, kind_of_field = struct.unpack_from(f"{order}HH", data, entry)
-                form = f"{order}{'H' if kind_of_field == _SHORT else 'I'}"
-                (fields[tag],) = struct.unpack_from(
-                    form, data, entry + 4 + struct.calcsize(order + offset)
-                )
-            yield fields
-            at = following
-
-
+_TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Of any type, and turned by EXIF data as viewers and annotation tools show it. A TIFF is turned in
 # any case, and one of four channels of floats can only be read unchanged.
 _AS_SHOWN = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
@@ -146,17 +105,16 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("empty image")
     if not _png_is_whole(buffer.data):
         raise UnusableError("unreadable image")
-    images_held = (
-        not fields.get(_SUBFILE_TYPE, 0) & _PART_OF_ANOTHER for fields in _tiff_images(buffer.data)
-    )
-    if sum(islice(filter(None, images_held), 2)) > 1:
-        raise UnusableError("a TIFF of several images; one image a file is read")
-    flags = cv2.IMREAD_UNCHANGED if buffer[:4].tobytes() in _TIFFS else _AS_SHOWN
+    is_tiff = buffer[:4].tobytes() in _TIFFS
+    flags = cv2.IMREAD_UNCHANGED if is_tiff else _AS_SHOWN
+    several = False
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         warnings = _warnings_file()
         with _stderr_to(warnings.fileno()):
             image = cv2.imdecode(buffer, flags)
+            if is_tiff:
+                several = cv2.imdecodemulti(buffer, cv2.IMREAD_REDUCED_GRAYSCALE_8, range=(1, 2))[0]
         warning = b""
         if warnings.tell():
             warnings.seek(0)
@@ -171,13 +129,8 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("unreadable image")
     if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
         raise UnusableError("a JPEG that is damaged inside")
-    # OpenCV itself inverts such images of 8 bits.
-    if image.dtype == np.uint16:
-        fields = next(_tiff_images(buffer.data), {})
-        if image.ndim == 3 and fields.get(_PLANES) == _APART:
-            raise UnusableError("a TIFF of 16 bit whose colours lie in planes of their own")
-        if fields.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
-            image = np.bitwise_not(image)
+    if several:
+        raise UnusableError("a TIFF of several images; one image a file is read")
     return np.asarray(image)
 
 

@@ -30,15 +30,12 @@ def in_order(paths: Iterable[str]) -> tuple[list[str], str | None]:
     is_count: bool | None = True
     if any(map(_POINTED.search, _stems(texts))):
         points = [_POINTED.findall(stem) for stem in _stems(texts)]
-        is_count = counts_behind_point([(found or [("0", "")])[-1] for found in points])
+        is_count = counts_behind_point([found[-1][1] if found else "" for found in points])
     ordered = sorted(texts, key=partial(_key, decimals=not is_count))
     counted = partial(_key, decimals=False)
     if is_count is None and (not all(points) or ordered != sorted(texts, key=counted)):
         return ordered, "what stands behind a point in them may be decimals or a counter"
-    stems = _stems(ordered)
-    if all(re.fullmatch(r" ?\([0-9]+\)", stem.removeprefix(stems[0])) for stem in stems[1:]):
-        return ordered, None  # copies, as systems name them
-    return ordered, _doubt(stems, bool(points), bool(is_count))
+    return ordered, _doubt(_stems(ordered), bool(points), bool(is_count))
 
 
 def _key(path: str, decimals: bool) -> str:

@@ -76,14 +76,12 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
             seconds.append(int(moment.timestamp()))
         fractions.append(of_name["fraction"] or of_name["in_full"])
     longest = max(map(len, fractions))
-    if counts_behind_point([*zip(map(str, seconds), fractions, strict=True)]):
+    if counts_behind_point(fractions):
         fractions = [text.zfill(-(-longest // 3) * 3) for text in fractions]
     whole = np.array(seconds, np.int64)
     parts = np.array([int(f"{text:0<9}") for text in fractions], np.int64)
     if alike is not None and _fraction_counts(whole, parts, *alike):
         parts = np.zeros_like(parts)
-    if form is _DATE and _may_be_half_days(whole // 3600 % 24):
-        return None
     steps = np.diff(times := whole * 10**9 + parts)
     if len(steps) and (steps.min() <= 0 or np.median(steps) < LEAST_STEP_NS):
         return None
@@ -94,39 +92,20 @@ def _rising_times(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | Non
     return None if form is _DATE and not parts.any() and counts else times
 
 
-def _may_be_half_days(hours: IntArray) -> bool:
-    """Whether hours may be those of a clock of 12: 12 and 1 are there, none above, and not all
-    between, as in a recording from one to twelve."""
-    held = set(hours.tolist())
-    return {1, 12} <= held and min(held) == 1 and max(held) == 12 and len(held) < 12
-
-
-def counts_behind_point(numbers: Sequence[tuple[str, str]]) -> bool | None:
+def counts_behind_point(parts: Sequence[str]) -> bool | None:
     """Whether digits behind a point count thousandths, millionths or billionths without leading
     zeros (1.5: one second and 5 us), instead of being decimals; None if that does not show.
 
-    numbers: digits before and behind the point, of each name. Decimals are cut at their last digit
-    above 0, or all have one length; a count never begins with 0.
+    parts: digits behind the point, of each name. Decimals are cut at their last digit above 0, or
+    all have one length; a count never begins with 0.
     """
-    parts = [part for _, part in numbers]
     lengths = set(map(len, parts))
     if lengths == {0, 3}:  # 1,000
         return None
     if 0 in lengths or len(lengths) == 1:
         return False
     is_decimal, is_count = (any(len(p) > 1 and p[end] == "0" for p in parts) for end in (0, -1))
-    if is_decimal != is_count:
-        return is_count
-    if is_decimal or len(parts) < 3:
-        return None
-    # Frames follow each other evenly in one of the two ways.
-    unit = 10.0 ** (-3 * -(-max(map(len, parts)) // 3))
-    whole = np.array([float(number) for number, _ in numbers])
-    uneven = []
-    for behind in ([float(f"0.{p}") for p in parts], [int(p) * unit for p in parts]):
-        steps = np.diff(np.sort(whole - whole[0] + behind))
-        uneven.append(float(steps.std() / max(steps.mean(), 1e-9)))
-    return None if max(uneven) < 3 * min(uneven) else uneven[1] < uneven[0]
+    return is_count if is_decimal != is_count else None
 
 
 def _fraction_counts(seconds: IntArray, fractions: IntArray, sign: str, digits: int) -> bool:
