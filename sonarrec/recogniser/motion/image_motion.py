@@ -31,7 +31,7 @@ BETTER = 0.1
 # A standing sonar may have started to move if the pan's match falls below USUAL_SHARE of its usual
 # value: a running mean over about USUAL_MEMORY frames, which starts at FIRST_USUAL.
 USUAL_SHARE, FIRST_USUAL, USUAL_MEMORY = 0.75, 0.8, 20.0
-LOOK_EVERY = 4  # frames between quick registrations of a standing sonar that matches as usual
+LOOK_EVERY = 8  # frames between quick registrations of a standing sonar that matches as usual
 # If the pan matches poorly, any motion is searched for: again in the next frame, then after 2, 4
 # and so on, up to MOST_PAUSE frames. About half of a fast vehicle's pairs of frames register.
 MOST_PAUSE = 8
