@@ -59,6 +59,7 @@ class Sonar:
     tilt_deg: Finite | None = None  # downward
     height_m: Finite | None = None  # above the floor
     frame_rate_hz: Finite | None = None  # where frames carry no time
+    beam_width_deg: Finite | None = None  # two-way, between half-power points
     metres_per_pixel: Finite | None = None  # of a fan image
     apex_px: tuple[Finite, Finite] | None = None  # (column, row) of the fan's apex
     bearings_deg: tuple[Finite, ...] | None = None  # one per beam, where not evenly spaced
@@ -175,7 +176,7 @@ class Sonar:
                 f"height_m = {height:g} must be above 0 and below range_max_m = {high:g}, "
                 "or no floor is in the window",
             )
-        for key in ("frame_rate_hz", "metres_per_pixel", "dynamic_range_db"):
+        for key in ("frame_rate_hz", "beam_width_deg", "metres_per_pixel", "dynamic_range_db"):
             value = getattr(self, key)
             if value is not None and value <= 0:
                 yield (key,), f"{key} = {value:g} must be above 0"

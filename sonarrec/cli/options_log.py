@@ -23,6 +23,7 @@ GEOMETRY_TEXTS = {
     "tilt_deg": "Downward tilt of the sonar, deg.",
     "height_m": "Height of the sonar above the floor, m.",
     "frame_rate_hz": "Frames per second, if frames carry no time.",
+    "beam_width_deg": "Width of the beams, two-way, between half-power points, deg.",
     "metres_per_pixel": "Scale of a fan image, m.",
 }
 GEOMETRY_OPTIONS = {

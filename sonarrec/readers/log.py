@@ -32,9 +32,9 @@ class Log:
 
     name: of its results folder. frame_count: None if unknown. stated: the geometry that file and
     flags state. header: the same of a sonar's own file. diagnostics: what is to be told about it,
-    complete after the pass. beam_width_deg: as the first frame's message or header states it; None
-    if it does not. untimed: whether 1 Hz was assumed so far, because neither frames nor geometry
-    state times.
+    complete after the pass. beam_width_deg: as stated, else as the first frame's message or
+    header has it; None if neither does. untimed: whether 1 Hz was assumed so far, because neither
+    frames nor geometry state times.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Log:
         self._observe = observe
         origin = "headers" if raw.header_info.values else "messages"
         self._make = FrameMaker(stated, str(source.path), raw.diagnostics, origin)
-        self.beam_width_deg: float | None = None
+        self.beam_width_deg = stated.beam_width_deg
         self.untimed = False
         self._timed = 0, 0  # number and time of the last frame that carried one
         self._unset = False  # whether header times were asked for and nobody set them
@@ -157,7 +157,7 @@ class Log:
             except UnusableError as error:
                 self.diagnostics.skip(raw.name, error)
                 continue
-            if not used and raw.sonar is not None:
+            if not used and raw.sonar is not None and self.stated.beam_width_deg is None:
                 self.beam_width_deg = raw.sonar.beam_width_deg
             used += 1
             if index < span[0]:

@@ -86,11 +86,11 @@ def write_backgrounds(
             if background.has_poses:
                 write_csv(folder / "poses.csv", ["timestamp_ns", "yaw", "x", "y"], poses)
             # Last: a folder without geometry is not taken for a whole recording.
-            documents["sonar"] = {"sonar": _sonar(background).as_table()}
+            documents["sonar"] = {"sonar": _sonar(background, look.beam_width_deg).as_table()}
             write_documents(folder, documents)
 
 
-def _sonar(background: Background) -> Sonar:
+def _sonar(background: Background, beam_width_deg: float) -> Sonar:
     """The geometry of the images written: fans, with the reader's grey levels."""
     fan = background.fan
     low, high = fan.bearing_min_deg, fan.bearing_max_deg
@@ -106,6 +106,7 @@ def _sonar(background: Background) -> Sonar:
         tilt_deg=fan.tilt_deg,
         height_m=fan.height_m,
         frame_rate_hz=background.rate_hz,
+        beam_width_deg=beam_width_deg,
         metres_per_pixel=fan.metres_per_pixel,
         apex_px=(fan.apex_column, fan.apex_row),
         pixel_scale="linear",

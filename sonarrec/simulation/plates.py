@@ -157,6 +157,7 @@ def plate_sonar(scene: PlateScene) -> Sonar:
         field_of_view_deg=scene.field_of_view_deg,
         tilt_deg=30.0,
         frame_rate_hz=scene.rate_hz,
+        beam_width_deg=scene.beam_width_deg,
     )
 
 

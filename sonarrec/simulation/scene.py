@@ -406,6 +406,7 @@ def scene_sonar(scene: Scene) -> Sonar:
         tilt_deg=sonar.tilt_deg + sonar.tilt_error_deg,
         height_m=sonar.height_m + sonar.height_error_m,
         frame_rate_hz=scene.rate_hz,
+        beam_width_deg=sonar.beam_width_deg,
         bearings_deg=(
             tuple(np.round(scene_bearings(scene), 4).tolist())
             if polar and sonar.bearings != "even"

@@ -89,8 +89,12 @@ def write_recording(
     if image_format == "mcap":
         check_schema(schema, compression, geometry is not None)
         if is_polar(schema):  # its messages state the rest
-            tilt, height, rate = sonar.tilt_deg, sonar.height_m, sonar.frame_rate_hz
-            sonar = Sonar(tilt_deg=tilt, height_m=height, frame_rate_hz=rate)
+            sonar = Sonar(
+                tilt_deg=sonar.tilt_deg,
+                height_m=sonar.height_m,
+                frame_rate_hz=sonar.frame_rate_hz,
+                beam_width_deg=sonar.beam_width_deg,
+            )
     folder, prefix = (out.parent, f"{out.stem}.") if single_file else (out, "")
     if single_file and out.is_dir():
         raise SonarrecError(f"{out}: is a folder; choose another --out")
