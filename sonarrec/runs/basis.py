@@ -91,7 +91,7 @@ def beams_in_words(
         return "no beam width needed"
     how = "by its beams" if about else "usual for this view"
     if log.beam_width_deg is not None:
-        how = "log"
+        how = "stated"
     if any(c.features.beam_width_deg for c in stated):
         how = "setting"
     return f"beams {' and '.join(f'{width:g}' for width in sorted(widths))} deg wide ({how})"

@@ -76,13 +76,16 @@ def test_a_run_says_and_keeps_what_it_took(wide: Path, tmp_path: Path) -> None:
     def told_by(*more: str | Path) -> str:
         return sonarrec("run", wide, "-q", "-o", tmp_path / "out", *more).stderr
 
-    assert f"beams are taken to be {STATED_DEG:g} deg wide, as the log states" in told_by()
+    assert f"beams are taken to be {STATED_DEG:g} deg wide, as stated" in told_by()
     assert width_in(tmp_path / "out" / "wide") == pytest.approx(STATED_DEG)
     # Again from its run.toml, and with a width of one's own.
     run_file = tmp_path / "run.toml"
     run_file.write_bytes((tmp_path / "out" / "wide" / "run.toml").read_bytes())
     assert "beams" not in told_by("--config", run_file, "--overwrite")
     assert width_in(tmp_path / "out" / "wide") == pytest.approx(STATED_DEG)
+    # Stated by the user, it goes before the messages'; a setting goes before both.
+    assert "to be 0.7 deg wide, as stated" in told_by("--beam-width-deg", "0.7")
+    assert width_in(tmp_path / "out" / "wide") == 0.7
     assert "beams" not in told_by("--set", "features.beam_width_deg=0.5")
     assert width_in(tmp_path / "out" / "wide") == 0.5
 

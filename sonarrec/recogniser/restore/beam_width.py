@@ -33,7 +33,7 @@ def with_beams(
         width = min(usual, round(MOST_BEAMS * first.polar.beam_deg, 2))
     how = "as its beams are many"
     if stated_deg is not None:
-        width, how = stated_deg, "as the log states"
+        width, how = stated_deg, "as stated"
     needs = [not c.features.beam_width_deg and c.features.measurement != "single" for c in configs]
     found = [
         replace(c, features=replace(c.features, beam_width_deg=width)) if need else c
@@ -42,7 +42,7 @@ def with_beams(
     if width == usual or not any(needs):
         return found, []
     note = f"beams are taken to be {width:g} deg wide, {how}"
-    return found, [f"{note} (features.beam_width_deg sets another)"]
+    return found, [f"{note} (--beam-width-deg states another)"]
 
 
 def usual_beam_width_deg(fan: Fan) -> float:
