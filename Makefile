@@ -4,8 +4,8 @@ BIN := .venv/bin
 SAMPLES := sample_data
 SAMPLE := $(SAMPLES)/pan
 
-.PHONY: test test-slow test-all lint demo bench bound fuzz paper scenes pictures stated worlds ablation study speeds maps model plate-model \
-	transfer regression results kills scale scoring clean
+.PHONY: test test-slow test-all lint demo bench bound paper scenes pictures stated worlds ablation study speeds maps model plate-model \
+	transfer regression results scale clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -42,17 +42,8 @@ demo: .venv/program  # the sample log, from images to tables
 bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop
 	$(BIN)/python -m tests.studies.bench --record bench
 
-fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarrec run`
-	$(BIN)/python -m tests.studies.fuzz --files 2000
-
 scale: .venv/installed  # a thousand logs, killed and on a cluster; how cost grows, long logs (over half an hour)
 	$(BIN)/python -m tests.studies.scale --record scale
-
-scoring: .venv/installed  # what evaluate costs over up to 1,000 logs of 10,000 frames
-	$(BIN)/python -m tests.studies.scoring
-
-kills: .venv/installed  # forty runs stopped at random moments by three signals
-	$(BIN)/python -m tests.studies.kills
 
 paper: .venv/installed  # Tables 4 and 5 in the worlds on record, ours beside the published
 	$(BIN)/python -m tests.studies.paper.prediction --record paper

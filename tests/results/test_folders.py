@@ -221,7 +221,6 @@ def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, num
 
 @pytest.mark.slow
 def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) -> None:
-    """Twelve of the forty of `make kills`."""
     parts, finished_runs = stop_at_random(log, tmp_path / "out", 12)
     assert parts
     assert finished_runs < 12

@@ -20,13 +20,24 @@ from pathlib import Path
 from sonarrec.simulation.scene import load_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.results.record import options, save, show
-from tests.studies.scoring import peak_of, timed
 from tests.support.batch import SAMPLE, command, environment, rows, tables
 
 FRAMES = 60
 MOST_CALIBRATED = 10_000
 """Frames of the longest log that is learned from: it takes 6 ms a frame."""
 SEEDS = range(8000, 8004)
+# Runs a command and prints its own peak in KiB (bytes on macOS).
+_RUN = """
+import resource, sys
+from sonarrec.cli import main
+try:
+    main(sys.argv[1:])
+except SystemExit as end:
+    assert end.code in (0, None, 3), end.code
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+# A new process is charged with the peak of the one it was forked from.
+_LAUNCH = "import subprocess, sys; sys.exit(subprocess.run(sys.argv[1:]).returncode)"
 
 
 def recordings(folder: Path) -> list[Path]:
@@ -175,6 +186,13 @@ def cluster(home: Path, source: list[Path], count: int) -> None:
     )
 
 
+def peak_of(*words: object) -> float:
+    """Peak resident memory, MB, of a process that runs a command, which must not fail."""
+    command = [sys.executable, "-c", _LAUNCH, sys.executable, "-c", _RUN, *map(str, words)]
+    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return int(told.split()[-1]) / (1024**2 if sys.platform == "darwin" else 1024)
+
+
 def long(home: Path, largest: int) -> None:
     """Logs of 1,000 frames and more through the commands; the sample again and again."""
     images = sorted(SAMPLE.glob("*.png"))
@@ -203,7 +221,9 @@ def long(home: Path, largest: int) -> None:
             ["calibrate", log, "--ground-truth", gt, "-o", home / f"model{count}.toml"],
         ):
             if count <= MOST_CALIBRATED or words[0] != "calibrate":
-                peak, took = timed(lambda words=words: peak_of(*words))  # type: ignore[misc]
+                begun = time.monotonic()
+                peak = peak_of(*words)
+                took = time.monotonic() - begun
                 name = " ".join(map(str, words[: 2 if words[0] == "truth" else 1]))
                 lines.append(
                     {"command": name, "frames": count, "MB": f"{peak:.0f}", "s": f"{took:.1f}"}
