@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,6 @@ from sonarrec.evaluation.pairing import CountedPair, LogPair, count_pair, pair_l
 from sonarrec.evaluation.pairs import FindBeside, Pair
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.summary import SEED, units_text
-from sonarrec.evaluation.write import PAPER_KEY
 from sonarrec.nouns import follows
 from sonarrec.results.methods import chosen
 from sonarrec.results.run_file import read_run
@@ -66,7 +64,7 @@ def compare(
     pairs = pair_logs(old, new, ground_truth, options, find_beside, told)
     used, before, after, changed = _count_pairs(pairs, jobs, told)
     methods = _compared_methods(before, after, options.methods, baseline)
-    told.note(*_incomplete(used, before, after, methods), *_scored_before(old, new))
+    told.note(*_incomplete(used, before, after, methods))
     # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.
     runs = (
         (name, read_run(pair.old / "run.toml"), read_run(pair.new / "run.toml"))
@@ -150,21 +148,6 @@ def _rate_changes(old: Tally, new: Tally, counts: FloatArray) -> Iterator[RateCh
         if not (math.isnan(was) and math.isnan(now)):
             of = fp + tn if name == "fpr" else tp + fn
             yield RateChange(new.protocol, new.method, new.landmark_text, name, was, now, of)
-
-
-def _scored_before(*sides: Path) -> Iterator[str]:
-    """A note on each side whose evaluation.json is of a version that counted protocol paper
-    otherwise."""
-    for side in sides:
-        path = side / "evaluation" / "evaluation.json"
-        with suppress(OSError):
-            text = path.read_bytes() if path.is_file() else b""
-            if b'"min_visible"' in text and f'"{PAPER_KEY}"'.encode() not in text:
-                yield (
-                    f"{path}: scored by an earlier version, whose protocol paper ignored landmarks "
-                    "partly in view, so its figures differ from those here; run `sonarrec "
-                    "evaluate` again"
-                )
 
 
 def _count_pairs(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
 from sonarrec.evaluation.count import Adder, Counts
 from sonarrec.evaluation.logs import (
     LogScore,
-    LogToScore,
     UnreadableLog,
     check_logs,
     first_ids,
@@ -52,17 +51,20 @@ def evaluate_logs(
     finds truth beside logs on servers, as in `pairs.find_truths_beside`. Logs of equal name get
     the names of their folders.
     """
-    inputs = _inputs(results, ground_truth, options, find_beside)
-    folders = [folder for folder, *_ in inputs.logs]
-    ids = first_ids(folders, options.landmarks)
-    readings = [LogToScore(*log, options=options, ids=ids) for log in inputs.logs]
+    options.check()
+    found, told, others = Diagnostics(), Diagnostics(), Diagnostics()
+    pairs = _pairs(results, ground_truth, find_beside, found)
+    folders = [pair.results for pair in pairs]
+    table: TruthTable | None = None  # of all logs; None if each has its own
+    if ground_truth is not None and isinstance(results, str | Path):
+        results, table = Path(results), read_truth(Path(ground_truth))
     adder = Adder()
     read: list[LogScore] = []
     unread: list[UnreadableLog] = []
-    told = Diagnostics()
     once = CountedOnce(lambda i: np.asarray(read_frames(read[i].folder)["frame"]), "scored", told)
     kept: list[LogScore] = []
-    for log in map_logs(score_log, readings, folders, jobs):
+    work = partial(score_log, options=options, ids=first_ids(folders, options.landmarks))
+    for log in map_logs(work, pairs, folders, jobs):
         if isinstance(log, UnreadableLog):
             unread.append(log)
             continue
@@ -75,10 +77,9 @@ def evaluate_logs(
     if not read:
         raise unread[0].error
     names = [*(log.name for log in kept), *(log.name for log in unread)]
-    table = inputs.table
     if table is not None and table.log is None and len(names) > 1:
         raise SonarrecError(
-            f"{table.path}: {inputs.folder} holds {len(names)} logs ({', '.join(names)}), so the "
+            f"{table.path}: {results} holds {len(names)} logs ({', '.join(names)}), so the "
             "truth needs a log column that names their folders; or give the folder of one log"
         )
     faults = [UnreadableLog(log.name, log.error) for log in kept if log.error is not None]
@@ -87,18 +88,17 @@ def evaluate_logs(
     fit_notes, misfits = check_logs([log.check for log in kept if log.check is not None])
     scored = [log for log in kept if log.check is not None and log.check.fault is None]
     pooled = adder.counts([log.folder for log in scored], options.methods)
-    others = Diagnostics()
     if table is not None:
         everyone = [*(log.name for log in read), *(log.name for log in unread)]
         tell_other_logs(others, table, everyone, "they are not scored")
-    alone = folders == [inputs.folder]  # one log was asked for: the rows of others are a note
-    notes = [*inputs.notes, *told.notes, *fit_notes, *others.problems * alone]
+    alone = folders == [results]  # one log was asked for: the rows of others are a note
+    notes = [*found.notes, *told.notes, *fit_notes, *others.problems * alone]
     notes += _notes(scored, pooled)
     unused = [
-        *inputs.unused,
+        *found.problems,
         *(log.message() for log in [*unread, *faults]),
         *misfits,
-        *_left_out(inputs, scored),
+        *_left_out(scored, as_one=table is not None),
         *others.problems * (not alone),
         *told.problems,
     ]
@@ -113,44 +113,27 @@ def evaluate_logs(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Inputs:
-    """The logs to read, with their truth."""
-
-    logs: list[tuple[Path, Path, str | None]]
-    """Results, truth and, if it is not that of the folder, name of each."""
-    notes: list[str]
-    unused: list[str]
-    table: TruthTable | None = None
-    """The truth of all logs; None if each has its own."""
-    folder: Path | None = None
-    """If there is a `table`: the results folder as given."""
-
-
-def _inputs(
+def _pairs(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None,
-    options: ScoringOptions,
     find_beside: FindBeside | None,
-) -> _Inputs:
-    """The logs to read and their truth; the arguments are those of `evaluate_logs`."""
-    options.check()
+    told: Diagnostics,
+) -> list[Pair]:
+    """The logs to read with their truth; the arguments are those of `evaluate_logs`."""
     if not isinstance(results, str | Path):
         pairs, unused = usable_pairs(results)
-        return _Inputs([(p.results, p.ground_truth, p.log) for p in pairs], [], unused)
-    folders = find_logs(Path(results))
-    if ground_truth is None:  # each log with the truth beside it
-        pairs, without = find_truths_beside(folders, find_beside)
-        logs = [(p.results, p.ground_truth, p.log) for p in pairs]
-        return _Inputs(logs, list(map(truth_note, pairs)), without)
-    path = Path(ground_truth)
-    table = read_truth(path)
-    return _Inputs([(folder, path, None) for folder in folders], [], [], table, Path(results))
+    elif ground_truth is None:  # each log with the truth beside it
+        pairs, unused = find_truths_beside(find_logs(Path(results)), find_beside)
+        told.note(*map(truth_note, pairs))
+    else:
+        return [Pair(folder, Path(ground_truth)) for folder in find_logs(Path(results))]
+    told.problem(*unused)
+    return pairs
 
 
-def _left_out(inputs: _Inputs, scored: Sequence[LogScore]) -> Iterator[str]:
-    """A line for each part of truth and results that is not scored."""
-    for logs in [scored] if inputs.table is not None else [[log] for log in scored]:
+def _left_out(scored: Sequence[LogScore], *, as_one: bool) -> Iterator[str]:
+    """A line for each part of truth and results that is not scored. as_one: all share a truth."""
+    for logs in [scored] if as_one else [[log] for log in scored]:
         checks = [log.check for log in logs if log.check is not None]
         unprocessed = sum(check.unprocessed for check in checks)
         if unprocessed:

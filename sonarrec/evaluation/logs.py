@@ -18,6 +18,7 @@ import numpy as np
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.evaluation.count import LogCounts, count_log
 from sonarrec.evaluation.match import Matched, ScoringOptions, match, nearest_truth
+from sonarrec.evaluation.pairs import Pair
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import LogResults, not_whole, read_log
 from sonarrec.results.run_file import read_run
@@ -29,19 +30,6 @@ from sonarrec.truth.table import TruthTable, read_truth
 
 WORTH_BYTES = 4_000_000
 """Bytes of tables per process; a process takes as long to start as to read so many."""
-
-
-@dataclass(frozen=True, slots=True)
-class LogToScore:
-    """One log to be read and scored."""
-
-    folder: Path
-    ground_truth: Path
-    log: str | None
-    """The log's name; None: the name of the folder."""
-    options: ScoringOptions
-    ids: tuple[int, ...] = ()
-    """Its IDs in the wanted order; others are not used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +49,13 @@ class TruthCheck:
     """How a truth fits a log, without the rows of either."""
 
     name: str
-    """Name of the log."""
+    """Of the log."""
     table: Path
-    """File of the truth."""
     table_rows: int
-    """Rows in the file."""
     rows: int
-    """Rows about this log."""
+    """Those about this log; of them `unprocessed` and `between`, as of Truth."""
     unprocessed: int
-    """Rows about it on frames that were not processed."""
     between: int
-    """Rows about it between frames."""
     frames: int
     fault: str | None
     """Why the truth does not fit the log; None if it does."""
@@ -153,15 +137,16 @@ class LogScore:
     """None if the log cannot be scored, or once they are added to those of others."""
 
 
-def score_log(reading: LogToScore) -> LogScore | UnreadableLog:
-    """Read, match and count one log."""
-    options = reading.options
+def score_log(
+    pair: Pair, options: ScoringOptions, ids: tuple[int, ...]
+) -> LogScore | UnreadableLog:
+    """Read, match and count one log. ids: as of `match`."""
     try:
-        table = truth_table(reading.ground_truth)
-        log = read_log(reading.folder, options.landmarks, options.sonar)
+        table = truth_table(pair.ground_truth)
+        log = read_log(pair.results, options.landmarks, options.sonar)
     except SonarrecError as fault:  # the other logs can be scored
-        return UnreadableLog(reading.log or log_of(reading.folder), fault)
-    log = log if reading.log is None else replace(log, name=reading.log)
+        return UnreadableLog(pair.log or log_of(pair.results), fault)
+    log = log if pair.log is None else replace(log, name=pair.log)
     check: TruthCheck | None = None
     error: SonarrecError | None = None
     counts: LogCounts | None = None
@@ -169,7 +154,7 @@ def score_log(reading: LogToScore) -> LogScore | UnreadableLog:
         truth = match_truth(table, log, options.tolerance_s)
         check = check_fit(table, log, truth)
         if check.fault is None:
-            matched = match(log, truth, options.min_visible, reading.ids, within_m=options.within_m)
+            matched = match(log, truth, options.min_visible, ids, within_m=options.within_m)
             if (doubt := _no_claim_right(matched)) is not None:
                 check.notes.append(f"{table.path}: {doubt}")
             counts = count_log(matched)
@@ -177,10 +162,10 @@ def score_log(reading: LogToScore) -> LogScore | UnreadableLog:
         error = fault
     rows = table.rows_of(log.name)
     return LogScore(
-        folder=reading.folder,
-        ground_truth=TruthOf(reading.ground_truth, log.name, len(rows), table.digest_of(rows)),
+        folder=pair.results,
+        ground_truth=TruthOf(pair.ground_truth, log.name, len(rows), table.digest_of(rows)),
         name=log.name,
-        recording=recording(reading.folder, log.run, len(log.frame_index)),
+        recording=recording(pair.results, log.run, len(log.frame_index)),
         check=check,
         error=error,
         not_whole=not_whole(log, "scored"),

@@ -194,13 +194,7 @@ def nearest_truth(
 
     claims: (n,) indices. claim_key: (n,), truth_key: (T,): for example the frame, or frame and ID.
     """
-    order = np.argsort(truth_key, kind="stable")
-    ordered = truth_key[order]
-    low = np.searchsorted(ordered, claim_key, side="left")
-    many = np.searchsorted(ordered, claim_key, side="right") - low
-    claim = np.repeat(np.arange(len(claims)), many)
-    within = np.arange(len(claim)) - np.repeat(np.cumsum(many) - many, many)
-    truth = order[np.repeat(low, many) + within]
+    claim, truth = equal_pairs(claim_key, truth_key)
     offset_m = distance(log, claims[claim], truth)
     hits = np.flatnonzero(offset_m <= log.gate_m + ROUNDING_M)
     hits = hits[np.lexsort((offset_m[hits], claim[hits]))]
@@ -208,6 +202,15 @@ def nearest_truth(
     nearest = np.full(len(claims), -1, dtype=np.int64)
     nearest[chosen] = truth[hits[first]]
     return nearest
+
+
+def equal_pairs(a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
+    """Indices of all pairs of an a and a b that are equal, in the order of a, then of b."""
+    order = np.argsort(b, kind="stable")
+    low, high = (np.searchsorted(b[order], a, side) for side in ("left", "right"))
+    first = np.repeat(np.arange(len(a)), high - low)
+    within = np.arange(len(first)) - np.repeat(np.cumsum(high - low) - (high - low), high - low)
+    return first, order[low[first] + within]
 
 
 def truth_beneath(log: Matched) -> IntArray:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.evaluation.match import ROUNDING_M, Matched, distance
+from sonarrec.evaluation.match import ROUNDING_M, Matched, distance, equal_pairs
 from sonarrec.nouns import follows
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
@@ -45,7 +45,7 @@ def tracking(log: Matched, beneath: IntArray, method: int) -> FloatArray | None:
         track, minlength=tracks
     )
     # Of all pairs in one frame those nearer than two gates.
-    t, c = _pairs(log.truth_frame_index[truth], log.claim_frame_index[claim])
+    t, c = equal_pairs(log.truth_frame_index[truth], log.claim_frame_index[claim])
     off_m = distance(log, claim[c], truth[t])
     near = off_m < 2 * log.gate_m
     t, c, off_m = t[near], c[near], off_m[near]
@@ -83,15 +83,6 @@ def _identities(log: Matched, truth: IntArray) -> IntArray:
     number = np.empty(len(truth), dtype=np.int64)
     number[order] = np.arange(len(truth)) - start
     return np.stack([log.truth_landmark_index[truth], number], axis=1)
-
-
-def _pairs(frame_a: IntArray, frame_b: IntArray) -> tuple[IntArray, IntArray]:
-    """Indices of all pairs of an a and a b on one frame."""
-    order = np.argsort(frame_b, kind="stable")
-    low, high = (np.searchsorted(frame_b[order], frame_a, side) for side in ("left", "right"))
-    a = np.repeat(np.arange(len(frame_a)), high - low)
-    within = np.arange(len(a)) - np.repeat(np.cumsum(high - low) - (high - low), high - low)
-    return a, order[low[a] + within]
 
 
 def _matched(t: IntArray, c: IntArray, score: FloatArray, frame: IntArray) -> BoolArray:

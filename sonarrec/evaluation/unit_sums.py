@@ -131,14 +131,9 @@ def _rate_sums(
     steps = np.zeros((units, 4, bins))
     steps[:, :, 0] = base
     for score, unit, effect in claims:
-        if len(score):
-            bin_ = np.searchsorted(-curve.threshold[at], -score, side="left")
-            first = int(unit.min())  # the units of a log are neighbours
-            cell = (unit - first) * bins + np.minimum(bin_, bins - 1)
-            size = (int(unit.max()) - first + 1) * bins
-            for c in range(4):
-                added = np.bincount(cell, effect[:, c], minlength=size).reshape(-1, bins)
-                steps[first : first + len(added), c] += added
+        bin_ = np.searchsorted(-curve.threshold[at], -score, side="left")
+        for c in range(4):
+            _add(steps[:, c], unit, np.minimum(bin_, bins - 1), effect[:, c])
     # The curve of a sum is the sum of curves, so this is done once and not in each draw.
     np.cumsum(steps, axis=2, out=steps)
 
@@ -151,6 +146,15 @@ def _rate_sums(
     sums = np.hstack([declared, steps.reshape(units, -1)]).astype(np.float32)
     exact = Rates(declared.sum(axis=0)[None], curve.tpr[None], curve.fpr[None])
     return UnitSums(*labels, sums, record, exact)
+
+
+def _add(sums: FloatArray, unit: IntArray, column: IntArray, number: IntArray) -> None:
+    """Add (n,) whole numbers to the cells (unit, column) of (U, C) sums."""
+    if len(unit):
+        first, size = int(unit.min()), sums.shape[1]  # the units of a log are neighbours
+        rows = int(unit.max()) - first + 1
+        added = np.bincount((unit - first) * size + column, number, rows * size)
+        sums[first : first + rows] += added.reshape(rows, size)
 
 
 def waits(counts: Counts, units: Units) -> Iterator[UnitSums]:
@@ -189,13 +193,7 @@ def _histogram_sums(
     """
     sums = np.zeros((units, len(edges)), dtype=np.float32)
     for value, unit, number in rows:
-        if len(value):
-            first = int(unit.min())
-            edge = np.minimum(np.searchsorted(edges, value), len(edges) - 1)
-            size = (int(unit.max()) - first + 1) * len(edges)
-            cell = (unit - first) * len(edges) + edge
-            added = np.bincount(cell, number[:, 0], minlength=size).reshape(-1, len(edges))
-            sums[first : first + len(added)] += added
+        _add(sums, unit, np.minimum(np.searchsorted(edges, value), len(edges) - 1), number[:, 0])
     np.cumsum(sums, axis=1, out=sums)
     exact = exact or sum_by_value((value, number) for value, _, number in rows)
     total = int(exact[1].sum())

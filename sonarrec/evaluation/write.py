@@ -26,8 +26,6 @@ from sonarrec.tables.outputs import (
 )
 
 BOUND_FILE = "bound.toml"
-PAPER_KEY = "paper_min_visible"
-"""In evaluation.json of the versions whose protocol paper counts every frame."""
 
 
 def write_evaluation(folder: Path, evaluation: Evaluation, det: bool = False) -> tuple[str, ...]:
@@ -44,9 +42,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation, det: bool = False) ->
     pictures += ["reliability.png"] if curves else []
     check_tables(folder, written)
     check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
-    if not is_filled(
-        folder / "evaluation.json"
-    ):  # if it exists, the pictures are ours, even without a mark
+    if not is_filled(folder / "evaluation.json"):  # else the pictures are ours, even unmarked
         for name in pictures:
             check_output(folder / name, "picture")
     check_no_recording(folder, written)
@@ -114,7 +110,7 @@ def as_json(evaluation: Evaluation) -> dict[str, Any]:
         "positives": counts.positives,
         "ignored": counts.ignored,
         "min_visible": evaluation.min_visible,
-        PAPER_KEY: PAPER_MIN_VISIBLE,
+        "paper_min_visible": PAPER_MIN_VISIBLE,
         "gate_m": list(counts.gates),
         "unit": summary.units.kind,
         "units": summary.units.count,

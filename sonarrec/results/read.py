@@ -26,7 +26,7 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import aside_of, estimates_of, log_of, part_of
-from sonarrec.results.methods import OF_ONE_PRESET, in_order
+from sonarrec.results.methods import in_order
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
 from sonarrec.tables.order import natural_order
@@ -155,11 +155,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     position = None if pair is None else plane_position(pair, fan)
     listed = np.isin(table["frame"], frame)
     names = [printable(str(name)) for name in table["method"].categories]
-    expected = run.methods or ()
-    if run.methods is None and run.table:  # written by an earlier version
-        several = len(run.configs) > 1 or any(":" in name for name in names)
-        expected = () if several else OF_ONE_PRESET
-    methods = in_order((*expected, *names))  # also those without any estimate
+    methods = in_order((*(run.methods or ()), *names))  # also those without any estimate
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
     columns, probability = belief_names(landmark_set.ids), None
     if all(name in table for name in columns):

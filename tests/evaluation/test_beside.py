@@ -5,23 +5,20 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from tests.evaluation.test_evaluation import RUN_TOML, counts, scored, write_case, write_csv
 from tests.support.claims import evaluate
+from tests.support.command import sonarrec
 
 FRAMES = range(12)
 HEADER = ("frame", "landmark", "range_m", "bearing_deg")
 
 
-def command(*arguments: str | Path, code: int = 0) -> Result:
-    done = CliRunner().invoke(main, ["evaluate", *map(str, arguments)])
-    assert done.exit_code == code, done.output
-    return done
+command = partial(sonarrec, "evaluate")
 
 
 def result(folder: Path, log: Path, digest: str, claimed: range, more: str = "") -> Path:
@@ -297,14 +294,3 @@ def test_json_is_the_only_thing_on_stdout(logs: Path) -> None:
     for key in ("tp", "tn", "fp", "fn"):
         parts = [told["per_log"][log]["m"]["strict"]["total"][key] for log in told["logs"]]
         assert sum(parts) == told["methods"]["m"]["strict"]["total"][key]
-
-
-def test_methods_neither_listed_nor_seen_are_not_shown(tmp_path: Path) -> None:
-    """Of several presets in one run of an earlier version, which did not list them."""
-    claims = [(0, m, 2.0, 0.0, 1, 0.9, 1) for m in ("smi", "framework:offline", "framework:paper")]
-    results, gt = write_case(tmp_path, FRAMES, claims, [(0, 1, 2.0, 0.0, 1.0)])
-    run = results / "run.toml"
-    run.write_text("finished = true\n")
-    assert set(evaluate(results, gt).counts.methods) == {claim[1] for claim in claims}
-    run.write_text('[program]\nmethods = ["smi", "framework:offline", "framework:seen_nothing"]\n')
-    assert "framework:seen_nothing" in evaluate(results, gt).counts.methods

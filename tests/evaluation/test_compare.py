@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.compare import compare
 from sonarrec.evaluation.comparison import RateChange, change_text
@@ -25,6 +24,7 @@ from tests.evaluation.test_evaluation import (
     write_csv,
 )
 from tests.support.claims import evaluate
+from tests.support.command import sonarrec
 
 FRAMES = range(40)
 TRUTH = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]
@@ -37,10 +37,7 @@ def claims(right: set[int], wrong: set[int] = frozenset(), method: str = "m") ->
     ]
 
 
-def command(*arguments: str | Path, code: int = 0) -> Result:
-    done = CliRunner().invoke(main, ["evaluate", *map(str, arguments)])
-    assert done.exit_code == code, done.output
-    return done
+command = partial(sonarrec, "evaluate")
 
 
 @pytest.fixture
@@ -169,17 +166,6 @@ def test_fails_on_regression_only(sides: tuple[Path, Path, Path]) -> None:
     for pair in ((new, old), (old, old)):
         lines = command(*arguments, *pair).stderr.splitlines()
         assert all(line.startswith("sonarrec: note: ") for line in lines)
-
-
-def test_a_side_that_was_scored_by_an_older_version_is_told(sides: tuple[Path, Path, Path]) -> None:
-    old, new, truth = sides
-    for side in (old, new):
-        command("--ground-truth", truth, side, "-q")
-    assert "earlier version" not in command("--ground-truth", truth, "--compare", old, new).output
-    told = old / "evaluation" / "evaluation.json"
-    told.write_text(told.read_text().replace('  "paper_min_visible": 0.5,\n', ""))
-    done = command("--ground-truth", truth, "--compare", old, new)
-    assert f"note: {told}: scored by an earlier version" in done.output
 
 
 @pytest.mark.parametrize("comparing", [True, False])
@@ -597,8 +583,7 @@ def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: 
     (tmp_path / "both").mkdir()
     for name in ("a", "b"):
         (tmp_path / "both" / name).symlink_to(tmp_path / name / "out")
-    done = CliRunner().invoke(main, [also, "--pairs", str(pairs), "-q"])
-    assert done.exit_code == 3, done.output
+    done = sonarrec(also, "--pairs", pairs, "-q", code=3)
     told = [line for line in done.stderr.splitlines() if ": note: " not in line]
     assert told == [
         f"sonarrec: {pairs} line 2: {tmp_path / 'c' / 'out'}: no such results folder; "
@@ -608,8 +593,7 @@ def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: 
         f"sonarrec: {pairs} line 5: {tmp_path / 'no.csv'}: no such file; not scored",
     ]
     write_csv(pairs, ("results", "ground_truth"), rows[:1])
-    done = CliRunner().invoke(main, [also, "--pairs", str(pairs)])
-    assert done.exit_code == 2
+    done = sonarrec(also, "--pairs", pairs, code=2)
     assert done.output.startswith(f"sonarrec: {pairs} line 2: {tmp_path / 'c' / 'out'}: no such")
     assert done.output.count("\n") == 1
 

@@ -386,10 +386,11 @@ def test_pixels_become_metres_by_run_toml_or_flags(tmp_path: Path) -> None:
     ours = evaluate(results, truth)
     assert counts(scored(ours, "strict", "other"), 0) == (1, 0, 1, 1)
 
-    (results / "run.toml").write_text(RUN_TOML)
+    listed = '[program]\nmethods = ["framework", "smi"]\n'
+    (results / "run.toml").write_text(RUN_TOML + listed)
     ours = evaluate(results, truth)
     assert counts(scored(ours, "strict", "other"), 0) == (1, 0, 1, 1)
-    # A run of ours always holds both methods: seeing nothing is a result, too.
+    # A run of ours lists its methods: seeing nothing is a result, too.
     assert counts(scored(ours, "strict", "framework"), 0) == (0, 0, 0, 2)
     assert any("framework: no estimate at all" in note for note in ours.notes)
 

@@ -280,7 +280,7 @@ def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     """Two logs and eleven. What may grow is what a log leaves behind for good: its name, counts and
     passes (a few kB), and its row in the sums by unit (20 tables of 600 numbers a row, some 50 kB,
     .5 MB in all). What was read of a log is 4,000 estimates of 17 numbers, .5 MB: were it kept,
-    nine more would be 4.5 MB. `make scoring` measures whole commands over a thousand logs."""
+    nine more would be 4.5 MB."""
     pairs = read_pairs(make_logs(tmp_path / "made", 11, 1000, 2))
     few, many = (peak_mb(lambda n=n: evaluate_logs(pairs[:n], jobs=1)) for n in (2, 11))  # type: ignore[misc]
     assert many - few < 1
