@@ -69,21 +69,6 @@ def honesty(error: FloatArray, sigma: FloatArray) -> tuple[float, float]:
     return float(np.median(size)) / NORMAL_MEDIAN, float(np.mean(size <= 2))
 
 
-@dataclass(frozen=True, slots=True)
-class Reliability:
-    """`score` as the probability that the ID is right.
-
-    count, said, was: (BINS,) by equal steps of the score: estimates, their mean score, the share
-    that was right (NaN in empty steps). ece: expected calibration error. brier: mean squared.
-    """
-
-    count: FloatArray
-    said: FloatArray
-    was: FloatArray
-    ece: float
-    brier: float
-
-
 def stated(folders: Sequence[Path], method: str) -> tuple[FloatArray, BoolArray]:
     """The scores of a method and whether each is right: of all estimates, declared or not, but
     those on a landmark partly in view."""
@@ -91,18 +76,7 @@ def stated(folders: Sequence[Path], method: str) -> tuple[FloatArray, BoolArray]
     return np.concatenate([f.score for f in found]), np.concatenate([f.truth >= 0 for f in found])
 
 
-def reliability(score: FloatArray, right: BoolArray) -> Reliability:
-    """Of (n,) estimates and whether each is right."""
+def calibration_error(score: FloatArray, right: BoolArray) -> float:
+    """The expected one of (n,) scores, taken for the probability that the ID is right."""
     step = np.minimum((score * BINS).astype(int), BINS - 1)
-    count = np.bincount(step, minlength=BINS)
-    said = np.bincount(step, score, minlength=BINS)
-    was = np.bincount(step, right, minlength=BINS)
-    total = count.sum()
-    with np.errstate(invalid="ignore"):  # 0/0 without an estimate
-        return Reliability(
-            count=count,
-            said=said / count,
-            was=was / count,
-            ece=float(np.abs(said - was).sum() / total),
-            brier=float(((score - right) ** 2).sum() / total),
-        )
+    return float(np.abs(np.bincount(step, score - right)).sum() / len(score))

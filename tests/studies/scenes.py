@@ -12,7 +12,6 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count, ratio
@@ -26,7 +25,7 @@ from tests.studies.learning.random_scenes import (
     STRETCH_KINDS,
     random_scene,
 )
-from tests.studies.measured import Reliability, errors, honesty, reliability, stated
+from tests.studies.measured import calibration_error, errors, honesty, stated
 from tests.studies.results.record import judge, options, save, show
 from tests.support.simulated import (
     METHODS,
@@ -43,8 +42,6 @@ TUNING = range(2000, 3000)
 REPORTED = range(3000, 3032)
 """Seeds of the figures that are reported: nothing is learned or chosen on their recordings."""
 FRAMES = 160
-PROBABLE = ("paper", "default", "offline")
-"""Methods whose score is a probability."""
 OURS = ("smi:default", "default", "offline")
 """Methods that are left with `--ours`."""
 RESAMPLED = 5000  # times, of a kind's recordings, for the intervals of its rates
@@ -87,20 +84,17 @@ class Row:
 class Beyond:
     """Of one method over the pool, strict: what the rates do not tell.
 
-    tpr, fpr: their 95 % intervals over recordings; frames are not independent. frames: to a lasting
-    right ID, median and 90 % of the passes. position_m, orientation_deg: errors of right claims,
-    median and 95 %. *_sigma: `honesty` of what is stated of these.
+    frames: to a lasting right ID, median and 90 % of the passes. position_m, orientation_deg:
+    errors of right claims, median and 95 %. *_sigma: `honesty` of what is stated of these.
     """
 
-    tpr: tuple[float, float]
-    fpr: tuple[float, float]
     frames: tuple[float, float]
     position_m: tuple[float, float]
     orientation_deg: tuple[float, float]
     range_sigma: tuple[float, float]
     bearing_sigma: tuple[float, float]
     orientation_sigma: tuple[float, float]
-    reliability: Reliability
+    calibration_error: float
 
 
 def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
@@ -141,25 +135,19 @@ def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], ...]
 def beyond(summary: Summary, name: str, folders: Sequence[Path]) -> Beyond:
     """summary: of `score(folders)`. name: short, of a method."""
 
-    def figure(what: str) -> tuple[float, float, float]:
-        """The figure and its interval."""
-        told = summary.figure("strict", METHODS[name], what)
-        return (math.nan,) * 3 if told is None else (told.value, told.low, told.high)
-
     def values(*names: str) -> tuple[float, ...]:
-        return tuple(figure(what)[0] for what in names)
+        found = (summary.figure("strict", METHODS[name], what) for what in names)
+        return tuple(math.nan if figure is None else figure.value for figure in found)
 
     e = errors(folders, METHODS[name])
     return Beyond(
-        tpr=figure("tpr")[1:],
-        fpr=figure("fpr")[1:],
         frames=values("frames_to_id_median", "frames_to_id_90"),
         position_m=values("position_error_median_m", "position_error_95_m"),
         orientation_deg=values("orientation_error_median_deg", "orientation_error_95_deg"),
         range_sigma=honesty(e.range_m, e.range_sigma_m),
         bearing_sigma=honesty(e.bearing_deg, e.bearing_sigma_deg),
         orientation_sigma=honesty(e.orientation_deg, e.orientation_sigma_deg),
-        reliability=reliability(*stated(folders, METHODS[name])),
+        calibration_error=calibration_error(*stated(folders, METHODS[name])),
     )
 
 
@@ -223,14 +211,7 @@ def show_intervals(rows: Sequence[Row], keep: bool) -> None:
 
 
 def show_beyond(measured: dict[str, Beyond]) -> None:
-    """How sure the rates are; how soon, how exact and how honest each method is."""
-    lines = []
-    for name, b in measured.items():
-        line = {"method": name}
-        for what, pair, form in (("TPR", b.tpr, ".3f"), ("FPR", b.fpr, ".4f")):
-            line[what] = " to ".join(told(v, form) for v in pair)
-        lines.append(line)
-    show("Pooled: 95 % intervals of the rates, over recordings", lines, keep=False)
+    """How soon, how exact and how honest each method is."""
     lines = []
     for name, b in measured.items():
         line = {"method": name}
@@ -249,20 +230,6 @@ def show_beyond(measured: dict[str, Beyond]) -> None:
         "right claims, median and 95 %; these over the stated sigma: root mean square (robust;\n"
         "1 is honest) and share within 2 (.954 is)",
         lines,
-    )
-    lines = []
-    for name in (name for name in PROBABLE if name in measured):
-        r = measured[name].reliability
-        line = {"score": name}
-        for i, (said, was, count) in enumerate(zip(r.said, r.was, r.count, strict=True)):
-            line[f"{i / len(r.count):.1f}"] = f"{said:.2f} {was:.2f} {count}" if count else "-"
-        lines.append(line | {"ECE": f"{r.ece:.4f}", "Brier": f"{r.brier:.4f}"})
-    table = pd.DataFrame(lines).set_index("score").T.reset_index(names="score from")
-    show(
-        "Pooled: the score as the probability that the ID is right: mean score, share that was\n"
-        "right, estimates",
-        table.to_dict("records"),
-        keep=False,
     )
 
 
@@ -288,18 +255,7 @@ def show_goals(rows: Sequence[Row], measured: dict[str, Beyond]) -> None:
         judge("default, frames to a lasting right ID, 90 %", default.frames[1], 3)
         judge("default, position error, median, m", default.position_m[0], 0.02)
         judge("default, orientation error, median, deg", default.orientation_deg[0], 5)
-        judge("default, calibration error", default.reliability.ece, 0.05)
-
-
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """One line per recording, protocol and method."""
-    lines = [
-        {"kind": r.kind, "seed": r.seed, "passes": r.passes, "protocol": protocol, "method": name}
-        | {"tpr": c.tpr, "fpr": c.fpr, "tp": c.tp, "tn": c.tn, "fp": c.fp, "fn": c.fn}
-        for r in rows
-        for (protocol, name), c in r.counts.items()
-    ]
-    pd.DataFrame(lines).to_csv(path, index=False, float_format="%.5f", lineterminator="\n")
+        judge("default, calibration error", default.calibration_error, 0.05)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -326,7 +282,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             ],
         )
     rows = scored_rows(recordings)
-    write_csv(asked.out / "scenes.csv", rows)
     print(
         f"{len(recordings)} recordings of {asked.frames} frames: seeds {asked.seeds.start} to "
         f"{asked.seeds.stop - 1} of {len(asked.kinds)} kinds of scene"
@@ -341,7 +296,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         show_beyond(measured)
     show_goals(rows, measured)
     save(asked.record)
-    print(f"\n{asked.out}/scenes.csv; {(time.monotonic() - begun) / 60:.1f} minutes")
+    print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
 
 
 if __name__ == "__main__":
