@@ -10,8 +10,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 
 ELLIPSE_CORNERS = 48
-CHI2_95 = 5.991
-"""Squared Mahalanobis distance that 95 % of positions in a plane do not exceed."""
+CHI2_95 = 5.991  # squared Mahalanobis distance that 95 % of positions in a plane do not exceed
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +57,10 @@ class GeographicOrigin:
     heading_deg: float
 
     def on_earth(self, position: FloatArray) -> FloatArray:
-        """(n, 2) longitude and latitude (in this order, as in GeoJSON) of positions on the floor.
+        """(n, 2) longitude and latitude, deg (the order of GeoJSON), of positions on the floor.
 
-        In deg. position: (n, 2) m to the right and ahead, on the plane that touches the ellipsoid
-        at the origin. The conversion uses Earth-centred axes, so that it also works near a pole.
+        position: (n, 2) m to the right and ahead, on the plane that touches the ellipsoid at the
+        origin. The conversion uses Earth-centred axes, so that it also works near a pole.
         """
         heading, latitude = math.radians(self.heading_deg), math.radians(self.latitude_deg)
         right, ahead = position.T
@@ -101,10 +100,7 @@ def cut_at_180(line: FloatArray) -> list[FloatArray]:
 
 
 def rings_at_180(ring: FloatArray) -> list[FloatArray]:
-    """Cut a closed convex line at the 180th meridian into closed lines.
-
-    Empty if it goes round a pole.
-    """
+    """Cut a closed convex line at the 180th meridian into closed lines; none round a pole."""
     first, *others = cut_at_180(ring)
     if not others:
         return [ring]
@@ -116,10 +112,7 @@ def rings_at_180(ring: FloatArray) -> list[FloatArray]:
 
 
 def ellipse(position: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(n, 2) a closed line within which a position lies with a probability of 95 %.
-
-    Counter-clockwise, x to the right and y up.
-    """
+    """(n, 2) a closed line that holds a position with a probability of 95 %, counter-clockwise."""
     angle = np.linspace(0, 2 * np.pi, ELLIPSE_CORNERS + 1)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     values, axes = np.linalg.eigh(covariance)

@@ -27,7 +27,7 @@ from sonarrec.sonar import Sonar
 
 @dataclass(frozen=True, slots=True)
 class SiteMap:
-    """Where the landmarks of a site lie, in the axes of the poses or of the first frame.
+    """The positions of the landmarks of a site, in the axes of the poses or of the first frame.
 
     x is to the right and y ahead of a sonar whose yaw is 0. left_out: number of landmarks with too
     few frames. logs: those that could be used, each recording once. ros_axes: whether the poses'
@@ -44,11 +44,11 @@ class SiteMap:
 
 @dataclass(frozen=True, slots=True)
 class MapOptions:
-    """How results are read and what goes into a map.
+    """How results are read, and which landmarks a map holds.
 
     odometry: tables of poses, see `_poses_of_run`. drift: of these poses. method: of estimates.csv;
-    None: `framework` or the only one. landmarks, sonar: replace what run.toml says. least_frames:
-    landmarks declared in fewer frames, over all passes, are left out.
+    None: `framework` or the only one. landmarks, sonar: in place of those in run.toml.
+    least_frames: landmarks declared in fewer frames, over all passes, are left out.
     """
 
     odometry: Sequence[Path] = ()
@@ -123,10 +123,7 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
 def _read_log(
     folder: Path, run: RunFile, landmarks: LandmarkSet, poses: PoseTable | None, options: MapOptions
 ) -> tuple[MappedLog, int]:
-    """(one log: its path and its passes, number of its declared estimates).
-
-    Raises SonarrecError if it cannot be mapped.
-    """
+    """One log, and the number of its declared estimates. Raises SonarrecError if it is unusable."""
     diagnostics = Diagnostics()
     frames = read_frames(folder)
     if poses is None:
@@ -153,7 +150,7 @@ def _read_log(
         diagnostics.problem(cut_short(str(folder), len(path.frame), "used"))
     elif lost := rows_lost(folder, run.table.get("input", {})):
         diagnostics.problem(*(f"{folder}: {line}" for line in lost))
-    # For which reasons declared estimates are in no pass.
+    # The reasons why declared estimates are in no pass.
     without = int((~np.isfinite(log.path.pose[declared.row]).all(axis=1)).sum())
     near = len(declared.row) - without - sum(len(one.row) for one in log.passes)
     for count, why in (
@@ -170,11 +167,11 @@ def _read_log(
 def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTable | None:
     """The poses that a log was run with; None if it had none.
 
-    tables: searched first, by SHA-256. If none of them fits, the table is searched by its name: in
-    the log if it is a folder, beside and above the log, beside and above the results, and in the
-    working folder. A topic of poses is read from the log again. If the log was run without poses,
-    or with a topic, and there is exactly one table, that table is used. Raises SonarrecError if the
-    poses that were used cannot be found, or if there are several tables for a log without poses.
+    tables: searched first, by SHA-256; a single one also serves a log that was run without poses
+    or with a topic. Else a topic is read from the log again, and a table is searched by its name:
+    in the log if it is a folder, beside and above the log, beside and above the results, and in
+    the working folder. Raises SonarrecError if the poses cannot be found, or if there are several
+    tables for a log without poses.
     """
     recorded = run.odometry
     log = Path(run.table.get("input", {}).get("path", ""))
@@ -197,11 +194,10 @@ def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTab
             )
         return None
     name = str(recorded.get("name"))
-    places = [log, *log.parents]
+    homes = [log, *log.parents]
     for home in (folder.absolute(), folder.resolve()):  # beside a link; "." and ".." have no parent
-        places += [home, home.parent, home.parent.parent]
-    places.append(Path())
-    for path in [*tables, *(place / name for place in places)]:
+        homes += [home, home.parent, home.parent.parent]
+    for path in [*tables, *(home / name for home in [*homes, Path()])]:
         if _digest(path) == recorded.get("sha256"):
             return read_poses(path)
     raise SonarrecError(

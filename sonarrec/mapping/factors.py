@@ -30,8 +30,7 @@ FACTOR_COLUMNS = (
     *("range_m", "ground_range_m", "bearing_deg", "orientation_deg"),
     *("ground_range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg"),
 )
-PER_PASS = 5
-"""Most measurements that are taken from one pass."""
+PER_PASS = 5  # most measurements that are taken from one pass
 # Given poses without drift are exact, but the numbers in a graph must be finite.
 LEAST_STEP_M, LEAST_STEP_DEG = 0.001, 0.01
 UNKNOWN_ORIENTATION_DEG = 1e3
@@ -196,10 +195,8 @@ def _vertex(number: int, x: float, y: float, angle: float) -> str:
 
 
 def _edge(start: int, end: int, measured: list[float], information: FloatArray) -> str:
-    """What is seen of the end from the start, and its information (3, 3) by the start's axes.
-
-    Back ends take the error by the axes of the end, as measured: so the file has it.
-    """
+    """An edge. information: (3, 3) in the axes of the start; in the file it is in those of the end,
+    as back ends take it."""
     x, y, angle = measured
     cos, sin = math.cos(angle), math.sin(angle)
     into = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""Joins passes into landmarks. Where landmarks would overlap, only the one claimed most is kept."""
+"""Joins passes into landmarks. Of landmarks that would overlap, the one declared most is kept."""
 
 from __future__ import annotations
 
@@ -20,13 +20,11 @@ from sonarrec.nouns import Fan
 GATE = 16.27
 """Squared Mahalanobis distance of position and orientation that 99.9 % of the passes of one
 landmark do not exceed."""
-GATE_POSITION = 13.82
-"""The same for the position alone, if an orientation is not known."""
+GATE_POSITION = 13.82  # the same for the position alone, if an orientation is not known
 ONE_DISC = 0.75
 """Passes nearer than this, in disc diameters, are of one disc: two discs cannot overlap."""
 
-Member = tuple[int, Pass]
-"""A pass, with the index of its log in the map."""
+Member = tuple[int, Pass]  # a pass, with the index of its log in the map
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +50,8 @@ class Landmark:
 
     position: (2,) x, y in m. covariance: (2, 2) m^2. orientation_deg: where its first sector
     begins, counter-clockwise from the x axis; NaN if not known. orientation_sigma_deg: its standard
-    error. members: the passes that it was placed by. others: those that lie on it but claim another
-    ID.
+    error. members: the passes that give its position. others: passes at this position that claim
+    another ID.
     """
 
     id: int
@@ -86,10 +84,8 @@ class _Pool:
         self.drift, self.drift_yaw = column("drift"), column("drift_yaw")
 
     def distance(self, i: int, others: IntArray) -> tuple[FloatArray, FloatArray]:
-        """How far pass i is from others (k,).
-
-        Returns (k,) squared Mahalanobis distances, divided by that of the gate, and (k,) metres.
-        """
+        """(k,) squared Mahalanobis distances from pass i to others (k,), relative to that of the
+        gate, and (k,) distances in m."""
         offset = self.position[others] - self.position[i]
         covariance = self.covariance[others] + self.covariance[i]
         lean = HEIGHT_SIGMA_M * (self.lean[others] - self.lean[i])
@@ -101,7 +97,7 @@ class _Pool:
         since = self.middle[others[same]]
         covariance[same] += path.position_covariance(own[same], position[same], since)
         variance[same] += path.yaw_variance(own[same], since)
-        # Errors of two logs have nothing in common.
+        # The errors of two logs are independent.
         covariance[~same] += path.position_covariance(own[~same], position[~same])
         covariance[~same] += self.drift[others[~same]]
         variance[~same] += self.drift_yaw[i] + self.drift_yaw[others[~same]]
@@ -115,9 +111,9 @@ class _Pool:
     def groups(self, disc_m: float) -> list[list[int]]:
         """Group the passes into landmarks.
 
-        Each pass in turn joins the landmark that it fits best, or begins a new one. Its fit is that
-        to the nearest pass of the landmark. Passes seen at the same time in two positions belong to
-        two landmarks. disc_m: distance below which two passes are of one disc.
+        Each pass in turn joins the landmark that it fits best, by its fit to the nearest pass of
+        that, or begins a new one. Passes seen at the same time in two positions belong to two
+        landmarks. disc_m: distance below which two passes are of one disc.
         """
         group = np.full(len(self.log), -1)
         for i in range(len(group)):
@@ -139,9 +135,9 @@ class _Pool:
     def place(self, group: Sequence[int]) -> Landmark:
         """Place a landmark by its passes, weighted by their own errors and those of the path.
 
-        Passes that share frames share their weight too. The passes of one log share the path's
-        error up to the first of them; different logs share none. The error of the stated height,
-        and a part of the orientation's error, are common to all passes.
+        Passes that share frames share their weight too (`frame_shares`). The passes of one log
+        share the path's error up to the first of them; different logs share none. The error of the
+        stated height, and a part of the orientation's error, are common to all passes.
         """
         parts = []
         for log, grouped in groupby(group, key=lambda i: self.log[i]):
@@ -178,11 +174,10 @@ class _Pool:
 
 
 def frame_shares(passes: Sequence[Pass]) -> FloatArray:
-    """(n,) how much each of these passes of one landmark in one log counts: 1, or less if they
-    share frames.
+    """(n,) weights of the passes of one landmark in one log: 1, or less if they share frames.
 
-    Where several tracks lie on one disc at a time, they see the same speckle of it, and are no
-    more than one measurement. Each then counts by its part of each frame.
+    Several tracks on one disc at a time see the same speckle, so they are one measurement. In each
+    frame they share its weight.
     """
     rows = [one.row for one in passes]
     _, frame, tracks = np.unique(np.concatenate(rows), return_inverse=True, return_counts=True)
@@ -205,10 +200,7 @@ def join(logs: Sequence[MappedLog], landmark_set: LandmarkSet) -> list[Landmark]
 def _fused(
     position: FloatArray, covariance: FloatArray, lean: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The weighted mean (2,) of independent positions, its covariance (2, 2), the mean lean (2,).
-
-    position, lean: (n, 2). covariance: (n, 2, 2).
-    """
+    """Weighted mean (2,) of independent positions (n, 2), its covariance (2, 2), mean lean (2,)."""
     weight = np.linalg.inv(covariance)
     fused = np.linalg.inv(weight.sum(axis=0))
     where, leaning = (fused @ np.einsum("nij,nj->i", weight, v) for v in (position, lean))
@@ -228,7 +220,7 @@ def _fused_orientation(
 
 
 def _one_per_position(landmarks: list[Landmark], disc_m: float) -> list[Landmark]:
-    """Keep the landmark claimed most of those nearer than disc_m; the rest are its `others`."""
+    """Of landmarks nearer than disc_m keep the one declared most; the rest are its `others`."""
     weight = [sum(len(p.row) * p.score for _, p in one.members) for one in landmarks]
     others: dict[int, list[Member]] = {}
     for n in sorted(range(len(landmarks)), key=lambda n: -weight[n]):
@@ -242,10 +234,7 @@ def _one_per_position(landmarks: list[Landmark], disc_m: float) -> list[Landmark
 
 
 def frames_of(members: Sequence[Member]) -> int:
-    """The number of frames with a declaration in some passes.
-
-    A frame in which two tracks lie on one landmark is one frame.
-    """
+    """The number of frames of some passes; one with two tracks on a landmark counts once."""
     return sum(
         len(np.unique(np.concatenate([one.row for _, one in of_log])))
         for _, of_log in groupby(sorted(members, key=itemgetter(0)), key=itemgetter(0))

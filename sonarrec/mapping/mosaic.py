@@ -1,4 +1,4 @@
-"""A picture of the floor from all frames of the logs of a map, in its axes: `map --mosaic`."""
+"""`map --mosaic`: a picture of the floor from all frames of the logs, in the axes of the map."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sonarrec.readers.open import find_log
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
-from sonarrec.recogniser.tiles import SIDE, Tiles, parts, warped
+from sonarrec.recogniser.tiles import SIDE, Tiles, parts, placement, warped
 from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar
@@ -39,25 +39,25 @@ from sonarrec.tables.outputs import (
     writing,
 )
 
-DISC_PX = 16  # radius of a disc in the picture, if that is no finer than the frames
-MOST_PX = 16_384  # of the longer side; a longer floor is drawn coarser
+DISC_PX = 16  # radius of a disc in the picture, unless the frames are coarser
+MOST_PX = 16_384  # of the longer side; a longer floor is drawn at a coarser scale
 MOST_TILES = 64  # in memory, of half a megabyte each
 OVERVIEW_PX = 1200  # of the picture behind map.png, at most
-# Where the path's standard error since the frames in a tile is this much, in disc radii, these fade
-# by OLD_SHARE a frame: they would be seen twice. They stay where nothing newer is seen.
+# Frames in a tile fade by OLD_SHARE for each new frame, once the path's standard error since then
+# is MOST_ERROR disc radii: else objects would be seen twice. Nothing fades without newer frames.
 MOST_ERROR, OLD_SHARE = 0.35, 0.5
 USUAL_FRAMES = 40  # memory of the usual level by range
-MOST_LEVELS = 30  # grey levels by which a pixel counts at most in a level
+MOST_LEVELS = 30  # grey levels to which a pixel is clipped in the usual level
 SPREAD = 42  # grey levels in the picture of one standard deviation
 FEATHER = 1.0  # disc radii from the fan's edge, over which a frame's weight rises
 
 
 @dataclass(frozen=True, slots=True)
 class Mosaic:
-    """The floor as one picture, columns to the right and rows against ahead of yaw 0.
+    """The floor as one picture; at yaw 0 columns run to the right and rows opposite to ahead.
 
-    overview: (rows, columns) uint8, a smaller one without landmarks; 0 where nothing was seen.
-    extent: (left, right, bottom, top) of it in m.
+    overview: (rows, columns) uint8, reduced and without landmarks; 0 where nothing was seen.
+    extent: its (left, right, bottom, top) in m.
     """
 
     path: Path
@@ -138,7 +138,7 @@ def _reach(logs: Sequence[MappedLog]) -> tuple[float, float, float, float]:
 
 
 class _Levelled:
-    """Frames of one log on the floor, without what range, gain and the fan's edge make of them."""
+    """Frames of one log on the floor, without the fall-off by range, the gain and the fan's rim."""
 
     def __init__(self, fan: Fan, radius_m: float, pixel_m: float) -> None:
         self._plane = plane = working_plane("floor", fan, radius_m, radius_m / pixel_m)
@@ -154,12 +154,12 @@ class _Levelled:
         self._weight = np.minimum(edge / (FEATHER * plane.axes[0]), 1).astype(np.float32) ** 2
 
     def __call__(self, frame: Frame) -> FloatImage:
-        """(rows, columns, 2) weighted grey level over the usual one of its range; weight."""
+        """(rows, columns, 2): grey level over the usual one at its range, times weight; weight."""
         level = self._plane.warp(frame.pixels, frame.polar)[self._inside].astype(np.float32)
         if self._usual is None:
             self._usual = np.bincount(self._ring, level) / self._count
         usual = self._usual[self._ring]
-        # What stands out far, such as a wall or its shadow, is not what is usual there.
+        # Strong deviations, such as a wall or its shadow, must not change the usual level.
         over = level - usual
         over -= np.median(over)
         held = np.clip(over, -MOST_LEVELS, MOST_LEVELS)
@@ -182,7 +182,8 @@ def _add(tiles: Tiles, recording: Log, log: MappedLog, radius_m: float, pixel_m:
         if row is None or not np.isfinite(path.pose[row]).all():
             continue
         levelled = levelled or _Levelled(frame.fan, radius_m, pixel_m)
-        matrix = _placed(path.pose[row], levelled.apex, levelled.pixel_m, pixel_m)
+        yaw, position = math.radians(path.pose[row, 0]), path.pose[row, 1:] / pixel_m
+        matrix = placement(yaw, position, levelled.apex, levelled.pixel_m / pixel_m)
         picture, first = warped(levelled(frame), matrix)
         covered = list(parts(picture.shape, first))
         middle = (np.array([tile for tile, _, _ in covered]) + 0.5) * SIDE * pixel_m * (1, -1)
@@ -197,19 +198,8 @@ def _add(tiles: Tiles, recording: Log, log: MappedLog, radius_m: float, pixel_m:
             sums[inside] += picture[part]
 
 
-def _placed(pose: FloatArray, apex: tuple[float, float], from_m: float, to_m: float) -> FloatArray:
-    """(2, 3) from a working image's pixels to the grid's, whose rows run against ahead.
-
-    pose: (3,) as SonarPath.pose. from_m, to_m: metres in a pixel of each.
-    """
-    yaw, scale = math.radians(pose[0]), from_m / to_m
-    turn = scale * np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    shift = pose[1:] * (1, -1) / to_m - turn @ apex
-    return np.column_stack([turn, shift])
-
-
 class _Picture:
-    """The bands of the picture from the top down, landmarks drawn in; and `overview` of those."""
+    """The bands of the picture, from the top down, with landmarks; and the `overview` of them."""
 
     def __init__(self, tiles: Tiles, site: SiteMap, pixel_m: float) -> None:
         self._tiles, self._site, self._pixel_m = tiles, site, pixel_m
@@ -271,14 +261,14 @@ class _Picture:
     def _pixels(
         self, middle: FloatArray, radius_m: float, angle: FloatArray, top: int
     ) -> FloatArray:
-        """(n, 2) pixels of a band round a place on the floor; angle: counter-clockwise, rad."""
+        """(n, 2) pixels in a band, on a circle on the floor. angle: counter-clockwise, rad."""
         around = middle + radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
         pixels = around * (1, -1) / self._pixel_m - (self.corner[0], top)
         return np.asarray(pixels)
 
 
 def _write_png(path: Path, picture: _Picture) -> None:
-    """Write a picture band by band: it need not fit into memory."""
+    """Write a picture band by band, since the whole may not fit into memory."""
     with path.open("wb") as file:
 
         def chunk(name: bytes, data: bytes) -> bytes:
@@ -300,15 +290,15 @@ def _write_png(path: Path, picture: _Picture) -> None:
 def _world(
     corner: FloatArray, pixel_m: float, ros_axes: bool, origin: GeographicOrigin | None
 ) -> str:
-    """The text of a world file: where pixels lie, by six numbers."""
-    # The middle of the first pixel, and a pixel to the right and one below.
-    places: FloatArray = corner + pixel_m * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]])
+    """The text of a world file: six numbers, by which pixels become positions."""
+    # Steps to the right and down from the middle of the first pixel.
+    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]])
     if origin is None:
-        places = Axes(ros_axes).position(places)
+        positions = Axes(ros_axes).position(corner + pixel_m * steps)
     else:
-        # Where nothing is curved to speak of: steps of a metre are told from one another exactly.
-        steps = origin.on_earth(corner + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]]))
-        places = steps[0] + np.vstack([[0, 0], (steps[1:] - steps[0]) * pixel_m])
-    first, right, below = (np.asarray(place) for place in places)
+        # By steps of a metre: over a pixel's the degrees would lose digits.
+        on_earth = origin.on_earth(corner + steps)
+        positions = on_earth[0] + np.vstack([[0, 0], (on_earth[1:] - on_earth[0]) * pixel_m])
+    first, right, below = np.asarray(positions)
     numbers = [*(right - first), *(below - first), *first]
     return "".join(f"{number:.12g}\n" for number in numbers)

@@ -1,8 +1,8 @@
 """The passes of one log, placed on the floor. A pass is a landmark as one track declared it.
 
-A pass counts as about one measurement, not as one per frame: a track remembers what it saw, and the
-speckle of a still disc is the same from frame to frame. So a share of the errors is taken to be
-common to the whole pass, and the rest to be common to SAME_FRAMES frames.
+A pass counts as about one measurement, not as one per frame: a track remembers earlier frames, and
+the speckle of a static disc is the same in all of them. So a share of the errors counts as common
+to the whole pass, and the rest as common to SAME_FRAMES frames.
 """
 
 from __future__ import annotations
@@ -24,20 +24,18 @@ from sonarrec.results.stream import SIGMAS, positions
 from sonarrec.tables.read import line_number
 
 # How errors are correlated within a pass, chosen on tuning seeds of `make maps`.
-COMMON_SHARE = 0.5
-"""Share of the variance that is common to all frames of a pass."""
-SAME_FRAMES = 6.0
-"""Number of frames over which the rest of the error is the same."""
-# Standard errors that come on top of those of the frames, because rings are not even and sonars
-# heave. They are independent from pass to pass.
+COMMON_SHARE = 0.5  # share of the variance that is common to all frames of a pass
+SAME_FRAMES = 6.0  # number of frames over which the rest of the error is the same
+# Standard errors in addition to those of the frames, since rings are uneven and sonars heave. They
+# are independent from pass to pass.
 LEAST_POSITION_M = 0.003
 LEAST_ORIENTATION_DEG = 1.0
 ORIENTATION_SIGMA_DEG = 2.7
-"""Standard error of the orientation that is common to all passes of a landmark: how its symbol
-looks through the beam."""
+"""Standard error of the orientation that is common to all passes of a landmark, since the beam
+smears its symbol."""
 HEIGHT_SIGMA_M = 0.015
-"""Standard error of the stated height above the floor. It is common to all passes: a landmark that
-is always seen from one side is shifted the same way, however often it is seen."""
+"""Standard error of the stated height above the floor. It is common to all passes: however often a
+landmark is seen from one side, its shift is the same."""
 UNSTATED = (0.03, 0.5, 10.0)
 """Standard errors for methods that state none: slant range (m), bearing and orientation (deg)."""
 
@@ -67,11 +65,11 @@ class Pass:
 
     score: the mean. row: (m,) frames as indices of the path, rising. polar, sigma: (m, 3) as in
     DeclaredEstimates. position: (2,) x, y in the path's axes, m. covariance: (2, 2) of the
-    position, without the path's error, m^2. lean: (2,) by how much the position moves per metre of
-    error in the height. orientation_deg: where the first sector begins, counter-clockwise from the
-    x axis; NaN if not known. orientation_sigma_deg: its standard error. near_m, far_m: least and
-    largest ground range. drift: (2, 2) covariance of the position by the path's error up to here,
-    m^2. drift_yaw: the variance of the heading by it, deg^2.
+    position, without the path's error, m^2. lean: (2,) derivative of the position by the sonar's
+    height. orientation_deg: where the first sector begins, counter-clockwise from the x axis; NaN
+    if not known. orientation_sigma_deg: its standard error. near_m, far_m: least and largest ground
+    range. drift, drift_yaw: covariance (2, 2) of the position, m^2, and variance of the heading,
+    deg^2, by the path's error so far.
     """
 
     landmark: int
@@ -210,8 +208,8 @@ def _mean_orientation(
 ) -> tuple[float, float]:
     """The mean orientation on the floor, and its standard error, deg; NaN if not known.
 
-    orientation_deg, sigma_deg: (m,). If a symbol looks the same after a rotation of less than 360
-    deg, the mean lies within that rotation; period_deg is NaN if it does after every one.
+    orientation_deg, sigma_deg: (m,). period_deg: the rotation after which the symbol looks the
+    same; NaN if it does after every one. The mean is below it.
     """
     angle = np.exp(1j * np.radians(orientation_deg * (360 / period_deg)))
     known = np.isfinite(angle)

@@ -1,9 +1,9 @@
 """The sonar's path over one log, and how its error grows along it.
 
 Every step has an error of its own: a shift, and a rotation about the sonar's position at that time.
-The rotation moves all positions that are seen later, the far ones most. Measured motion also has an
-error that is common to all steps: each is too long or too short by the same share. Sums over the
-steps give the error of a position in any frame, or of one relative to another, in closed form.
+The rotation moves all positions that are seen later, the far ones most. Measured motion also has a
+scale error, which is common to all steps. Sums over the steps give the error of a position in any
+frame, or of one relative to another, in closed form.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from sonarrec.tables.outputs import write_csv, writing
 from sonarrec.tables.read import Kind, Table, read_table
 
 # Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
-# depend on the stated height and on the floor being flat. The rotation of a sonar that stands
-# is measured across the beams only, with a bias towards whole beams (up to 4 % on tuning seeds).
+# depend on the stated height and on a flat floor. The rotation of a standing sonar is measured
+# across the beams only, with a bias towards whole beams (up to 4 % on tuning seeds).
 COMMON_LENGTH, COMMON_ROTATION = 0.006, 0.03
 
 FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
@@ -92,10 +92,7 @@ class SonarPath:
         return np.asarray(own + sum(e[:, :, None] * e[:, None] for e in (length, rotated)))
 
     def _rotated(self, row: IntArray, since: IntArray, position: FloatArray) -> FloatArray:
-        """(n, 3) by how much COMMON_ROTATION moves a position (x, y in m) and the heading (rad).
-
-        The arguments are as in `position_covariance`.
-        """
+        """(n, 3) change of a position (m) and of the heading (rad) by COMMON_ROTATION."""
         angle, at_x, at_y = (COMMON_ROTATION * (self.common[row] - self.common[since])).T
         x, y = (position - self.origin).T
         return np.column_stack([angle * y - at_y, at_x - angle * x, angle])
@@ -177,12 +174,10 @@ def measured_path(
 
 
 def _sums(position: FloatArray, shift: FloatArray, rotation: FloatArray) -> FloatArray:
-    """(F, 9) running sums over the steps, for the closed forms of SonarPath.
+    """(F, 9) sums over the steps so far, for the closed forms of SonarPath.
 
-    They are: xx, xy, yy of the shifts' covariance; the rotations' variance (rad^2); and that
-    variance times x, y, xx, xy, yy of the sonar's position. position: (F, 2) relative to the
-    origin; if NaN, the step rotates about the last known one. shift: (F, 3) and rotation: (F,)
-    variances of the step to each frame; 0 up to the first known position.
+    They are: xx, xy, yy of the shifts' covariance (F, 3); the rotations' variance (F,), rad^2; and
+    that variance times x, y, xx, xy, yy of the last known position, relative to the origin.
     """
     known = np.isfinite(position).all(axis=1)
     last = np.maximum.accumulate(np.where(known, np.arange(len(position)), 0))

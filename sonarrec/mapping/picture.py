@@ -22,12 +22,9 @@ from sonarrec.tables.outputs import plain, write_figure
 
 LINES = "#333333"
 """Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""
-MOST_FANS = 150
-"""Fans that are drawn for each log, at most, to show the floor in view."""
-ENLARGED = 10
-"""How many times larger ellipses are drawn, if they would be too small to be seen."""
-LEAST_SEEN = 1 / 60
-"""Size of the smallest ellipse that can be seen, in widths of the picture."""
+MOST_FANS = 150  # fans that are drawn for each log, at most, to show the floor in view
+ENLARGED = 10  # how many times larger ellipses are drawn, if they would be too small to be seen
+LEAST_SEEN = 1 / 60  # size of the smallest ellipse that can be seen, in widths of the picture
 
 
 def draw_map(path: Path, site: SiteMap, mosaic: Mosaic | None = None) -> None:
@@ -82,10 +79,8 @@ def _show(axes: Any, mosaic: Mosaic, ros_axes: bool) -> None:
 
 
 def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int, larger: int) -> None:
-    """Draw a disc in its ID's colour, a mark where its first sector begins, and its ellipse.
-
-    larger: by how many times the ellipse is enlarged.
-    """
+    """Draw a disc in its ID's colour, a mark where its first sector begins, and its ellipse, which
+    is enlarged `larger` times."""
     axes_of, radius = Axes(site.ros_axes), site.landmark_set.radius_m
     colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[landmark.id]) / 255)
     position = axes_of.position(landmark.position)

@@ -47,8 +47,7 @@ PASS_COLUMNS = (
 )
 GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
 """How files of this program are recognised; readers of GeoJSON ignore unknown members."""
-MOST_POINTS = 2_000
-"""Points of a path in GeoJSON, at most."""
+MOST_POINTS = 2_000  # points of a path in GeoJSON, at most
 
 
 def write_all(
@@ -150,10 +149,7 @@ def _periods_deg(site: SiteMap) -> dict[int, float]:
 
 
 def _write_geojson(path: Path, site: SiteMap, origin: GeographicOrigin) -> None:
-    """The landmarks as points, their 95 % ellipses as polygons, the paths as lines (RFC 7946).
-
-    Ellipses and paths are cut in two at the 180th meridian; an ellipse round a pole is left out.
-    """
+    """The landmarks as points, their 95 % ellipses as polygons, the paths as lines (RFC 7946)."""
     features = []
     for number, landmark in enumerate(site.landmarks, 1):
         name: dict[str, object] = {"number": number, "landmark": landmark.id}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -71,6 +72,19 @@ class Tiles:
                 part = whole[:, n * SIDE : (n + 1) * SIDE]
                 part[:] = self.tile(tile)[:, : part.shape[1]]
         return whole
+
+
+def placement(
+    yaw: float, position: FloatArray, apex: tuple[float, float], scale: float = 1.0
+) -> FloatArray:
+    """(2, 3) from the pixels of a floor plane's working image to those of a grid, for `warped`.
+
+    yaw (rad), position (2,): of the sonar; x and y in grid pixels, y against the rows. apex: of the
+    image. scale: grid pixels per pixel of the image.
+    """
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    rotation = scale * np.array([[cos, -sin], [sin, cos]])
+    return np.column_stack([rotation, position * (1, -1) - rotation @ apex])
 
 
 def warped(picture: FloatImage, matrix: FloatArray) -> tuple[FloatImage, tuple[int, int]]:

@@ -18,6 +18,7 @@ from sonarrec.recogniser.between_stages import WorkingImage
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.presets.second_look import MOST_STEP_ERROR, SecondLook, looks_again
 from sonarrec.recogniser.stage1 import CandidateSelector
+from sonarrec.recogniser.tiles import placement
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 from tests.support.simulated import Job, recognise, score
@@ -94,11 +95,11 @@ def test_a_place_on_the_grid_and_in_the_frame_are_each_other_s_inverse(
     yaw: float, x: float, y: float, seed: int
 ) -> None:
     look = SecondLook("m", OFFLINE, FAN, BASIN, None)
-    look._pose = np.array([yaw, x, y])
     pixels = np.random.default_rng(seed).uniform(0, 300, (5, 2))
-    matrix = look._matrix()
-    places = pixels @ matrix[:, :2].T + matrix[:, 2]
-    np.testing.assert_allclose(look._in_frame(look._pose, places), pixels, atol=1e-8)
+    matrix = placement(yaw, np.array([x, y]), PLANE.apex)
+    on_grid = pixels @ matrix[:, :2].T + matrix[:, 2]
+    in_frame = look._in_frame(np.array([yaw, x, y]), on_grid)
+    np.testing.assert_allclose(in_frame, pixels, atol=1e-8)
 
 
 @pytest.mark.slow

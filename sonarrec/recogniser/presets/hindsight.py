@@ -112,9 +112,6 @@ class Hindsight:
 
 
 def _sight_rotation(estimate: Estimate) -> float:
-    """Degrees between an angle in the image and one from the line of sight at the beginning.
-
-    The line of sight rotates in the image with the bearing, and over the floor as the sonar moves
-    past; the object does not rotate.
-    """
+    """Degrees from angles in the image to those from the line of sight at the beginning, which
+    rotated in the image by the bearing, and over the floor as the sonar moved past."""
     return estimate.bearing_deg + estimate.sight_deg

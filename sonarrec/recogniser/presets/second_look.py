@@ -28,7 +28,7 @@ from sonarrec.recogniser.stage3 import Evidence, likeliest
 from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
 from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, ShapeSampler
-from sonarrec.recogniser.tiles import SIDE, Tiles, parts, warped
+from sonarrec.recogniser.tiles import SIDE, Tiles, parts, placement, warped
 
 MOST_STEP_ERROR = 0.25  # disc radii; a motion with a larger standard error begins a new mean
 OLD_SHARE = 0.5  # weight of the frames of a look in the next
@@ -142,7 +142,8 @@ class SecondLook:
         picture = np.empty((*image.shape, 2), np.float32)
         relief = (image - fine(mean)) / fine(sigma)
         picture[..., 0], picture[..., 1] = relief * self._inside, self._inside
-        on_grid, first = warped(picture, self._matrix())
+        matrix = placement(self._pose[0], self._pose[1:], self._plane.apex)
+        on_grid, first = warped(picture, matrix)
         # Pixels at the edge are interpolated with what was not seen.
         on_grid *= on_grid[..., 1:] > 0.99
         for tile, inside, part in parts(on_grid.shape, first):
@@ -173,14 +174,11 @@ class SecondLook:
         shift = right * cos + ahead * sin, ahead * cos - right * sin
         self._pose = np.array([yaw + math.radians(motion.pan_deg), x + shift[0], y + shift[1]])
 
-    def _matrix(self) -> FloatArray:
-        """(2, 3) from a working image's pixels to the grid's, whose rows run opposite to y."""
-        yaw, x, y = self._pose
-        rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        return np.column_stack([rotation, np.array([x, -y]) - rotation @ self._plane.apex])
-
     def _in_frame(self, pose: FloatArray, on_grid: FloatArray) -> FloatArray:
-        """(n, 2) working pixels, in a frame of this pose, of (n, 2) pixels of the grid."""
+        """(n, 2) working pixels, in a frame of this pose, of (n, 2) pixels of the grid.
+
+        The inverse of `placement`.
+        """
         yaw, x, y = pose
         rotation = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
         return np.asarray((on_grid - (x, -y)) @ rotation.T + self._plane.apex)
