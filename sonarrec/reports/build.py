@@ -147,10 +147,7 @@ def _with_panels(
     evaluation: Evaluation | None,
     options: ScoringOptions,
 ) -> tuple[list[ReportedLog], list[str]]:
-    """The logs that have panels, and a line for each that cannot be read.
-
-    rows: their truth, if it is known.
-    """
+    """The logs that have panels, and a line for each that cannot be read. rows: their truth."""
     if evaluation is None:
         return read_logs([LogToShow(folder) for folder in folders], options)
     # The evaluation has distinct names, each recording once, and no log that cannot be read.

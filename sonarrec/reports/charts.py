@@ -27,8 +27,7 @@ from sonarrec.reports.svg import (
     thinned,
 )
 
-UNSEEN = 0.01
-"""A probability that stays below this along the whole track is not drawn."""
+UNSEEN = 0.01  # a probability that stays below this along the whole track is not drawn
 
 
 def time_axis(log: ReportedLog) -> tuple[Axis, float]:
@@ -91,10 +90,8 @@ def _method_lane(log: ReportedLog, k: int, method: str, declared: BoolArray) -> 
     return Lane(method, Chart(text, shapes), False)
 
 
-FOLLOWED = 0.15
-"""Height of bars that show only that a track was followed."""
-SILENT_POINTS = 100
-"""Bars in the row of a track that was never declared."""
+FOLLOWED = 0.15  # height of bars that show only that a track was followed
+SILENT_POINTS = 100  # bars in the row of a track that was never declared
 
 
 def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
@@ -222,10 +219,7 @@ def _panel(log: ReportedLog, track: Track, method: str, estimates: IntArray) -> 
 
 
 def _probabilities(log: ReportedLog, x: FloatArray, belief: FloatArray) -> tuple[list[Shape], str]:
-    """A line per ID and for "none", and their means as text.
-
-    x: (n,) positions on the time axis. belief: (n, K + 1), NaN where the object was not seen.
-    """
+    """A line per ID and for "none", and their means as text. belief: (n, K + 1), NaN for a gap."""
     shapes, text = [], []
     for k in [len(log.ids), *range(len(log.ids))]:  # "none" first, so that IDs lie over it
         if np.nanmax(belief[:, k]) < UNSEEN:

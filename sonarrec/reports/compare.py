@@ -18,10 +18,8 @@ from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.reports.page import filled
 from sonarrec.tables.outputs import write_page
 
-MOST = 10
-"""So many passes and runs of frames that got better are shown, and as many that got worse."""
-View = dict[str, Any]
-"""Values of the template that belong together, by name."""
+MOST = 10  # so many passes and runs of frames that got better are shown, and as many that got worse
+View = dict[str, Any]  # values of the template that belong together, by name
 
 
 def write_comparison_page(path: Path, comparison: Comparison) -> None:

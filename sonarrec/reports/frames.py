@@ -23,10 +23,8 @@ from sonarrec.results.same_log import check_same_log
 from sonarrec.results.stream import read_estimates
 
 MOST_FRAMES = 200
-MOST_BYTES = 3_000_000
-"""Of the images of all frames together, as text."""
-MOST_MARKED = 20
-"""Estimates drawn per method and frame: declared ones first, then the best."""
+MOST_BYTES = 3_000_000  # of the images of all frames together, as text
+MOST_MARKED = 20  # estimates drawn per method and frame: declared ones first, then the best
 LARGEST = 400  # pixels of the longer side
 QUALITIES = (60, 40, 20)
 

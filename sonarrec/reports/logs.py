@@ -20,8 +20,7 @@ from sonarrec.results.sightings import Sighting, read_sightings
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 
-MOST_LOGS = 8
-"""Logs with panels of their own: each adds some 40 kB to the page."""
+MOST_LOGS = 8  # logs with panels of their own: each adds some 40 kB to the page
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,10 +210,8 @@ def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
 
 
 def _false(log: ReportedLog) -> BoolArray | None:
-    """(N,) whether each estimate, if declared, is a false claim; None if truth is not known.
-
-    Landmarks partly in view count as present.
-    """
+    """(N,) whether each estimate, if declared, is false; None if truth is not known. Landmarks
+    partly in view count as present."""
     results, truth = log.results, log.truth
     if truth is None:
         return None

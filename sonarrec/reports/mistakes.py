@@ -12,8 +12,7 @@ from sonarrec.arrays import BoolArray
 from sonarrec.evaluation.judge import Judged, judge
 from sonarrec.evaluation.match import Matched, truth_beneath
 
-GAP = 4
-"""An episode may have gaps of so many frames, since neighbouring frames are alike."""
+GAP = 4  # an episode may have gaps of so many frames, since neighbouring frames are alike
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,7 @@ from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings import read_sightings
 from sonarrec.runs import logs_table
 
-MOST_OF_A_KIND = 5
-"""So many logs at most are named for one reason."""
+MOST_OF_A_KIND = 5  # so many logs at most are named for one reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +90,7 @@ def failed_logs(folder: Path | None) -> list[Outlier]:
 def outliers_first(folders: Sequence[Path], outlying: Sequence[Outlier]) -> list[Path]:
     """The folders, those of outliers first."""
     listed = set(folders)
-    first = [
-        outlier.folder
-        for outlier in outlying
-        if outlier.folder is not None and outlier.folder in listed
-    ]
+    first = (o.folder for o in outlying if o.folder is not None and o.folder in listed)
     return list(dict.fromkeys([*first, *folders]))
 
 

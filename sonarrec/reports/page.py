@@ -44,8 +44,7 @@ MOST_RATES = 40  # logs with a row of rates
 MOST_LINES = 20  # notes, and lines on what could not be used
 
 
-View = dict[str, Any]
-"""Values of the template that belong together, by name."""
+View = dict[str, Any]  # values of the template that belong together, by name
 
 
 def render(

@@ -42,9 +42,9 @@ def match_recordings(
         if len(logs) == 1 and not inside:
             sources[logs[0].results.name] = path
             continue
-        alike = _possible_names(path)
-        log_matches = [log for log in logs if log.results.name in alike]
-        log_matches = log_matches or [log for log in logs if _names(log) & alike]
+        names = _possible_names(path)
+        log_matches = [log for log in logs if log.results.name in names]
+        log_matches = log_matches or [log for log in logs if _names(log) & names]
         if len(log_matches) > 1:  # logs of one name, distinguished by their folders
             log_matches = [log for log in log_matches if _same(log, [path], sonar, topic)[0]]
         if log_matches and not any(_names(log) & inside.keys() for log in logs):
@@ -60,8 +60,8 @@ def match_recordings(
                 else:
                     sources[log.results.name] = source
         if not sources.keys() - before:
-            names = ", ".join(log.results.name for log in logs)
-            raise UsageError(f"--log {path}: neither one of these logs nor holds any: {names}")
+            listed = ", ".join(log.results.name for log in logs)
+            raise UsageError(f"--log {path}: neither one of these logs nor holds any: {listed}")
     return sources, [line for name, line in missing.items() if name not in sources]
 
 
@@ -74,11 +74,8 @@ def _names(log: ReportedLog) -> set[str]:
 
 def _possible_names(path: Path) -> set[str]:
     """Possible names of a recording in run.toml: its file, the target of a link, or its results."""
-    return {
-        name_as_text(path.name),
-        name_as_text(path.resolve().name),
-        results_name(log_name(path)),
-    }
+    names = name_as_text(path.name), name_as_text(path.resolve().name)
+    return {*names, results_name(log_name(path))}
 
 
 def _inside(folder: Path) -> dict[str, list[Path]]:

@@ -34,8 +34,7 @@ from sonarrec.simulation.truth import visible_share
 
 WHOLE = 0.99  # share of a disc's area from which it counts as whole in view
 Span = tuple[int, int | None]
-OpenLog = Callable[[], Log]
-"""Opens the recording again, from its first frame."""
+OpenLog = Callable[[], Log]  # opens the recording again, from its first frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,10 +185,7 @@ def _check_room(fan: Fan, landmarks: LandmarkSet, where: str) -> None:
 
 
 def _moved(before: Pose | None, motion: Motion | None, height_m: float) -> Pose:
-    """The pose after a motion. The motion first carries the sonar, then turns it.
-
-    before: None at the first frame, which is the origin.
-    """
+    """The pose after a motion, first its shift, then its pan. before: None at the first frame."""
     if before is None:
         return Pose(0.0, height_m, 0.0, 0.0)
     if motion is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -15,7 +14,7 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.background import Background
 from sonarrec.simulation.composite import Composer
 from sonarrec.simulation.layout import Layout, truth_of
-from sonarrec.simulation.simulate import check_free, write_documents, write_image
+from sonarrec.simulation.simulate import check_free, open_table, write_documents, write_image
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
 from sonarrec.tables.outputs import write_csv, writing
@@ -23,11 +22,8 @@ from sonarrec.tables.outputs import write_csv, writing
 
 @dataclass(frozen=True, slots=True)
 class DiscLook:
-    """How discs look at any contrast.
-
-    plate_db: level of the plate between ring and sectors above the floor. beam_width_deg: width of
-    the beams that smear them.
-    """
+    """How discs look at any contrast: the level of their plates above the floor, and the width of
+    the beams that smear them."""
 
     plate_db: float
     beam_width_deg: float
@@ -69,9 +65,7 @@ def write_backgrounds(
         tables = []
         for folder in folders.values():
             folder.mkdir(parents=True, exist_ok=True)
-            file = (folder / "gt.csv").open("w", newline="", encoding="utf-8")
-            tables.append(csv.writer(stack.enter_context(file), lineterminator="\n"))
-            tables[-1].writerow(TRUTH_COLUMNS)
+            tables.append(open_table(stack, folder / "gt.csv", TRUTH_COLUMNS))
         for index, images in compose(background, layout, look, [*folders]):
             for db, folder in folders.items():
                 write_image(folder / f"{index:06d}.png", images[db])

@@ -20,9 +20,9 @@ OUTSIDE_M = 0.4  # how far outside of the floor in view fish leave and come in a
 
 @dataclass(frozen=True, slots=True)
 class Fishes:
-    """Where all fish are at one moment.
+    """The positions of all fish at one moment, each (n,).
 
-    All are (n,). x_m, y_m: place along the floor. up_m: height above it. heading_deg: azimuth.
+    x_m, y_m: along the floor. up_m: height above it. heading_deg: azimuth.
     """
 
     x_m: FloatArray
@@ -63,24 +63,23 @@ class Shoal:
         self._phase = rng.uniform(0, 2 * np.pi, groups)
         self._length = fish.length_m * np.exp(rng.normal(0, 0.25, n))
         self._up = rng.uniform(0.15, 1, n) * fish.height_m
-        self._aside = rng.normal(0, 1, (n, 2)) * spread[:, None]
+        self._offset = rng.normal(0, 1, (n, 2)) * spread[:, None]
         self._mill = rng.uniform(0, 2 * np.pi, (n, 2))
 
     def at(self, time_s: float) -> Fishes:
-        """Where the fish are at a time."""
+        """The positions of the fish at a time."""
         weave = 2 * np.pi * time_s / self._period + self._phase
         ahead = np.column_stack([np.sin(self._heading), np.cos(self._heading)])
         right = np.column_stack([ahead[:, 1], -ahead[:, 0]])
         swing = self._speed * self._period / (2 * np.pi) * 0.5
         way = (self._speed * time_s)[:, None] * ahead + (swing * np.sin(weave))[:, None] * right
         middle = self._low + np.mod(self._start + way, self._span)
-        turned = self._heading + np.arctan(0.5 * np.cos(weave))
-        mill = self._scene.fish.length_m * np.sin(2 * np.pi * time_s / 5.0 + self._mill)
-        place = middle[self._group] + self._aside + np.where(self._aside != 0, mill, 0.0)
-        heading = np.degrees(turned[self._group]) + 40 * (self._aside != 0)[:, 0] * np.sin(
-            2 * np.pi * time_s / 5.0 + self._mill[:, 0]
-        )
-        return Fishes(place[:, 0], place[:, 1], self._up, heading, self._length)
+        rotated = self._heading + np.arctan(0.5 * np.cos(weave))
+        mill, schooled = np.sin(2 * np.pi * time_s / 5.0 + self._mill), self._offset != 0
+        milled = np.where(schooled, self._scene.fish.length_m * mill, 0.0)
+        x, y = (middle[self._group] + self._offset + milled).T
+        heading = np.degrees(rotated[self._group]) + 40 * schooled[:, 0] * mill[:, 0]
+        return Fishes(x, y, self._up, heading, self._length)
 
     def swim_into(
         self, view: View, range_m: FloatArray, pose: Pose, now: Fishes, rng: np.random.Generator
@@ -97,43 +96,34 @@ class Shoal:
         dark = 1 - 10 ** (self._scene.noise.shadow_db / 20)
         bodies = []
         for n in np.flatnonzero(seen):
-            away = pose.height_m - now.up_m[n]
-            ground = math.sqrt(max(slant[n] ** 2 - away**2, 1e-4))
+            below = pose.height_m - now.up_m[n]
+            ground = math.sqrt(max(slant[n] ** 2 - below**2, 1e-4))
             across = within_half_turn(now.heading_deg[n] - azimuth[n])
             # The shadow lies where the line past the fish meets the floor, so it is larger than
             # the fish; the height of the fish stretches it along that line.
-            larger = pose.height_m / away
-            longer = WIDTH * now.length_m[n] * ground / away
+            larger = pose.height_m / below
+            longer = WIDTH * now.length_m[n] * ground / below
             body = _Body(slant[n], azimuth[n], ground, float(across), now.length_m[n])
-            shade = _Body(
-                slant[n] * larger,
-                azimuth[n],
-                ground * larger,
-                float(across),
-                now.length_m[n] * larger,
-                longer,
-            )
-            for box, mask in shade.on(view.azimuth_deg, range_m):
-                view.echoes[box] *= 1 - dark * mask
-                view.power[box] *= (1 - dark * mask) ** 2
+            sizes = body.slant_m * larger, ground * larger, body.length_m * larger
+            shade = _Body(sizes[0], azimuth[n], sizes[1], float(across), sizes[2], longer)
+            box, mask = shade.on(view.azimuth_deg, range_m)
+            view.echoes[box] *= 1 - dark * mask
+            view.power[box] *= (1 - dark * mask) ** 2
             bodies.append(body)
         for body in bodies:
             side = abs(math.sin(math.radians(body.across_deg))) - 0.5
             level = self._scene.fish.bright_db + BROADSIDE_DB * side
-            for box, mask in body.on(view.azimuth_deg, range_m):
-                echo = mask * np.float32(10 ** (level / 20))
-                speckle = rng.standard_normal((*mask.shape, 2), dtype=np.float32)
-                view.echoes[box] += echo * speckle.view(np.complex64)[..., 0] * math.sqrt(0.5)
-                view.power[box] += echo**2
+            box, mask = body.on(view.azimuth_deg, range_m)
+            echo = mask * np.float32(10 ** (level / 20))
+            speckle = rng.standard_normal((*mask.shape, 2), dtype=np.float32)
+            view.echoes[box] += echo * speckle.view(np.complex64)[..., 0] * math.sqrt(0.5)
+            view.power[box] += echo**2
 
 
 @dataclass(frozen=True, slots=True)
 class _Body:
-    """A fish or its shadow.
-
-    slant_m, azimuth_deg: its middle. ground_m: range along the floor. across_deg: heading relative
-    to the line of sight. longer_m: by how much it is stretched along the line of sight.
-    """
+    """A fish or its shadow. across_deg: heading relative to the line of sight. longer_m: stretch
+    along the line of sight."""
 
     slant_m: float
     azimuth_deg: float
@@ -144,23 +134,19 @@ class _Body:
 
     def on(
         self, azimuth_deg: FloatArray, range_m: FloatArray
-    ) -> list[tuple[tuple[slice, slice], np.ndarray]]:
-        """[(its box of the view, how far it fills each cell, 0 to 1)]; empty if out of view."""
+    ) -> tuple[tuple[slice, slice], np.ndarray]:
+        """(its box of the view, how far it fills each cell, 0 to 1); empty if out of view."""
         reach = 0.7 * (self.length_m + self.longer_m)
         angle = math.degrees(reach / self.ground_m)
         rows = slice(*np.searchsorted(range_m, [self.slant_m - reach, self.slant_m + reach]))
         columns = slice(
             *np.searchsorted(azimuth_deg, [self.azimuth_deg - angle, self.azimuth_deg + angle])
         )
-        away, beside = range_m[rows, None], azimuth_deg[None, columns]
-        if not away.size or not beside.size:
-            return []
-        away = (away - self.slant_m) * self.slant_m / self.ground_m
-        away = np.sign(away) * np.maximum(np.abs(away) - self.longer_m / 2, 0)
-        beside = np.radians(beside - self.azimuth_deg) * self.ground_m
-        turn = math.radians(self.across_deg)
-        along = away * math.cos(turn) + beside * math.sin(turn)
-        aside = beside * math.cos(turn) - away * math.sin(turn)
+        ahead = (range_m[rows, None] - self.slant_m) * self.slant_m / self.ground_m
+        ahead = np.sign(ahead) * np.maximum(np.abs(ahead) - self.longer_m / 2, 0)
+        right = np.radians(azimuth_deg[None, columns] - self.azimuth_deg) * self.ground_m
+        cos, sin = math.cos(math.radians(self.across_deg)), math.sin(math.radians(self.across_deg))
+        along, across = ahead * cos + right * sin, right * cos - ahead * sin
         half = self.length_m / 2
-        square = (along / half) ** 2 + (aside / (WIDTH * half)) ** 2
-        return [((rows, columns), np.exp(-(square**2)).astype(np.float32))]
+        square = (along / half) ** 2 + (across / (WIDTH * half)) ** 2
+        return (rows, columns), np.exp(-(square**2)).astype(np.float32)

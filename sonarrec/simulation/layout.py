@@ -134,10 +134,7 @@ def _rounds(
 
 
 def _is_lit(fan: Fan, lit: BoolArray, radius_m: float, ground: float, bearing: float) -> bool:
-    """Whether a disc is whole in view and lies where there are echoes.
-
-    ground, bearing: of its centre, m and deg. lit: as in Background.
-    """
+    """Whether a disc is whole in view where there are echoes. ground, bearing: m and deg."""
     angle = math.radians(bearing)
     x, y = ground * math.sin(angle), ground * math.cos(angle)
     if visible_share(fan, Pose(0.0, floor_depth(fan), 0.0, 0.0), x, y, radius_m) < WHOLE:

@@ -141,10 +141,7 @@ def raw_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> di
 
 
 def _from_the_sonar_on(image: np.ndarray, sonar: Geometry) -> np.ndarray:
-    """The image with empty bins in front, because an Oculus records from range 0 on.
-
-    The beginning of the range window is rounded to whole bins.
-    """
+    """The image with whole empty bins in front, because an Oculus records from range 0 on."""
     empty = round(sonar.range_min_m / _bin_length(sonar, image.shape[0]))
     return np.pad(image, ((empty, 0), (0, 0)))
 

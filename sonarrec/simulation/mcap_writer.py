@@ -31,7 +31,7 @@ _COMPRESSIONS = {
 
 
 # To add a message type, write one function that makes its fields and add one row here, and its
-# definition to readers/mcap/sonars.msg.
+# definition to readers/messages/sonars.msg.
 _IMAGE_TYPES: dict[str, MakeFields] = {
     "sensor_msgs/Image": fields.ros_image,
     "sensor_msgs/CompressedImage": fields.ros_compressed_image,
@@ -59,11 +59,8 @@ SCHEMAS = (
 
 @dataclass(frozen=True, slots=True)
 class _Family:
-    """How messages of one type and encoding are written.
-
-    name, schema_encoding, schema_data: the schema in the MCAP. fields: makes the fields of a
-    message. encode: turns them into bytes.
-    """
+    """How messages of one type and encoding are written: the schema in the MCAP, and functions that
+    make the fields of a message, and its bytes."""
 
     name: str
     schema_encoding: str

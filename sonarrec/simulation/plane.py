@@ -1,7 +1,4 @@
-"""The floor as a plane: where the sonar sees a place on it, and which place it sees.
-
-The floor may slope, and the sonar may roll.
-"""
+"""The floor as a plane, which may slope, seen by a sonar that may roll."""
 
 from __future__ import annotations
 
@@ -18,20 +15,6 @@ from sonarrec.simulation.scene import Scene
 def within_half_turn(bearing_deg: FloatArray | float) -> FloatArray:
     """Bearings shifted by whole turns to -180 to 180 deg."""
     return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """The places on the floor that a sonar sees at slant ranges (bins,) and azimuths (n,).
-
-    All are (bins, n) float32. x_m, y_m: the place, along the floor. depression_deg: angle below the
-    sonar's own horizon. sine: of the grazing angle; 0 where there is no floor.
-    """
-
-    x_m: FloatArray
-    y_m: FloatArray
-    depression_deg: FloatArray
-    sine: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +40,7 @@ class Plane:
         y_m: FloatArray | float,
         up_m: FloatArray | float = 0.0,
     ) -> tuple[FloatArray, FloatArray]:
-        """(slant range in m, bearing in deg) of places up_m above the floor; shapes broadcast."""
+        """(slant range in m, bearing in deg) of points up_m above the floor; shapes broadcast."""
         slope, towards = math.radians(self.slope_deg), math.radians(self.towards_deg)
         right, ahead = math.sin(towards), math.cos(towards)
         along = x_m * right + y_m * ahead
@@ -75,8 +58,11 @@ class Plane:
             bearing = np.degrees(np.arctan2(across, dx * math.sin(pan) + dy * math.cos(pan)))
         return np.asarray(slant), within_half_turn(bearing)
 
-    def look(self, pose: Pose, range_m: FloatArray, azimuth_deg: FloatArray) -> Look:
-        """What the sonar sees.
+    def look(
+        self, pose: Pose, range_m: FloatArray, azimuth_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What the sonar sees, each (bins, n) float32: x and y along the floor (m), the angle below
+        its own horizon (deg), and the sine of the grazing angle, 0 where there is no floor.
 
         range_m: (bins,) slant ranges. azimuth_deg: (n,) azimuths of the beams before it rolls.
         """
@@ -113,7 +99,7 @@ class Plane:
         first = (along @ np.array([pose.x_m, pose.y_m])).astype(np.float32)
         x = matrix[0, 0] * dx + matrix[0, 1] * dy + first[0]
         y = matrix[1, 0] * dx + matrix[1, 1] * dy + first[1]
-        return Look(x, y, np.degrees(depression), np.where(floor, sine.astype(np.float32), 0))
+        return x, y, np.degrees(depression), np.where(floor, sine.astype(np.float32), 0)
 
 
 FLAT = Plane()

@@ -141,8 +141,7 @@ def shifted(image: np.ndarray, rows: int) -> np.ndarray:
     return moved
 
 
-MOST_BANDS = 100
-"""Bands of surface echo, at most; one more would be 300 dB below the first."""
+MOST_BANDS = 100  # bands of surface echo, at most; one more would be 300 dB below the first
 
 
 class Multipath:

@@ -37,8 +37,7 @@ from sonarrec.tables.toml import (
 
 BUILT_IN = Path(__file__).parent / "scenes"
 
-NO_ECHO_DB = -60.0
-"""Multipath of this level or less is left out."""
+NO_ECHO_DB = -60.0  # multipath of this level or less is left out
 
 # Decibels: brightness and gains; standard deviations, amplitudes and losses.
 Level = Annotated[float, bounds(-200, 200)]

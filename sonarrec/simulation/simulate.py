@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
@@ -109,9 +109,7 @@ def write_recording(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
-            file = (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8")
-            table = csv.writer(stack.enter_context(file), lineterminator="\n")
-            table.writerow(TRUTH_COLUMNS)
+            table = open_table(stack, folder / f"{prefix}gt.csv", TRUTH_COLUMNS)
             mcap = None
             if image_format == "mcap":
                 name = out if single_file else out / "frames.mcap"
@@ -136,15 +134,8 @@ def _write_plates(scene: PlateScene, out: Path, progress: Callable[[int], None] 
     try:
         out.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
-            truth, corners = (
-                csv.writer(
-                    stack.enter_context((out / name).open("w", newline="", encoding="utf-8")),
-                    lineterminator="\n",
-                )
-                for name in ("gt.csv", "corners.csv")
-            )
-            truth.writerow(PLATE_COLUMNS)
-            corners.writerow(("frame", "landmark", *CORNERS))
+            truth = open_table(stack, out / "gt.csv", PLATE_COLUMNS)
+            corners = open_table(stack, out / "corners.csv", ("frame", "landmark", *CORNERS))
             for frame in render_plates(scene):
                 write_image(out / f"{frame.index:06d}.png", frame.image)
                 for plate in frame.truth:
@@ -165,6 +156,14 @@ def check_free(*paths: Path) -> None:
     for path in paths:
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
+
+
+def open_table(stack: ExitStack, path: Path, columns: Sequence[str]) -> Any:
+    """A writer of the rows of a CSV file, whose header is written. Raises OSError."""
+    file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(columns)
+    return writer
 
 
 def write_documents(folder: Path, documents: Mapping[str, Any], prefix: str = "") -> None:

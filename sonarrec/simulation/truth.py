@@ -37,8 +37,7 @@ class LandmarkTruth:
     orientation_deg: float
 
 
-TRUTH_COLUMNS = ("frame", *(f.name for f in fields(LandmarkTruth)))
-"""Of gt.csv."""
+TRUTH_COLUMNS = ("frame", *(f.name for f in fields(LandmarkTruth)))  # of gt.csv
 
 
 def truth_rows(frame: int, truth: Iterable[LandmarkTruth]) -> Iterator[list[object]]:

@@ -35,7 +35,7 @@ class View:
 
     azimuth_deg: (n,) in the world. echoes: (bins, n) complex64 amplitude of each scatterer. glow:
     (bins, n) float32 power of the objects' afterglow. power: (bins, n) float32 mean power of each
-    scatterer. depression_deg, sine: (bins, 1) or (bins, n), as in Look.
+    scatterer. depression_deg, sine: (bins, 1) or (bins, n), as from Plane.look.
     """
 
     azimuth_deg: FloatArray
@@ -47,10 +47,7 @@ class View:
 
 
 class _Layers(NamedTuple):
-    """What the cells of the grid show, each (rows, columns).
-
-    level: brightness, dB. owner: number of the object there, -1 for the floor. height, relief: m.
-    """
+    """(rows, columns) of the grid: brightness (dB), number of the object (-1: the floor), m, m."""
 
     level: np.ndarray
     owner: np.ndarray
@@ -157,10 +154,7 @@ class World:
             canvas.owner[silt > 0.5] = -1
 
     def _relieve(self, layers: _Layers) -> None:
-        """Add bumps and ripples, and brighten or darken slopes as they face the sonar or not.
-
-        Then add twigs, and patches of light and shade.
-        """
+        """Add bumps and ripples, whose slopes are lit by the sonar; then twigs and shade."""
         floor, grid, cells = self._scene.floor, self._grid, self._grid.cells
         level, height, relief = layers.level, layers.height, layers.relief
         if relief.any():
@@ -220,10 +214,9 @@ class World:
         azimuth = grid.azimuths(pose.pan_deg)
         cell: Cells
         if pose.roll_deg or self._plane.slope_deg:
-            seen = self._plane.look(pose, range_m, azimuth)
-            depression, sine = seen.depression_deg, seen.sine
+            x, y, depression, sine = self._plane.look(pose, range_m, azimuth)
             ground = range_m[:, None] * np.cos(np.radians(depression))
-            cell = grid.index(seen.x_m, seen.y_m)
+            cell = grid.index(x, y)
         else:
             height_m = pose.height_m
             sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)[:, None]
@@ -278,10 +271,10 @@ class World:
 
 
 def _phase_rates(scatterers: int, rng: np.random.Generator) -> np.ndarray:
-    """(scatterers, 4) how fast phases turn with time, sway right, sway forward and heave.
+    """(scatterers, 4) rates of the phases by time, sway right, sway forward and heave.
 
-    The mean of exp(i phase) is the correlation of the speckle: exp(-time) with Cauchy rates,
-    exp(-distance^2 / 2) with Gaussian ones.
+    The mean of exp(i phase) is the speckle's correlation: exp(-time) for Cauchy rates,
+    exp(-distance^2 / 2) for Gaussian ones.
     """
     rate = np.empty((scatterers, 4), np.float32)
     for column in rate.T:
@@ -292,7 +285,7 @@ def _phase_rates(scatterers: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _hidden(below_m: np.ndarray, ground_m: np.ndarray) -> np.ndarray:
-    """Whether each cell is hidden behind something nearer and taller. Rows are near ones first.
+    """Whether each cell is hidden behind a nearer and taller one. Rows are near ones first.
 
     below_m: how far the top of each cell is below the sonar. ground_m: range of the cells.
     """
@@ -303,10 +296,9 @@ def _hidden(below_m: np.ndarray, ground_m: np.ndarray) -> np.ndarray:
 
 
 def _lit(grazing: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Amplitude of a slope relative to level floor, by Lambert's law.
+    """Amplitude of a slope relative to level floor, by Lambert's law for both ways.
 
-    With the way there and back, power goes with the square of the sine. grazing: angle on level
-    floor, rad. slope: rise over run, away from the sonar.
+    grazing: angle on level floor, rad. slope: rise over run, away from the sonar.
     """
     lit = np.sin(np.clip(grazing + np.arctan(slope), 0.02, np.pi / 2))
     return np.asarray(lit / np.sin(grazing))

@@ -70,10 +70,8 @@ class CheckedTruth:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """The log's N rows with positions; line, landmark, frame, visible as in CheckedTruth.
-
-    range_m, bearing_deg: (N,). floor: (N, 2) m on the floor, to the right and ahead of the sonar.
-    """
+    """The log's N rows with positions; the first four as in CheckedTruth. floor: (N, 2) m on the
+    floor, to the right and ahead of the sonar."""
 
     line: IntArray
     landmark: IntArray
@@ -218,10 +216,7 @@ def _overlaps(rows: _Rows, radius_m: float) -> Iterator[Fault]:
 
 
 def _changes(rows: _Rows, radius_m: float) -> Iterator[Fault]:
-    """Landmarks that change their ID from one frame to the next, in one position.
-
-    The step back after a wrong row is not a second fault.
-    """
+    """Landmarks that change their ID in one position; the change back is not a second fault."""
     wrong: set[int] = set()
     frames = rows.by_frame(np.arange(len(rows.line)))
     for frame, group in frames.items():
@@ -242,9 +237,9 @@ def _changes(rows: _Rows, radius_m: float) -> Iterator[Fault]:
 def _jumps(rows: _Rows, fan: Fan, radius_m: float, max_pan_deg: float) -> Iterator[Fault]:
     """Rows too far from every row of the same ID in the last frame that has one.
 
-    A pan turns everything about the sonar and leaves ranges as they are; a disc radius a frame is
-    allowed for heave and drift. The step back after a wrong row is not a second fault. Nor is a
-    second landmark of the ID that enters at an edge of the fan while the first stays in view.
+    A pan leaves ranges as they are; a disc radius a frame is allowed for heave and drift. No faults
+    are the step back after a wrong row, and a second landmark of the ID that enters at an edge of
+    the fan while the first stays in view.
     """
 
     def step_from(group: IntArray, b: int) -> tuple[float, int]:

@@ -16,8 +16,7 @@ from sonarrec.nouns import Frame
 from sonarrec.tables.outputs import plain, write_figure, writing
 from sonarrec.truth.check import CheckedTruth
 
-TILES = 8
-"""Frames shown of a pass, from its first to its last."""
+TILES = 8  # frames shown of a pass, from its first to its last
 MOST_STRIPS = 40
 SIDE = 120  # pixels of a tile
 _GAP, _LEFT, _TOP, _CAPTION = 8, 150, 64, 18  # pixels between, left of, above and below tiles
@@ -94,7 +93,7 @@ def _spread(count: int, most: int) -> IntArray:
 
 
 def _passes(truth: CheckedTruth) -> Iterator[IntArray]:
-    """Rows of one ID each, rising in frame, parted where the ID was out of view for long."""
+    """Rows of one ID each, rising in frame, split where the ID was out of view for long."""
     for landmark in np.unique(truth.landmark):
         rows = np.flatnonzero((truth.landmark == landmark) & (truth.frame >= 0))
         rows = rows[np.argsort(truth.frame[rows], kind="stable")]
@@ -111,16 +110,6 @@ def _zoom(truth: CheckedTruth, row: int) -> tuple[float, FloatArray]:
     assert truth.y_px is not None
     scale = SIDE * truth.fan.metres_per_pixel / (_VIEW * truth.landmarks.radius_m)
     return scale, (SIDE - 1) / 2 - scale * np.array([truth.x_px[row], truth.y_px[row]])
-
-
-def _outline(truth: CheckedTruth, row: int) -> FloatArray:
-    """(n, 2) column and row, in tile pixels, of the closed edge of the disc."""
-    assert truth.x_px is not None
-    assert truth.y_px is not None
-    scale, shift = _zoom(truth, row)
-    place = float(truth.x_px[row]), float(truth.y_px[row])
-    outline = disc_outline(truth.fan, truth.landmarks.radius_m, *place) * scale + shift
-    return np.vstack([outline, outline[:1]])
 
 
 def _draw(
@@ -164,7 +153,7 @@ def _draw_tile(
 ) -> None:
     """Draw one tile with the disc's outline and its caption, in red if the row has faults.
 
-    corner: its top left one, in pixels of the sheet. faults: their kinds.
+    corner: the top left one, in pixels of the sheet. faults: their kinds.
     """
     from matplotlib.patches import Rectangle
 
@@ -174,8 +163,13 @@ def _draw_tile(
     if faults:
         caption = f"line {truth.line[row]}: {faults[0]}"
     axes.imshow(tile, "gray", vmin=0, vmax=255, extent=(x, x + SIDE, y + SIDE, y))
+    assert truth.x_px is not None
+    assert truth.y_px is not None
+    scale, shift = _zoom(truth, row)
+    centre = float(truth.x_px[row]), float(truth.y_px[row])
+    edge = disc_outline(truth.fan, truth.landmarks.radius_m, *centre) * scale + shift
     # Pixel centres are whole numbers, and the picture's first pixel begins at its corner.
-    outline = _outline(truth, row) + np.array([x + 0.5, y + 0.5])
+    outline = np.vstack([edge, edge[:1]]) + np.array([x + 0.5, y + 0.5])
     colours = landmark_colours(truth.landmarks.ids)
     colour = np.array(colours.get(int(truth.landmark[row]), _UNKNOWN)) / 255
     (line,) = axes.plot(*outline.T, color=colour, lw=1)

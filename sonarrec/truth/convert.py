@@ -41,8 +41,7 @@ _FEW = 5  # most names in a message
 FrameNumbers = dict[int | str, int]
 """The frame, or the time in ns, that each Shape.frame stands for."""
 
-Sizes = Set[tuple[int, int]]
-"""(columns, rows) that images have."""
+Sizes = Set[tuple[int, int]]  # (columns, rows) that images have
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,10 +208,9 @@ def _frame_numbers(
 
 
 def _not_as_in_log(log: LogImages, frames: Sequence[int], listed: int, rule: str) -> Iterator[str]:
-    """A line for each thing that shows that frames are numbered otherwise in the log.
+    """A line for each sign that the log numbers its frames differently. frames: of the shapes.
 
-    frames: of the shapes. listed: number of images. rule: by which the frames were found.
-    Nothing is left out for it: the count that a video states is not always right.
+    Nothing is left out for it, since the count that a video states may be wrong.
     """
     count = log.frame_count
     if not count:
@@ -236,10 +234,9 @@ def _frames_of_images(
 ) -> tuple[str, FrameNumbers, str]:
     """As `_frame_numbers`, for images that are named.
 
-    An image is found by its name in the log, in any folder, or by its name without suffix if only
-    one image of the log has that. If the log has no names, times in the names count, as in a log
-    of images; else the number at the end of every name counts; else their natural order.
-    Raises SonarrecError if the log has names, but none of these.
+    An image is found by its name in the log, in any folder, or by its name without suffix if that
+    is unique. If the log has no names, times in the names count; else the number at the end of
+    every name; else their natural order. Raises SonarrecError if the log has none of the names.
     """
     paths = {name: _path(name, log_names) for name in images}
     files, stems = _once(log_names), _once([Path(name).stem for name in log_names])
@@ -300,10 +297,8 @@ def _once(names: Sequence[str]) -> dict[str, int]:
 def _in_fan_pixels(
     source: Path, sizes: Sizes, shapes: Sequence[Shape], log: LogImages | None, radius_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(column, row, visible), each (N,), of the shapes in the log's fan images.
-
-    sizes: of the images that are in the log, as far as they are known.
-    """
+    """(column, row, visible), each (N,), of the shapes in the log's fan images. sizes: known ones
+    of the annotated images."""
     x = np.array([s.x for s in shapes], dtype=float)
     y = np.array([s.y for s in shapes], dtype=float)
     visible = np.array([1.0 if s.visible is None else s.visible for s in shapes], dtype=float)
@@ -348,10 +343,8 @@ def _polar_pixels(
 
 
 def _between_samples(index: FloatArray, values: FloatArray) -> FloatArray:
-    """(N,) values at (N,) indices between samples, and beyond the first and the last one.
-
-    A disc that the image's edge cuts, drawn as if it were whole, may have its centre out there.
-    """
+    """(N,) values at (N,) indices between samples, and beyond them, where a disc that the image's
+    edge cuts may have its centre."""
     last = len(values) - 1
     steps = np.diff(values) if last else np.zeros(1)
     beyond = np.minimum(index, 0) * steps[0] + np.maximum(index - last, 0) * steps[-1]

@@ -54,10 +54,9 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
 
 
 def _hours_between(timestamp_ns: IntArray, at: IntArray) -> int | None:
-    """By how many whole hours times must be shifted to be those of frames; None if none fits.
+    """The shift in whole hours after which all times (R,) are those of frames; None if none fits.
 
-    timestamp_ns: (F,) of frames. at: (R,) ns. All times must meet frames to within 10 us, at least
-    three of them, and be dates: times of another log do so only if both are counted from 0.
+    There must be three times, frames within 10 us, and dates: counted from 0, two logs may agree.
     """
     if not is_date(int(timestamp_ns.min())) or len(np.unique(at)) < 3:
         return None
@@ -68,8 +67,7 @@ def _hours_between(timestamp_ns: IntArray, at: IntArray) -> int | None:
     return next((hours for hours, (_, met, _) in shifts if met.all()), None)
 
 
-FEWEST = 5
-"""Frames or rows from which on a pattern in them is told."""
+FEWEST = 5  # frames or rows from which on a pattern in them is told
 _UNITS_NS = {"microseconds": 10**3, "milliseconds": 10**6, "seconds": 10**9}
 
 

@@ -22,10 +22,8 @@ from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import FILLED_IN, TRACKED, write_truth
 
 HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")
-LEAST_DECLARED = 5
-"""Frames in which a track must have declared its ID."""
-LEAST_AGREEMENT = 0.9
-"""Share of the declarations of a track that must name the same ID."""
+LEAST_DECLARED = 5  # frames in which a track must have declared its ID
+LEAST_AGREEMENT = 0.9  # share of the declarations of a track that must name the same ID
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +92,8 @@ def propose(
 
 
 def _tracks(folder: Path, log: LogResults, method: str) -> list[IntArray]:
-    """Of each track of a method that declared an ID its estimates, rising in frame.
-
-    Those with most declarations of one ID come first. Raises SonarrecError if they cannot be used.
-    """
+    """The estimates of each track that declared an ID, rising in frame; those with most
+    declarations of one ID first. Raises SonarrecError if they cannot be used."""
     path = estimates_of(folder)
     if log.fan is None:
         raise SonarrecError(

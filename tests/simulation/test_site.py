@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import tomllib
@@ -15,11 +14,17 @@ import pytest
 
 from sonarrec.landmarks import BUILT_IN
 from sonarrec.simulation.simulate import write_recording
-from sonarrec.simulation.site.rates import RangeRate, Rate, RecognitionRates
-from sonarrec.simulation.site.results import ContrastResults, sentences
+from sonarrec.simulation.site.results import (
+    ContrastResults,
+    RangeRate,
+    Rate,
+    RecognitionRates,
+    sentences,
+)
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.browser import look
 from tests.support.command import sonarrec
+from tests.support.rows import read_rows
 
 
 @pytest.fixture(scope="module")
@@ -35,20 +40,15 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.mark.slow
 def test_the_figures_are_those_of_plain_counts(site: Path) -> None:
     """Each landmark whole in view, and whether its ID is declared within half a disc diameter."""
-    for whole in (row for row in rows(site / "site.csv") if not row["range_from_m"]):
+    for whole in (row for row in read_rows(site / "site.csv") if not row["range_from_m"]):
         db = f"{float(whole['contrast_db']):g}"
         cases = right = claims = 0
         for layout in (1, 2):
-            truth = rows(site / f"recordings/layout_{layout}/contrast_{db}/gt.csv")
-            said = rows(site / f"results/layout_{layout}_contrast_{db}/estimates.csv")
+            truth = read_rows(site / f"recordings/layout_{layout}/contrast_{db}/gt.csv")
+            said = read_rows(site / f"results/layout_{layout}_contrast_{db}/estimates.csv")
             said = [r for r in said if r["method"] == "framework" and r["declared"] == "1"]
             claims += len(said)
             for t in truth:
@@ -65,7 +65,7 @@ def test_the_figures_are_those_of_plain_counts(site: Path) -> None:
         assert int(whole["false_claims"]) <= claims - right
         steps = [
             row
-            for row in rows(site / "site.csv")
+            for row in read_rows(site / "site.csv")
             if row["range_from_m"] and row["contrast_db"] == whole["contrast_db"]
         ]
         assert sum(int(row["landmark_frames"]) for row in steps) == cases
@@ -80,14 +80,14 @@ def place(row: dict[str, str]) -> tuple[float, float]:
 
 @pytest.mark.slow
 def test_more_contrast_is_recognised_more_often(site: Path) -> None:
-    low, high = (float(r["tpr"]) for r in rows(site / "site.csv") if not r["range_from_m"])
+    low, high = (float(r["tpr"]) for r in read_rows(site / "site.csv") if not r["range_from_m"])
     assert high > 0.5 > low
 
 
 @pytest.mark.slow
 def test_the_document_says_the_same(site: Path) -> None:
     document = json.loads((site / "site.json").read_text())
-    table = rows(site / "site.csv")
+    table = read_rows(site / "site.csv")
     assert [row["tpr"] for row in document["rates"]] == [
         float(row["tpr"]) if row["tpr"] else None for row in table
     ]

@@ -27,12 +27,12 @@ from sonarrec.runs.prepare import RunOptions
 from sonarrec.simulation.background import Background, nearest_floor_m
 from sonarrec.simulation.background_files import DiscLook, write_backgrounds
 from sonarrec.simulation.layout import Layout, draw_layout, truth_of, without_room
-from sonarrec.simulation.site.rates import recognition_rates
 from sonarrec.simulation.site.results import (
     ENOUGH,
     ContrastResults,
     ExampleFrame,
     Site,
+    recognition_rates,
     sentences,
 )
 from sonarrec.truth.match import match_truth
@@ -41,8 +41,7 @@ from sonarrec.truth.table import read_truth
 RANGE_STEPS = 5  # into which the range window is divided
 MIN_VISIBLE = 0.9  # share of a disc that must be in view for a landmark to count
 FRAMES_TRIED = 100  # for the example that is drawn
-Step = Callable[[str], None]
-"""Called after each frame with what is being done."""
+Step = Callable[[str], None]  # called after each frame with what is being done
 
 
 def assess(
@@ -142,10 +141,7 @@ def _run(
 
 
 def _scored(fan: Fan, contrast_db: float, runs: Sequence[tuple[Path, Path]]) -> ContrastResults:
-    """Score the runs at one contrast, over RANGE_STEPS equal parts of the floor in view.
-
-    runs: results and truth of each.
-    """
+    """Score runs (results, truth) at one contrast, over RANGE_STEPS parts of the floor in view."""
     edges = np.linspace(nearest_floor_m(fan), fan.range_max_m, RANGE_STEPS + 1).tolist()
     logs = []
     for results, ground_truth in runs:

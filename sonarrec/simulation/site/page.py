@@ -15,8 +15,14 @@ from sonarrec.evaluation.plots import COLOURS
 from sonarrec.reports.page import filled
 from sonarrec.reports.pictures import LARGEST, QUALITY, as_webp, shrunk
 from sonarrec.reports.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
-from sonarrec.simulation.site.rates import Rate
-from sonarrec.simulation.site.results import ENOUGH, ContrastResults, ExampleFrame, Site, span_text
+from sonarrec.simulation.site.results import (
+    ENOUGH,
+    ContrastResults,
+    ExampleFrame,
+    Rate,
+    Site,
+    span_text,
+)
 
 GOAL = Shape(polyline(np.array([0.0, 1.0]), np.full(2, ENOUGH)), None, "line thin", f"{ENOUGH:.0%}")
 """A line across a chart at ENOUGH."""
@@ -53,10 +59,7 @@ def render(site: Site) -> str:
 def _contrast_chart(
     results: Sequence[ContrastResults], rates: Sequence[Rate], up: Axis, name: str, form: str
 ) -> Chart:
-    """A line over contrast; of shares with ENOUGH and the interval as thin lines.
-
-    up: the vertical axis. form: of the dots' texts.
-    """
+    """A line over contrast; shares have thin lines at ENOUGH and at the interval's ends."""
     value, low, high = (np.array([getattr(r, n) for r in rates]) for n in ("value", "low", "high"))
     edges = (low, high) if up is UNIT else ()
     contrast = np.array([one.contrast_db for one in results])

@@ -15,10 +15,8 @@ from sonarrec.truth.annotations.shapes import (
 )
 
 LABELS = "labels.txt"
-FEWEST = 6
-"""Columns; some writers leave out whether a row is to be considered, and what follows."""
-NOT_CONSIDERED = 0.001
-"""`visible` of a row that is not to be considered; with 0 it would be no row."""
+FEWEST = 6  # columns; some writers leave out whether a row is to be considered, and what follows
+NOT_CONSIDERED = 0.001  # `visible` of a row that is not to be considered; with 0 it would be no row
 
 
 def matches(path: Path, text: str) -> bool:

@@ -15,8 +15,7 @@ import numpy as np
 from sonarrec.errors import SonarrecError
 from sonarrec.tables.read import LARGEST
 
-PARTLY_HIDDEN = 0.5
-"""`visible` of a shape flagged as occluded; the flag does not say by how much."""
+PARTLY_HIDDEN = 0.5  # `visible` of a shape flagged as occluded; the flag does not say by how much
 
 HALF_A_PIXEL = 0.5
 """Drawing tools put (0, 0) at the image's corner, this program at the centre of its first pixel."""
