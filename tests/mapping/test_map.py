@@ -4,7 +4,6 @@ other programs read the files."""
 from __future__ import annotations
 
 import base64
-import csv
 import json
 import math
 import shlex
@@ -42,6 +41,7 @@ from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
+from tests.support.rows import read_rows, write_rows
 
 BASIN = load_landmarks("basin")
 HEIGHT = 0.68
@@ -147,18 +147,6 @@ def write_poses(path: Path, poses: FloatArray) -> Path:
     return path
 
 
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return [*csv.DictReader(file)]
-
-
-def write_table(path: Path, rows: Sequence[dict[str, str]]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 @pytest.fixture
 def mapped(tmp_path: Path) -> Path:
     folder = results(tmp_path / "dive", there_and_back(), there_and_back())
@@ -179,22 +167,22 @@ def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
 
 def test_estimates_on_frames_that_are_not_listed_are_told(tmp_path: Path) -> None:
     folder = results(tmp_path / "dive", there_and_back(), there_and_back())
-    rows = table(folder / "estimates.csv")
+    rows = read_rows(folder / "estimates.csv")
     strays = [row | {"frame": str(int(row["frame"]) + 1000)} for row in rows[:5]]
     strays[0]["declared"] = "0"
     strays[1]["method"] = "smi"
     alone = map_rows(folder)
-    write_table(folder / "estimates.csv", [*rows, *strays])
+    write_rows(folder / "estimates.csv", [*rows, *strays])
     done = sonarrec("map", folder, code=3)
     assert done.stderr == (
         f"sonarrec: {folder}: 3 of {len(rows) + 3} declared estimates left out: frames.csv does "
         "not list their frames\n"
     )
-    assert table(folder / "map" / "map.csv") == alone
+    assert read_rows(folder / "map" / "map.csv") == alone
 
 
 def test_each_landmark_once_where_it_lies(mapped: Path) -> None:
-    rows = table(mapped / "map.csv")
+    rows = read_rows(mapped / "map.csv")
     assert [int(row["landmark"]) for row in rows] == [1, 1, 2]
     for row in rows:
         at = np.array([float(row["x_m"]), float(row["y_m"])])
@@ -219,7 +207,7 @@ def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(tmp_path:
     folder = results(tmp_path / "dive", there_and_back(), there_and_back())
     told = sonarrec("map", folder, "--landmarks", given, "--origin", "54,10,0").stdout
     for name, count in (("map", 3), ("passes", 6), ("factors", 30)):
-        found = table(folder / "map" / f"{name}.csv")
+        found = read_rows(folder / "map" / f"{name}.csv")
         assert len(found) == count
         for row in found:
             cells = row["orientation_deg"], row["orientation_sigma_deg"]
@@ -229,7 +217,7 @@ def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(tmp_path:
 
 def test_from_where_each_was_seen(mapped: Path) -> None:
     path = there_and_back()
-    for row in table(mapped / "passes.csv"):
+    for row in read_rows(mapped / "passes.csv"):
         frames = range(int(row["first_frame"]), int(row["last_frame"]) + 1)
         sonar = np.array([float(row[f"sonar_{k}"]) for k in ("yaw_deg", "x_m", "y_m")])
         assert np.abs(path[frames] - sonar).max(axis=1).min() < 1e-3
@@ -244,7 +232,7 @@ def test_two_logs_make_one_map(tmp_path: Path) -> None:
     one = results(tmp_path / "one", path, path)
     other = results(tmp_path / "other", path[::-1], path[::-1], [*SITE, Disc(4, -1.2, 2.0, 0)], 1)
     sonarrec("map", one, other, "-o", tmp_path / "site")
-    rows = table(tmp_path / "site" / "map.csv")
+    rows = read_rows(tmp_path / "site" / "map.csv")
     assert [(row["landmark"], row["logs"]) for row in rows] == [
         *(("1", "2"), ("1", "2"), ("2", "2")),
         ("4", "1"),
@@ -276,10 +264,10 @@ def test_one_recording_counts_once(tmp_path: Path, digest: str) -> None:
         f"sonarrec: note: {other}: the same log as {dive} ({told}), which counts once"
         for other in (tmp_path / "copy", tmp_path / "link", again)
     ]
-    rows = table(tmp_path / "site" / "map.csv")
+    rows = read_rows(tmp_path / "site" / "map.csv")
     assert [(row["passes"], row["logs"]) for row in rows] == [("2", "1")] * 3
     sonarrec("map", dive)
-    assert rows == table(dive / "map" / "map.csv")
+    assert rows == read_rows(dive / "map" / "map.csv")
 
 
 def test_other_results_of_a_recording_are_left_out(tmp_path: Path) -> None:
@@ -288,7 +276,7 @@ def test_other_results_of_a_recording_are_left_out(tmp_path: Path) -> None:
     one = results(tmp_path / "one", path, path)
     other = results(tmp_path / "other", path, path, seed=1)
     late = results(tmp_path / "late", path, path, seed=2)
-    frames = table(late / "frames.csv")
+    frames = read_rows(late / "frames.csv")
     for name in ("frames.csv", "estimates.csv"):
         head, *lines = (late / name).read_text().splitlines()
         moved = (line.partition(",") for line in lines)
@@ -303,7 +291,7 @@ def test_other_results_of_a_recording_are_left_out(tmp_path: Path) -> None:
         f"sonarrec: {other}: the same log as {one} (SHA-256 000000000000...), which counts once; "
         "these other results of it are not used"
     ]
-    assert {row["log"] for row in table(tmp_path / "site" / "passes.csv")} == {"one", "late"}
+    assert {row["log"] for row in read_rows(tmp_path / "site" / "passes.csv")} == {"one", "late"}
 
 
 def test_each_pass_asks_the_paths_the_same_number_of_times_however_many_logs(
@@ -328,14 +316,14 @@ def test_what_lies_on_another_is_the_one_claimed_more(tmp_path: Path) -> None:
     path = there_and_back()
     folder = results(tmp_path / "dive", path, path)
     estimates = folder / "estimates.csv"
-    rows = table(estimates)
+    rows = read_rows(estimates)
     wrong = 0
     for row in rows:
         if row["landmark"] == "2" and wrong < 5:
             row["landmark"], wrong = "3", wrong + 1
-    write_table(estimates, rows)
+    write_rows(estimates, rows)
     sonarrec("map", folder)
-    rows = table(folder / "map" / "map.csv")
+    rows = read_rows(folder / "map" / "map.csv")
     assert [(row["landmark"], row["other_frames"]) for row in rows] == [
         ("1", "0"),
         ("1", "0"),
@@ -348,20 +336,20 @@ def test_tracks_are_needed(tmp_path: Path, told: str) -> None:
     """Without them two landmarks of one ID that are seen at once were one, between the two."""
     path = there_and_back()
     folder = results(tmp_path / "dive", path, path)
-    rows = table(folder / "estimates.csv")
+    rows = read_rows(folder / "estimates.csv")
     if told == "no column":
         for row in rows:
             del row["object"]
     else:
         rows[-1]["object"] = ""
-    write_table(folder / "estimates.csv", rows)
+    write_rows(folder / "estimates.csv", rows)
     done = sonarrec("map", folder, code=1)
     assert done.stderr == (
         f"sonarrec: {folder / 'estimates.csv'}: a track needs object; not every declared row of "
         "framework has it\n"
     )
     rows[-1] |= {"declared": "0"}  # a row that is in no pass needs none
-    write_table(folder / "estimates.csv", rows)
+    write_rows(folder / "estimates.csv", rows)
     sonarrec("map", folder, code=1 if told == "no column" else 0)
 
 
@@ -383,16 +371,16 @@ def test_a_frame_with_two_tracks_on_a_landmark_is_one_frame(tmp_path: Path) -> N
     """The frames of all passes were added up, and could be more than the log has."""
     path = there_and_back()
     folder = results(tmp_path / "dive", path, path)
-    rows = table(folder / "estimates.csv")
+    rows = read_rows(folder / "estimates.csv")
     alone = map_rows(folder)
     again = [row | {"object": str(int(row["object"]) + 5000)} for row in rows]
-    write_table(folder / "estimates.csv", [*rows, *again, *rows[:3]])
+    write_rows(folder / "estimates.csv", [*rows, *again, *rows[:3]])
     doubled = map_rows(folder)
     assert sum(int(row["frames"]) for row in alone) == len(rows)
     for row, other in zip(alone, doubled, strict=True):
         assert row["frames"] == other["frames"]
         assert 2 * int(row["passes"]) == int(other["passes"])
-    passes = table(folder / "map" / "passes.csv")
+    passes = read_rows(folder / "map" / "passes.csv")
     for row in passes:
         frames = {
             int(one["frame"])
@@ -405,7 +393,7 @@ def test_a_frame_with_two_tracks_on_a_landmark_is_one_frame(tmp_path: Path) -> N
 
 def map_rows(folder: Path, *options: str | int) -> list[dict[str, str]]:
     sonarrec("map", folder, *map(str, options))
-    return table(folder / "map" / "map.csv")
+    return read_rows(folder / "map" / "map.csv")
 
 
 @pytest.mark.slow
@@ -483,10 +471,10 @@ def test_tracks_that_share_a_part_of_their_frames_count_by_it(tmp_path: Path) ->
     """By hand: of 60 frames of one track and 80 of the other, 20 are the same."""
     still = np.zeros((120, 3))
     folder = results(tmp_path / "dive", still, still, [Disc(1, 0.0, 2.3, 40.0)])
-    rows = table(folder / "estimates.csv")
+    rows = read_rows(folder / "estimates.csv")
     assert [int(row["frame"]) for row in rows] == [*range(120)]
     first, second = ([row | {"object": str(n)} for row in rows] for n in (1, 2))
-    write_table(folder / "estimates.csv", [*first[:60], *second[40:]])
+    write_rows(folder / "estimates.csv", [*first[:60], *second[40:]])
     (log,) = make_map([folder]).logs
     np.testing.assert_allclose(frame_shares(log.passes), [50 / 60, 70 / 80])
     np.testing.assert_allclose(frame_shares(log.passes[1:]), [1])
@@ -634,7 +622,7 @@ def test_measured_motion_carries_as_far_as_it_is_known(tmp_path: Path) -> None:
     done = sonarrec("map", folder, code=3)
     assert "the motion to frame 60 is not known" in done.stderr
     assert "declared estimates left out" in done.stderr
-    assert all(int(row["last_frame"]) < 60 for row in table(folder / "map" / "passes.csv"))
+    assert all(int(row["last_frame"]) < 60 for row in read_rows(folder / "map" / "passes.csv"))
 
 
 # What others read
@@ -650,10 +638,10 @@ def test_gtsam_reads_the_graph_and_finds_the_map(tmp_path: Path) -> None:
         folder = results(tmp_path / f"dive{seed}", path, path + off)
         sonarrec("map", folder, "--drift", "0.19,4")
         graph, first = gtsam.readG2o(str(folder / "map" / "graph.g2o"), False)
-        rows = table(folder / "map" / "factors.csv")
+        rows = read_rows(folder / "map" / "factors.csv")
         marks = {int(row["landmark_vertex"]): int(row["number"]) - 1 for row in rows}
         poses = {int(row["pose_vertex"]): int(row["frame"]) for row in rows}
-        found_map = table(folder / "map" / "map.csv")
+        found_map = read_rows(folder / "map" / "map.csv")
         assert len(marks) == len(found_map) == 3
         for vertex, number in marks.items():  # x ahead and y left there
             pose, row = first.atPose2(vertex), found_map[number]
@@ -703,9 +691,9 @@ def test_a_graph_holds_errors_along_and_across_the_sight_however_things_are_turn
 
 
 def test_measurements_lead_from_the_poses_to_the_landmarks(mapped: Path) -> None:
-    path, rows = there_and_back(), table(mapped / "map.csv")
+    path, rows = there_and_back(), read_rows(mapped / "map.csv")
     off = []
-    for row in table(mapped / "factors.csv"):
+    for row in read_rows(mapped / "factors.csv"):
         yaw, x, y = path[int(row["frame"])]
         ground, sight = float(row["ground_range_m"]), math.radians(yaw + float(row["bearing_deg"]))
         at = (x + ground * math.sin(sight), y + ground * math.cos(sight))
@@ -722,7 +710,7 @@ def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
     """By way of Earth-centred coordinates: distances and directions from the origin."""
     features = json.loads((mapped / "map.geojson").read_text())["features"]
     points = [f for f in features if f["geometry"]["type"] == "Point"]
-    rows = table(mapped / "map.csv")
+    rows = read_rows(mapped / "map.csv")
     assert [f["properties"]["landmark"] for f in points] == [int(r["landmark"]) for r in rows]
 
     def earth(longitude: float, latitude: float) -> FloatArray:
@@ -764,7 +752,7 @@ def lies(longitude: float, latitude: float) -> FloatArray:
 @pytest.mark.parametrize("latitude", [-17.0, 89.9])
 def test_geojson_keeps_to_its_side_of_the_180th_meridian(mapped: Path, latitude: float) -> None:
     """No part crosses it; polygons are closed and go counter-clockwise; distances hold."""
-    rows = [(float(row["x_m"]), float(row["y_m"])) for row in table(mapped / "map.csv")]
+    rows = [(float(row["x_m"]), float(row["y_m"])) for row in read_rows(mapped / "map.csv")]
     parallel = 6378137 * math.cos(math.radians(latitude))
     longitude = 180 - math.degrees(rows[1][0] / parallel)  # through the middle of a landmark
     sonarrec("map", mapped.parent, f"--origin={latitude},{longitude},0", "-q")
@@ -934,7 +922,7 @@ def test_poses_are_found_from_wherever_the_results_are_named(
     (folder / "sub").mkdir()
     monkeypatch.chdir(tmp_path / here)
     sonarrec("map", named)
-    assert table(folder / "map" / "map.csv")
+    assert read_rows(folder / "map" / "map.csv")
 
 
 def test_what_is_left_out_is_told_with_its_reason(tmp_path: Path) -> None:
@@ -942,12 +930,12 @@ def test_what_is_left_out_is_told_with_its_reason(tmp_path: Path) -> None:
     folder = results(tmp_path / "dive", there_and_back(), there_and_back())
     poses = tmp_path / "dive.poses.csv"
     estimates = folder / "estimates.csv"
-    rows = table(estimates)
+    rows = read_rows(estimates)
     end = int(rows[-1]["frame"]) - 5
     late = [row for row in rows if int(row["frame"]) >= end]
     for row in [late[0], *rows[:9]]:
         row["range_m"] = "0.6"
-    write_table(estimates, rows)
+    write_rows(estimates, rows)
     early = tmp_path / "early.csv"
     early.write_text("\n".join(poses.read_text().splitlines()[: end + 1]) + "\n")
     run = folder / "run.toml"
@@ -997,7 +985,7 @@ def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None
     bad = results(tmp_path / "out" / "bad", path, None)
     done = sonarrec("map", tmp_path / "out", code=3)
     assert f"{bad}: neither poses nor measured motion" in done.stderr
-    assert len(table(tmp_path / "out" / "map" / "map.csv")) == 3
+    assert len(read_rows(tmp_path / "out" / "map" / "map.csv")) == 3
     with pytest.raises(SonarrecError, match="neither poses"):
         make_map([bad])
     with pytest.raises(UsageError, match="there are none"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from itertools import islice
 from pathlib import Path
@@ -19,6 +18,7 @@ from sonarrec.readers.poses_csv import read_poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
 from tests.support.command import sonarrec
+from tests.support.rows import read_rows
 from tests.support.vehicle import RATE_HZ, VehicleRun, truth_of, vehicle_run
 
 pytestmark = pytest.mark.slow
@@ -64,8 +64,7 @@ def test_the_path_written_is_the_true_one_within_its_errors(dive: Path) -> None:
     off = poses.pose - true
     # 7.8 m of way: 60 mm is 0.8 %, of which 0.3 to 0.6 % is the height that is stated wrongly.
     assert (np.abs(off) < (1.5, 0.06, 0.06)).all()
-    with (dive / "path.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_rows(dive / "path.csv")
     sigma = np.array(
         [[float(r[k]) for k in ("yaw_sigma_deg", "x_sigma_m", "y_sigma_m")] for r in rows]
     )
@@ -81,8 +80,7 @@ def test_the_path_read_back_tells_the_motion_that_was_measured(dive: Path) -> No
     sonarrec("run", dive / "dive", *words, "-o", dive / "told", "--odometry", dive / "path.csv")
     first, second = (read_poses(dive / name).pose for name in ("path.csv", "again.csv"))
     np.testing.assert_allclose(second, first, atol=2e-3)  # frames.csv has a hundredth of a mm
-    with (dive / "told" / "dive" / "frames.csv").open(newline="") as file:
-        told = list(csv.DictReader(file))
+    told = read_rows(dive / "told" / "dive" / "frames.csv")
     assert {row["dx_sigma_m"] for row in told} == {""}
     assert abs(float(told[10]["dy_m"])) > 0.05
 

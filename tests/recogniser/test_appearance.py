@@ -34,11 +34,11 @@ from tests.support.drawn import (
     SECTORS,
     cross_pattern,
     disc_pattern,
-    draw_on_floor,
     make_fan,
     smeared_matrix,
-    speckled,
+    speckled_disc,
     surroundings,
+    whole_disc,
 )
 
 BASIN = load_landmarks("basin")
@@ -427,14 +427,11 @@ def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing
     rng = np.random.default_rng(seed)
     memory = Features(memory_frames=20.0)
     measurement = AppearanceMeasurement(memory, PLANE, SAMPLER, BASIN, built_in_model(), 0.01, 400)
-    disc, seen = draw_on_floor(FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
-    plate, _ = draw_on_floor(
-        FAN, range_m, bearing_deg, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
-    )
     centre = np.stack(PLANE.from_polar(np.array([range_m]), np.array([bearing_deg])), axis=-1)
     sight = PLANE.line_of_sight(centre)
     for _ in range(frames):
-        image = PLANE.warp(speckled(disc, seen, rng, dark=plate))
+        picture = speckled_disc(rng, FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
+        image = PLANE.warp(picture)
         grey, visible = SAMPLER(image, PLANE.inside, centre, sight, *surroundings(image))
         track = dataclasses.replace(groups(1), positions=centre, existence=SURE[:1])
         evidence = measurement.gather(track, grey, visible)
@@ -457,7 +454,7 @@ def test_a_landmark_is_known_by_its_id_and_orientation(landmark, turn_deg):
 def test_a_blank_and_a_filled_disc_are_none_of_these(seed):
     """PAPER's trap: to the single frame they are more ID.1 and more ID.4 than those themselves."""
     blank, _ = averaged(disc_pattern((0, 0, 0, 0)), seed)
-    filled, _ = averaged(lambda x, y: (np.hypot(x, y) <= 1) * 1.0, seed)
+    filled, _ = averaged(whole_disc, seed)
     floor, _ = averaged(lambda x, _: 0 * x, seed)
     for p in (blank, filled, floor):
         assert p.argmax() == 4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from sonarrec.landmarks import DrawnSet, load_landmarks
 from sonarrec.readers import open_log
 from sonarrec.recogniser.drawn.drawings import FINE, Drawings, as_drawn, best, shown
 from sonarrec.runs.frames import Recogniser
+from tests.support.rows import read_rows
 
 ACTAG = Path(__file__).parents[3] / "shared" / "data" / "actag"
 
@@ -59,11 +59,10 @@ def test_a_drawing_is_told_in_every_way_through_uneven_light(way: int) -> None:
 
 def clip_claims(landmarks: DrawnSet, preset: str) -> tuple[set[int], list[tuple[int, int]], int]:
     """Frames that declare ID 0 within 6 cm, all claims (frame, ID), how many frames have truth."""
-    with (ACTAG / "actag_first.gt.csv").open() as file:
-        truth = {
-            int(row["frame"]): (float(row["range_m"]), float(row["bearing_deg"]))
-            for row in csv.DictReader(file)
-        }
+    truth = {
+        int(row["frame"]): (float(row["range_m"]), float(row["bearing_deg"]))
+        for row in read_rows(ACTAG / "actag_first.gt.csv")
+    }
     sonar = {"range_order": "far_first"}
     right, claims = set(), []
     with open_log(ACTAG / "actag_first.mp4", sonar=sonar) as log:

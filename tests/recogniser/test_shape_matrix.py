@@ -45,21 +45,6 @@ def identified(
     return identify(grey, seen, sampler.bands, ROTATED)
 
 
-@pytest.mark.slow
-@settings(max_examples=40)
-@given(landmark=st.sampled_from(sorted(SECTORS)), turn=st.floats(0, 2 * np.pi))
-def test_an_ideal_disc_gives_the_ideal_row_at_any_rotation(landmark, turn):
-    found = identified(picture(disc_pattern(SECTORS[landmark], turn)))
-    # Half a step off, the cells on a sector's edge may fall to either side: one column in four
-    # edges of 36, and the innermost line is a few pixels across.
-    np.testing.assert_allclose(found.similarity[0], agreement(landmark), atol=2 / 36)
-    assert found.similarity[0].argmax() == landmark - 1
-    assert found.ring[0] > 0.98
-    symmetry = np.pi if landmark == 2 else 2 * np.pi
-    off = (found.rotation[0] * STEP - turn + symmetry / 2) % symmetry - symmetry / 2
-    assert abs(off) < 0.75 * STEP
-
-
 @pytest.mark.parametrize("landmark", sorted(SECTORS))
 @pytest.mark.parametrize("start_deg", [0, 35, 200])
 def test_on_the_grid_of_angles_the_row_is_exact(landmark, start_deg):
@@ -123,32 +108,17 @@ def test_a_squeezed_disc_needs_its_own_axes():
 
 
 @settings(max_examples=30)
-@given(landmark=st.sampled_from(sorted(SECTORS)), column=st.integers(40, 140), fill=st.booleans())
-def test_what_lies_outside_the_fan_counts_for_nothing(landmark, column, fill):
-    image = picture(disc_pattern(SECTORS[landmark], 3 * STEP))
+@given(column=st.integers(40, 140))
+def test_cells_outside_the_fan_are_not_seen(column):
+    image = picture(disc_pattern(SECTORS[1]))
     inside = np.ones_like(image)
     inside[:, :column] = 0
-    hidden = np.where(inside == 1, image, 255 if fill else 0).astype(np.uint8)
     sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
-    start = np.zeros(1)
-    _, seen = sampler(hidden, inside, np.array([CENTRE]), start, *surroundings(image))
-    assert not seen.all()
-    # The same picture with nothing hidden, its hidden cells replaced by anything else at all.
-    whole, _ = sampler(image, np.ones_like(image), np.array([CENTRE]), start, *surroundings(image))
-    edge = (
-        np.abs(
-            CENTRE[0]
-            + RADIUS * sampler.radii[:, None] * np.cos((np.arange(ANGLES) + 0.5) * STEP)
-            - column
-        )
-        > 2
-    )
-    seen &= edge  # bilinear samples beside the cut mix both sides
-    a = identify(np.where(seen, whole, 99.0), seen, sampler.bands, ROTATED)
-    b = identify(np.where(seen, whole, -99.0), seen, sampler.bands, ROTATED)
-    np.testing.assert_array_equal(a.similarity, b.similarity)
-    np.testing.assert_array_equal(a.rotation, b.rotation)
-    assert a.similarity.max() == pytest.approx(1, abs=0.03)
+    _, seen = sampler(image, inside, np.array([CENTRE]), np.zeros(1), *surroundings(image))
+    x = CENTRE[0] + RADIUS * sampler.radii[:, None] * np.cos((np.arange(ANGLES) + 0.5) * STEP)
+    sure = np.abs(x - column + 0.5) > 0.1  # a cell belongs to the pixel nearest to it
+    sure[sampler.bands.outer] = False  # which partly lie beyond the image
+    np.testing.assert_array_equal(seen[0][sure], (x > column - 0.5)[sure])
 
 
 def best_split(values):

@@ -19,7 +19,7 @@ from sonarrec.recogniser.stage1 import CandidateSelector, Correlation, gap_share
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from tests.studies.learning.random_scenes import random_scene
-from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
+from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled, whole_disc
 
 BASIN = load_landmarks("basin")
 BEAM_DEG = 0.3
@@ -48,9 +48,7 @@ def picture(rng, places, sectors=SECTORS[1], fan=FAN) -> np.ndarray:
     for range_m, bearing_deg in places:
         pattern = disc_pattern(sectors, rng.uniform(0, 2 * np.pi))
         disc, seen = draw_on_floor(fan, range_m, bearing_deg, BASIN.radius_m, pattern)
-        plate, _ = draw_on_floor(
-            fan, range_m, bearing_deg, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
-        )
+        plate, _ = draw_on_floor(fan, range_m, bearing_deg, BASIN.radius_m, whole_disc)
         bright, dark = bright + disc, dark + plate
     if not places:
         seen = draw_on_floor(fan, 2.0, 0.0, 0.01, np.multiply)[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from sonarrec.reports.mistakes import episodes, in_words
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE
 from tests.support.pages import PLACED, reported, tables
+from tests.support.rows import read_rows
 
 
 def write_log(folder: Path, rng: np.random.Generator, frames: int = 120) -> None:
@@ -130,11 +130,10 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
 def test_sightings_of_the_sample(results: Path) -> None:
     """Against a loop over estimates.csv."""
     claims: dict[tuple[int, int], list[tuple[int, float]]] = {}
-    with (results / "estimates.csv").open(newline="") as file:
-        for row in csv.DictReader(file):
-            if row["method"] == "framework" and row["declared"] == "1":
-                key = (int(row["landmark"]), int(row["object"]))
-                claims.setdefault(key, []).append((int(row["frame"]), float(row["score"])))
+    for row in read_rows(results / "estimates.csv"):
+        if row["method"] == "framework" and row["declared"] == "1":
+            key = (int(row["landmark"]), int(row["object"]))
+            claims.setdefault(key, []).append((int(row["frame"]), float(row["score"])))
     reported_log = reported(results, SAMPLE / "gt.csv")
     found = judged_sightings(reported_log)
     assert {(one.sighting.landmark, one.sighting.track) for one in found} == set(claims)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import re
 import shutil
 from dataclasses import replace
@@ -17,6 +16,7 @@ from sonarrec.reports import frames
 from sonarrec.truth.table import read_truth
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import Page, held_frames, reported
+from tests.support.rows import read_rows
 
 
 def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None:
@@ -25,11 +25,10 @@ def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None
     assert (log["name"], log["unit"], log["methods"]) == ("pan", "s", ["framework", "smi"])
     assert [f["frame"] for f in log["frames"]] == list(range(128))
     declared: dict[tuple[int, str], list[str]] = {}
-    with (results / "estimates.csv").open(newline="") as file:
-        for row in csv.DictReader(file):
-            if row["declared"] == "1":
-                label = f"ID.{row['landmark']}  {float(row['score']):.2f}"
-                declared.setdefault((int(row["frame"]), row["method"]), []).append(label)
+    for row in read_rows(results / "estimates.csv"):
+        if row["declared"] == "1":
+            label = f"ID.{row['landmark']}  {float(row['score']):.2f}"
+            declared.setdefault((int(row["frame"]), row["method"]), []).append(label)
     truth = read_truth(SAMPLE / "gt.csv")
     for f in log["frames"]:
         assert f["at"] == f["frame"] / 4
@@ -48,16 +47,14 @@ def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None
 
 def test_outlines_lie_where_the_table_has_them(pages: dict[str, Path], results: Path) -> None:
     (log,) = held_frames(pages["full"])
-    with (results / "estimates.csv").open(newline="") as file:
-        for row in csv.DictReader(file):
-            if row["declared"] == "1":
-                of_method = log["frames"][int(row["frame"])]["said"][
-                    log["methods"].index(row["method"])
-                ]
-                # Pixel centres are whole numbers in the table, halves on the page.
-                place = np.array([float(row["x_px"]), float(row["y_px"])]) + 0.5
-                away = [np.linalg.norm(np.array(o["ellipse"][:2]) - place) for o in of_method]
-                assert min(away) < 1
+    for row in read_rows(results / "estimates.csv"):
+        if row["declared"] == "1":
+            said = log["frames"][int(row["frame"])]["said"]
+            outlines = said[log["methods"].index(row["method"])]
+            # Pixel centres are whole numbers in the table, halves on the page.
+            place = np.array([float(row["x_px"]), float(row["y_px"])]) + 0.5
+            away = [np.linalg.norm(np.array(o["ellipse"][:2]) - place) for o in outlines]
+            assert min(away) < 1
 
 
 def test_of_each_log_a_frame_is_held(results: Path) -> None:

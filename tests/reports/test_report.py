@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import hashlib
 import re
 import shutil
@@ -19,6 +18,7 @@ from sonarrec.evaluation.judge import PROTOCOLS
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import DECLARED, PLACED, Page, tables
+from tests.support.rows import read_rows, write_rows
 
 PASSES = "Declared by framework, a row per pass, in order of first sight"
 
@@ -44,8 +44,7 @@ def test_a_log_that_failed_is_named_also_on_the_page_of_a_few(tmp_path: Path) ->
 
 def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> None:
     sonarrec("evaluate", results, "--ground-truth", SAMPLE / "gt.csv", "-q")
-    with (results / "evaluation" / "confusion.csv").open(newline="") as file:
-        confusion = list(csv.DictReader(file))
+    confusion = read_rows(results / "evaluation" / "confusion.csv")
     page = Page(pages["full"])
     for method in ("smi", "framework"):
         for protocol in PROTOCOLS:
@@ -231,12 +230,8 @@ def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Pa
 def test_a_log_without_sightings(results: Path, tmp_path: Path) -> None:
     """Nothing declared: the page says so and shows what came nearest to it."""
     shutil.copytree(results, tmp_path / "pan")
-    with (results / "estimates.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    with (tmp_path / "pan" / "estimates.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(row | {"declared": 0} for row in rows)
+    rows = read_rows(results / "estimates.csv")
+    write_rows(tmp_path / "pan" / "estimates.csv", [row | {"declared": 0} for row in rows])
     sonarrec("report", tmp_path / "pan", "--log", SAMPLE)
     page = Page(tmp_path / "pan" / "report.html")
     assert "No landmark was declared." in page.text
@@ -249,17 +244,13 @@ def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
     """Under an ID that lies nowhere: the picture says so. Of alike scores the true one is shown."""
     shutil.copytree(results, tmp_path / "pan")
     (tmp_path / "pan" / "sightings.csv").unlink()
-    with (results / "estimates.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_rows(results / "estimates.csv")
     for row in rows:  # the first of all sightings is false, and as sure as any
         if row["method"] == "framework" and row["declared"] == "0" and row["frame"] == "4":
             row |= {"declared": "1", "landmark": "1", "score": "1.0"}
         if row["method"] == "framework" and row["declared"] == "0" and row["frame"] == "9":
             row |= {"declared": "1", "landmark": "2", "score": "0.8"}
-    with (tmp_path / "pan" / "estimates.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(tmp_path / "pan" / "estimates.csv", rows)
     truth = ("--ground-truth", SAMPLE / "gt.csv")
     sonarrec("report", tmp_path / "pan", *truth, "--log", SAMPLE, "-o", tmp_path / "x.html")
     text = re.sub(r"\s+", " ", Page(tmp_path / "x.html").text)

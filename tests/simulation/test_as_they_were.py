@@ -10,9 +10,6 @@ import pytest
 
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
-    FishSection,
-    FloorSection,
-    MotionSection,
     MultipathSection,
     Scene,
     load_scene,
@@ -84,11 +81,3 @@ def test_every_kind_has_its_nuisance_and_renders(kind: str) -> None:
     inside = frames[1].image[frames[1].image > 0]
     assert 20 < inside.mean() < 200
     assert inside.std() > 8
-
-
-def test_nothing_of_it_is_there_unless_asked_for() -> None:
-    floor, motion = FloorSection(), MotionSection()
-    assert (floor.slope_deg, floor.ripple_height_m, FishSection().number) == (0, 0, 0)
-    assert (motion.surge_m_s, motion.yaw_deg_s, motion.pitch_deg, motion.roll_deg) == (0, 0, 0, 0)
-    scene = load_scene("basin")
-    assert not any(thing.lean_deg or thing.silted for thing in scene.landmarks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.command import sonarrec
+from tests.support.rows import read_rows
 
 BASIN = load_landmarks("basin")
 LOOK = DiscLook(plate_db=-6.0, beam_width_deg=0.4)
@@ -189,8 +189,7 @@ def test_told_poses_carry_the_discs(recording: Path, tmp_path: Path) -> None:
         *("--frames", "0:12", "-o", out),
     )
     sonar = open_log(out).sonar
-    with (out / "gt.csv").open(newline="") as file:
-        truth = [row for row in csv.DictReader(file) if float(row["visible"]) > 0]
+    truth = [row for row in read_rows(out / "gt.csv") if float(row["visible"]) > 0]
     ahead = [
         math.sqrt(float(r["range_m"]) ** 2 - (sonar.height_m or 0) ** 2)
         * math.cos(math.radians(float(r["bearing_deg"])))
@@ -198,8 +197,7 @@ def test_told_poses_carry_the_discs(recording: Path, tmp_path: Path) -> None:
     ]
     assert len(ahead) > 3
     assert np.diff(ahead) == pytest.approx(-0.02, abs=1e-4)
-    with (out / "poses.csv").open(newline="") as file:
-        assert float(list(csv.DictReader(file))[-1]["y"]) == pytest.approx(0.22)
+    assert float(read_rows(out / "poses.csv")[-1]["y"]) == pytest.approx(0.22)
 
 
 @pytest.mark.slow

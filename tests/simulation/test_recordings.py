@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import tomllib
 from dataclasses import replace
@@ -30,6 +29,7 @@ from sonarrec.simulation.scene import (
 from sonarrec.simulation.simulate import write_recording
 from sonarrec.sonar import load_sonar
 from tests.support.bare import BARE, POLAR, power
+from tests.support.rows import read_rows
 
 
 @pytest.mark.parametrize(
@@ -120,8 +120,7 @@ def test_written_recordings_read_back(tmp_path) -> None:
     for frame in frames:
         image = cv2.imread(str(tmp_path / "log" / f"{frame.index:06d}.png"), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(image, frame.image)
-    with (tmp_path / "log" / "gt.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_rows(tmp_path / "log" / "gt.csv")
     expected = [(f.index, row) for f in frames for row in f.truth]
     assert len(rows) == len(expected) > 0
     for read, (index, row) in zip(rows, expected, strict=True):

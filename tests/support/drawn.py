@@ -175,6 +175,25 @@ def speckled(
     return np.where(seen, grey, 0).astype(np.uint8)
 
 
+def whole_disc(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The pattern of a disc that is bright all over, which is the shape of a plate as well."""
+    return (np.hypot(x, y) <= 1) * 1.0
+
+
+def speckled_disc(
+    rng: np.random.Generator,
+    fan: Fan,
+    range_m: float,
+    bearing_deg: float,
+    radius_m: float,
+    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """uint8 picture of a disc on its dark plate, with new speckle each time."""
+    disc, seen = draw_on_floor(fan, range_m, bearing_deg, radius_m, pattern)
+    plate, _ = draw_on_floor(fan, range_m, bearing_deg, radius_m, whole_disc)
+    return speckled(disc, seen, rng, dark=plate)
+
+
 def surroundings(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and sigma of an image for ShapeSampler: (1,) each, for all objects the same."""
     return np.array([image.mean()]), np.array([image.std() or 1.0])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
+
+from tests.support.rows import read_rows
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
@@ -17,7 +18,6 @@ def check_nearly_as_on_record(results: Path, sample: str) -> None:
 
 def _declared(results: Path) -> set[tuple[int, int]]:
     """(frame, landmark) of what the framework declares in estimates.csv."""
-    with (results / "estimates.csv").open(encoding="utf-8") as file:
-        rows = [*csv.DictReader(file)]
+    rows = read_rows(results / "estimates.csv")
     named = (r for r in rows if r["method"] == "framework" and r["declared"] == "1")
     return {(int(r["frame"]), int(r["landmark"])) for r in named}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
@@ -27,6 +26,7 @@ from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import read_truth
 from tests.support.drawn import make_fan
 from tests.support.logs import frames, image_folder
+from tests.support.rows import read_rows
 
 BASIN = load_landmarks("basin")
 Row = tuple[int, int, float, float, float]
@@ -37,15 +37,11 @@ def run(*arguments: str | Path) -> Result:
 
 
 def rows_of(path: Path) -> list[Row]:
-    with path.open(newline="") as file:
-        return [
-            (
-                int(r["frame"]),
-                int(r["landmark"]),
-                *(float(r[c]) for c in ("x_px", "y_px", "visible")),
-            )
-            for r in csv.DictReader(file)
-        ]
+    numbers = ("x_px", "y_px", "visible")
+    return [
+        (int(r["frame"]), int(r["landmark"]), *(float(r[name]) for name in numbers))
+        for r in read_rows(path)
+    ]
 
 
 def converted(tmp_path: Path, source: Path, *more: str | Path, code: int = 0) -> list[Row]:
@@ -90,19 +86,11 @@ def track(*shapes: str, label: str = "ID.1", more: str = "") -> str:
     return f'<track id="0" label="{label}" source="manual"{more}>{"".join(shapes)}</track>'
 
 
-def test_cvat_video(tmp_path: Path) -> None:
-    """Corners are edges between pixels, so a box from 10 to 20 is centred on pixel 14.5."""
-    body = track(
-        BOX.format(0, 0, 0, 10, 20), BOX.format(1, 0, 1, 12, 22), BOX.format(2, 1, 0, 12, 22)
-    )
-    assert converted(tmp_path, cvat(tmp_path, body)) == [
-        (0, 1, 14.5, 14.5, 1.0),
-        (1, 1, 16.5, 14.5, 0.5),
-    ]
-
-
 def test_cvat_fills_in_between_keyframes_as_cvat_does(tmp_path: Path) -> None:
-    """Linearly, towards a keyframe that is outside as well, but never from one."""
+    """Linearly, towards a keyframe that is outside as well, but never from one.
+
+    Corners are edges between pixels, so a box from 10 to 20 is centred on pixel 14.5.
+    """
     body = track(
         BOX.format(4, 0, 0, 18, 28),
         BOX.format(0, 0, 0, 10, 20),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import shutil
 import tracemalloc
@@ -17,6 +16,7 @@ from sonarrec.config import preset
 from sonarrec.functions import run as run_log
 from sonarrec.truth.propose import propose
 from sonarrec.truth.table import read_truth
+from tests.support.rows import read_rows
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 RUN = """\
@@ -66,12 +66,7 @@ def proposed(folder: Path, *more: str | Path) -> list[dict[str, str]]:
     done = run(folder, "--out", out, *more)
     assert done.exit_code == 0, done.output
     read_truth(out)
-    return table(out)
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+    return read_rows(out)
 
 
 def test_a_confident_track_is_taken_over_its_whole_life(tmp_path: Path) -> None:
@@ -178,7 +173,7 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     assert first.startswith(f"sonarrec: {bad}: wrong columns")
     assert first.endswith("; b is not used")
     assert second == f"sonarrec: {empty}: no frame was processed; c.part is not used"
-    assert [row["log"] for row in table(tmp_path / "gt.csv")] == ["a"] * 10
+    assert [row["log"] for row in read_rows(tmp_path / "gt.csv")] == ["a"] * 10
     (tmp_path / "gt.csv").unlink()
     (tmp_path / "out" / "a" / "frames.csv").write_text("frame\n")
     done = run(tmp_path / "out", "--out", tmp_path / "gt.csv")
@@ -240,8 +235,8 @@ def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
         (int(r["frame"]), int(r["landmark"])): (float(r["x_px"]), float(r["y_px"]))
         for r in proposed(summary.folder)
     }
-    with (SAMPLES / "pan" / "gt.csv").open(newline="") as file:
-        true = {(int(r["frame"]), int(r["landmark"])): r for r in csv.DictReader(file)}
+    table = read_rows(SAMPLES / "pan" / "gt.csv")
+    true = {(int(r["frame"]), int(r["landmark"])): r for r in table}
     whole = [key for key, row in true.items() if float(row["visible"]) >= 0.9]
     assert sum(key in found for key in whole) >= 0.98 * len(whole)
     assert found.keys() <= true.keys()
