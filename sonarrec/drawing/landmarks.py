@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.drawing.pen import TRUTH, Pen
 from sonarrec.drawing.plates import NEAR as NEAR_PLATES
 from sonarrec.drawing.plates import NEAR_SEEN as NEAR_PLATES_SEEN
-from sonarrec.drawing.plates import draw_plates, plate_distances, plate_doubts
+from sonarrec.drawing.plates import draw_pairs, draw_plates, plate_distances, plate_doubts
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 
 GRID = 30  # cells across a disc
@@ -29,7 +28,7 @@ NEAR_SEEN = 0.04
 # Of simulated discs with rings of .03 of the radius, a third of a beam, as many are recognised as
 # with .2; with .005 one in eleven is.
 THINNEST_BEAMS, THINNEST_SHARE = 0.25, 0.02
-DISC_PX, MARGIN_PX, MOST_COLUMNS = 160, 30, 6
+DISC_PX, MOST_COLUMNS = 160, 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,21 +141,14 @@ def draw_landmarks(landmarks: LandmarkSet, beam_m: float) -> ByteImage:
     """(rows, columns, 3) uint8 BGR: every disc as drawn, and below it as beams show it."""
     if isinstance(landmarks, DrawnSet):
         return draw_plates(landmarks, beam_m)
-    columns = min(len(landmarks.ids), MOST_COLUMNS)
-    rows = -(-len(landmarks.ids) // columns)
-    cell, height = DISC_PX + MARGIN_PX, 2 * DISC_PX + 2 * MARGIN_PX
-    pen = Pen(np.zeros((rows * height, columns * cell, 3), np.uint8), 1.0)
     points = (np.arange(2 * DISC_PX) + 0.5) / DISC_PX - 1
     x, y = np.meshgrid(points, -points)
     sigma = max(beam_m / landmarks.radius_m * DISC_PX / 2.355, 1e-3)
-    for k, number in enumerate(landmarks.ids):
-        top, left = k // columns * height + MARGIN_PX, k % columns * cell + MARGIN_PX // 2
+    pairs = []
+    for k in range(len(landmarks.ids)):
         disc = (np.where(np.hypot(x, y) > 1, 0.15, 0.05) + 0.9 * landmarks.pattern(k, x, y)) * 255
         shown = np.clip(disc, 0, 255).astype(np.float32)
         seen = cv2.GaussianBlur(shown, (0, 0), sigmaX=sigma, sigmaY=1)
-        for n, picture in enumerate((shown, seen)):
-            small = cv2.resize(picture, (DISC_PX, DISC_PX), interpolation=cv2.INTER_AREA)
-            at = top + n * (DISC_PX + MARGIN_PX // 3)
-            pen.canvas[at : at + DISC_PX, left : left + DISC_PX] = small[..., None].round()
-        pen.text(f"ID {number}", (left, top - 8), TRUTH)
-    return pen.canvas
+        size = (DISC_PX, DISC_PX)
+        pairs.append([cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in (shown, seen)])
+    return draw_pairs(landmarks.ids, pairs, MOST_COLUMNS)

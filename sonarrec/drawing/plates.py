@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 
 import cv2
@@ -79,21 +80,29 @@ def plate_doubts(landmarks: DrawnSet, beam_m: float) -> list[str]:
 
 def draw_plates(landmarks: DrawnSet, beam_m: float) -> ByteImage:
     """(rows, columns, 3) uint8 BGR: plates as drawn, and below each as beams show it."""
-    drawings = landmarks.drawings()[: 10 * MOST_COLUMNS]
-    columns = min(len(drawings), MOST_COLUMNS)
-    cell, height = PLATE_PX + MARGIN_PX, 2 * PLATE_PX + 2 * MARGIN_PX
-    shape = (-(-len(drawings) // columns) * height, columns * cell, 3)
-    pen = Pen(np.zeros(shape, np.uint8), 1.0)
-    for k, drawing in enumerate(drawings):
-        top, left = k // columns * height + MARGIN_PX, k % columns * cell + MARGIN_PX // 2
+    pairs = []
+    for drawing in landmarks.drawings()[: 10 * MOST_COLUMNS]:
         size = (PLATE_PX, PLATE_PX)
         plate = cv2.resize(drawing.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
         mirrored = plate[:, ::-1] if landmarks.mirrored == "yes" else plate
-        for n, picture in enumerate((plate > 0, _smeared(mirrored > 0, beam_m, landmarks))):
-            at = top + n * (PLATE_PX + MARGIN_PX // 3)
-            grey = np.rint(30 + 220 * np.asarray(picture, float))
-            pen.canvas[at : at + PLATE_PX, left : left + PLATE_PX] = grey[..., None]
-        pen.text(f"ID {landmarks.ids[k]}", (left, top - 8), TRUTH)
+        seen = _smeared(mirrored > 0, beam_m, landmarks)
+        pairs.append([30 + 220 * np.asarray(picture, float) for picture in (plate > 0, seen)])
+    return draw_pairs(landmarks.ids[: len(pairs)], pairs, MOST_COLUMNS)
+
+
+def draw_pairs(
+    ids: Sequence[int], pairs: Sequence[Sequence[FloatArray]], most_columns: int
+) -> ByteImage:
+    """(rows, columns, 3) uint8 BGR: two square grey pictures of each ID, one below the other."""
+    columns, side = min(len(ids), most_columns), len(pairs[0][0])
+    cell, height = side + MARGIN_PX, 2 * side + 2 * MARGIN_PX
+    pen = Pen(np.zeros((-(-len(ids) // columns) * height, columns * cell, 3), np.uint8), 1.0)
+    for k, (number, pictures) in enumerate(zip(ids, pairs, strict=True)):
+        top, left = k // columns * height + MARGIN_PX, k % columns * cell + MARGIN_PX // 2
+        for n, picture in enumerate(pictures):
+            at = top + n * (side + MARGIN_PX // 3)
+            pen.canvas[at : at + side, left : left + side] = picture[..., None].round()
+        pen.text(f"ID {number}", (left, top - 8), TRUTH)
     return pen.canvas
 
 
