@@ -62,24 +62,23 @@ def read_parts(path: Path, columns: Sequence[str] | None, rows: int | None) -> I
     """Data frames of at most `rows` rows; None: one of all rows.
 
     columns: those that are read as numbers or text; None: all, whatever they hold.
-    Raises SonarrecError if the file cannot be read as Parquet, or if one of `columns` holds lists.
+    What pandas noted beside the columns is passed over, such as which of them was its index.
+    Raises SonarrecError if the file cannot be read as Parquet, or if one of `columns` holds lists
+    or bytes.
     """
     file = _opened(path)
     import pyarrow as pa
 
     for name in columns or ():
-        if pa.types.is_nested(kind := file.schema_arrow.field(name).type):
+        kind = file.schema_arrow.field(name).type
+        if pa.types.is_nested(kind) or "binary" in str(kind):
             raise SonarrecError(f"{path}: column {name} holds {kind}, not numbers or text")
     try:
-        if rows is None:
-            yield _plain(file.read(columns))
+        if rows is None or not file.metadata.num_rows:
+            yield file.read(columns).to_pandas(ignore_metadata=True)
         else:
-            any_rows = False
             for batch in file.iter_batches(rows, columns=columns):
-                any_rows = True
-                yield _plain(pa.Table.from_batches([batch]))
-            if not any_rows:
-                yield _plain(file.schema_arrow.empty_table())
+                yield batch.to_pandas(ignore_metadata=True)
     except (OSError, pa.ArrowException) as error:
         raise _unreadable(path, error) from None
 
@@ -96,24 +95,6 @@ def _opened(path: Path) -> Any:
         raise SonarrecError(f"{path}: no such file") from None
     except (OSError, pa.ArrowException) as error:
         raise _unreadable(path, error) from None
-
-
-def _plain(table: Any) -> Any:
-    """An Arrow table as a data frame of plain numbers and text, as read from a CSV.
-
-    What pandas noted beside the columns is passed over: a column that it took for its index, or
-    whole numbers with blanks. Text that was written as bytes, as some programs do, becomes text.
-    Raises ArrowException where it is not UTF-8.
-    """
-    import pyarrow as pa
-
-    for k, field in enumerate(table.schema):
-        category = pa.types.is_dictionary(field.type)
-        values = field.type.value_type if category else field.type
-        if "binary" in str(values):  # in one of several types
-            as_text = table.column(k).cast(values).cast(pa.binary()).cast(pa.string())
-            table = table.set_column(k, field.name, as_text)
-    return table.to_pandas(ignore_metadata=True)
 
 
 def _unreadable(path: Path, error: Exception) -> SonarrecError:

@@ -27,10 +27,6 @@ MAX_LENGTH = 2**24
 MAX_DEPTH = 32
 """Levels of nested tables and lists."""
 
-REMOVED: dict[str, str] = {}
-"""What became of keys that an earlier version knew, by section and key: "candidates.plane" to a
-sentence such as "the floor is always used since 0.2; delete the key"."""
-
 _MOST = sys.float_info.max
 
 
@@ -133,8 +129,6 @@ def from_table(
     values: dict[str, Any] = {}
     for key, value in table.items():
         label = f"{section}.{_key(key)}" if section else _key(key)
-        if label in REMOVED:
-            raise error(f"{where}: {label} is no longer a key: {REMOVED[label]}")
         if key not in names:
             known = ", ".join(names)
             raise error(

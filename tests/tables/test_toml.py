@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.config import SECTIONS, Config, configs, with_assignments
+from sonarrec.config import Config, configs, with_assignments
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.stage3.description import FEATURES
@@ -192,24 +192,6 @@ def test_faults_name_the_key_the_bound_and_the_value(table: dict[str, Any], says
     with pytest.raises(SonarrecError) as caught:
         toml.from_table(Whole, table, "here")
     assert str(caught.value).startswith(says)
-
-
-def test_what_became_of_a_key_that_is_gone_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(toml.REMOVED, "candidates.depth", "the height is found; delete the key")
-    path = tmp_path / "run.toml"
-    path.write_text("[program]\nversion = '0.1.0'\n[config.candidates]\ndepth = 3\n")
-    says = "candidates.depth is no longer a key: the height is found; delete the key"
-    assert one_line(lambda: configs(path=path), path) == f"{path}: {says}"
-    with pytest.raises(UsageError, match=says):
-        with_assignments(Config(), ["candidates.depth=3"])
-    assert read_run(path).configs == ({"candidates": {"depth": 3}},)  # its results can be read
-
-
-def test_no_key_is_both_gone_and_known() -> None:
-    known = {f"{name}.{key}" for name, kind in SECTIONS.items() for key in toml.types_of(kind)}
-    assert not known & toml.REMOVED.keys()
 
 
 @given(value=st.floats() | st.integers())
