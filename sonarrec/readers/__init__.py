@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import Clock
 from sonarrec.readers.log import Log
-from sonarrec.readers.open import SONAR_FILE, Source, find_log
+from sonarrec.readers.open import Source, find_log
 from sonarrec.sonar import Sonar, sonar_from
 
 
@@ -48,9 +48,6 @@ def open_log(
     resolved, where = source.stated_sonar(sonar_from(sonar), file)
     raw = source.open(topic)
     resolved = raw.geometry(resolved)
-    lacks = not resolved.states_floor or (not raw.polar and resolved.missing())
-    if lacks and where == name_as_text(source.path):
-        where += source.stranger(SONAR_FILE)
     try:
         if not raw.polar:
             resolved.complete(where)

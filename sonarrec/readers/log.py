@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -12,7 +11,6 @@ from typing import Any
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Clock, Fan, Frame
-from sonarrec.readers.containers.images import MAX_FILE_BYTES, names_an_image
 from sonarrec.readers.containers.recording import CLEARLY_BACK_NS
 from sonarrec.readers.decode.colour import LUMINANCE
 from sonarrec.readers.decode.frame_maker import FrameMaker
@@ -234,8 +232,8 @@ def digest_of(log: Source) -> tuple[int, str]:
     """(size in bytes, SHA-256 in hex) of a log's file.
 
     For several images, or the files of a bag: the sum of their sizes, and the hash over the name of
-    each file, a zero byte and its contents, in frame order. Of a file that cannot be read, or that
-    is too large for an image, only the name counts. Raises SonarrecError if a log of one file
+    each file, a zero byte and its contents, in frame order. Of a file that cannot be read only the
+    name counts. Raises SonarrecError if a log of one file
     cannot be read.
     """
     size, digest, block = 0, hashlib.sha256(), memoryview(bytearray(2**20))
@@ -245,9 +243,6 @@ def digest_of(log: Source) -> tuple[int, str]:
             digest.update(path.name.encode(errors="surrogateescape") + b"\0")
         try:
             with path.open("rb", buffering=0) as file:
-                held = os.fstat(file.fileno()).st_size
-                if several and held > MAX_FILE_BYTES and names_an_image(path.name):
-                    continue
                 while count := file.readinto(block):
                     size += count
                     digest.update(block[:count])

@@ -65,22 +65,13 @@ def _logs_below(name: str, recursive: bool) -> list[NamedLog]:
         paths = list(_below(path)) if recursive else _in_folder(path)
         return _sorted(paths, path) if paths != [path] else []
     if glob.has_magic(name) and not path.exists():
-        unreadable = _unreadable_folders(path)
-        paths = [f for f in matches(path) if f.parent not in unreadable]
+        paths = matches(path)
         bags = {folder for folder in {f.parent for f in paths} if is_bag_folder(folder)}
         paths = [f.parent if f.parent in bags and is_log_file(f) else f for f in paths]
         logs = {log for log in paths if is_log_file(log) or (log.is_dir() and _is_log(log))}
         images = [NamedLog(name)] if paths and not logs else []
-        return [*images, *_sorted(logs | unreadable, _fixed(path))]
+        return [*images, *_sorted(logs, _fixed(path))]
     return []
-
-
-def _unreadable_folders(pattern: Path) -> set[Path]:
-    """The folders that a glob would search but that cannot be read, to be reported as logs are.
-    Python's glob skips them, and the logs in them, silently."""
-    above = pattern.parents[: len(pattern.parents) - len(_fixed(pattern).parents)]
-    folders = {folder for parent in above for folder in matches(os.path.join(parent, ""))}  # noqa: PTH118
-    return {f for f in folders if not os.access(f, os.R_OK | os.X_OK, effective_ids=True)}
 
 
 def _sorted(logs: Iterable[Path], up_to: Path) -> list[NamedLog]:

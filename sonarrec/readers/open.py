@@ -137,14 +137,6 @@ class Source:
         others = companions(self.place, name, self.up_to)
         return [place for place in others if place not in left_out]
 
-    def stranger(self, name: str) -> str:
-        """A remark on a file NAME.name beside the log that is another log's by its name, or ""."""
-        place = self.place
-        for folder in (place, place.parent) if place.is_dir() else (place.parent,):
-            for other in sorted(folder.glob(f"*.{name}")):
-                return f" ({other} is not used: by its name it is another log's)"
-        return ""
-
     def check_topic(self, topic: str | None, where: str | Path) -> None:
         """Raise UsageError if a topic is given but the log has none. where: the log as given."""
         if topic is not None and not self.reader.has_topics:

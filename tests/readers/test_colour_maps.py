@@ -100,10 +100,10 @@ def test_viewers_blue_and_purple_are_no_map(top: tuple[int, int, int]) -> None:
     assert find_map([cv2.imdecode(data, cv2.IMREAD_COLOR)]) is None
 
 
-def test_grey_frames_and_coloured_ones_in_one_log(tmp_path: Path) -> None:
+def test_a_log_that_begins_in_grey(tmp_path: Path) -> None:
     log = in_colour(tmp_path, cv2.COLORMAP_JET)
     paths = sorted(log.glob("*.png"))
-    for k in (0, 1, 2, 3, 9):
+    for k in range(4):
         grey = cv2.imread(str(SAMPLE / paths[k].name), cv2.IMREAD_GRAYSCALE)
         cv2.imwrite(str(paths[k]), cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
     with open_log(log) as drawn, open_log(SAMPLE) as plain:
@@ -113,7 +113,6 @@ def test_grey_frames_and_coloured_ones_in_one_log(tmp_path: Path) -> None:
     assert notes == [
         f"{log}: colours begin at {paths[4].name} after grey frames, and are read as levels of the "
         "colour map jet; --colour-map states another",
-        f"{log}: {paths[9].name} is grey among frames in colour, and is read as grey",
     ]
 
 

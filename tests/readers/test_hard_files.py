@@ -6,7 +6,6 @@ import io
 import os
 import shutil
 import struct
-import time
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -60,11 +59,8 @@ def test_a_file_too_large_to_be_an_image(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", IMAGES)
     with (log / "frame2.png").open("r+b") as file:
         file.truncate(3 * 2**30)  # sparse
-    start = time.process_time()
     with open_log(log) as opened:
         assert [f.index for f in opened] == [0, 1, 3, 4, 5]
-        opened.digest_source()
-    assert time.process_time() - start < 2
     assert opened.diagnostics.problems == [
         f"frame2.png: a file of {3 * 2**30} bytes, more than is read, skipped"
     ]

@@ -145,12 +145,7 @@ def test_a_geometry_serves_a_campaign(campaign: Path) -> None:
     assert "lacks range_min_m" in sonarrec("run", "campaign/day1/a.mcap", code=1).stderr
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "campaign --recursive", "campaign/*", "campaign/**/*.mcap",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("words", ["campaign --recursive", "campaign/*"])
 def test_a_folder_that_cannot_be_read_costs_its_own_logs(words: str, campaign: Path) -> None:
     for name in ("day1", "day2", "sonarrec_out"):
         shutil.rmtree(campaign / name)

@@ -83,12 +83,6 @@ def test_the_geometry_of_a_file_named_as_the_folder_is_that_file_s(pings: Path) 
     assert "not used" not in told
 
 
-def test_a_geometry_of_another_name_is_named(pings: Path) -> None:
-    shutil.copy(SAMPLE / "sonar.toml", "dives/other.sonar.toml")
-    told = sonarrec("run", pings, *SHORT, code=1).stderr.splitlines()[0]
-    assert "dives/other.sonar.toml is not used: by its name it is another log's" in told
-
-
 @pytest.mark.usefixtures("pings")
 @pytest.mark.parametrize("out", ["log", "log.mcap"])
 def test_a_scene_s_own_landmarks_need_not_be_named(out: str) -> None:

@@ -15,9 +15,6 @@ from typing import BinaryIO
 
 from sonarrec.errors import SonarrecError
 
-MOST_BYTES = 2**31  # unpacked, or as many times the file's own size, whichever is more
-MOST_TIMES = 100
-
 
 def _zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
     from sonarrec.readers.containers.mcap.chunks import inflated_zstd
@@ -42,7 +39,7 @@ def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
 
     If it is cut or damaged, what could be unpacked before is used. The temporary file is unlinked
     at the end, when the reader has opened it, so it never outlives the reader.
-    Raises SonarrecError if it unpacks to more than is read, or if there is no room.
+    Raises SonarrecError if there is no room.
     """
     unpack = PACKINGS.get(path.suffix.lower())
     if unpack is None:
@@ -67,15 +64,9 @@ def _unpack_to(path: Path, unpack: Unpack, out: BinaryIO) -> str | None:
     written = 0
     with path.open("rb") as file:
         size = file.seek(0, 2)
-        most = max(MOST_BYTES, MOST_TIMES * size)
         try:
             for piece in unpack(pieces_of(file, 0, size)):
                 written += len(piece)
-                if written > most:
-                    raise SonarrecError(
-                        f"{path}: {size} bytes unpack to more than {most}, which is "
-                        "not read; unpack it by hand if this is right"
-                    )
                 out.write(piece)
         except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
             if not written:

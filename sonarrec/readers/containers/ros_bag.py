@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import bz2
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
-from functools import partial
+from collections.abc import Collection, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,6 @@ import lz4.frame
 from sonarrec.errors import Diagnostics, SonarrecError, name_as_text
 from sonarrec.readers.containers.recording import Channel, Message, Recording
 from sonarrec.readers.raw import MAX_FRAME_BYTES
-
-MAX_CHUNK_BYTES = 2**27  # inflated, in memory; recorders write chunks of less than 1 MB
 
 
 class RosBag(Recording):
@@ -34,10 +31,8 @@ class RosBag(Recording):
         self._reader = reader
         try:
             reader.open()
-            for position, chunk in reader.chunks.items():
-                name, bounded = _bounded(chunk)
-                self.chunks[name] += 1
-                reader.chunks[position] = chunk._replace(decompressor=bounded)
+            names = {bz2.decompress: "bz2", lz4.frame.decompress: "lz4"}
+            self.chunks.update(names.get(c.decompressor, "none") for c in reader.chunks.values())
             for c in reader.connections:
                 definition = c.msgdef.data.encode(errors="replace")
                 self.channels[c.id] = Channel(c.topic, c.msgtype, "ros1msg", definition, "ros1")
@@ -83,27 +78,6 @@ class RosBag(Recording):
         """Close the file."""
         if self._reader.bio is not None:
             self._reader.close()
-
-
-def _bounded(chunk: Any) -> tuple[str, Callable[[bytes], bytes]]:
-    """(compression, decompressor) of a chunk. rosbags inflates it in one go, however large."""
-    plain = chunk.decompressor
-    if chunk.datasize > MAX_CHUNK_BYTES:
-        return "none", partial(_inflated, None)
-    if plain is bz2.decompress:
-        return "bz2", partial(_inflated, bz2.BZ2Decompressor)
-    if plain is lz4.frame.decompress:
-        return "lz4", partial(_inflated, lz4.frame.LZ4FrameDecompressor)
-    return "none", plain
-
-
-def _inflated(decompressor: Callable[[], Any] | None, stored: bytes) -> bytes:
-    if decompressor is not None:
-        inflate = decompressor()
-        inflated: bytes = inflate.decompress(stored, max_length=MAX_CHUNK_BYTES)
-        if inflate.eof:
-            return inflated
-    raise ValueError(f"a chunk of more than {MAX_CHUNK_BYTES} bytes")
 
 
 def _line(error: BaseException) -> str:

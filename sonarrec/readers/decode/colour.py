@@ -55,12 +55,6 @@ def is_coloured(pixels: np.ndarray) -> bool:
     return bool(len(some) and np.mean(np.ptp(some, axis=1) > _COLOURED) > _LEAST_COLOURED)
 
 
-def is_grey(pixels: np.ndarray) -> bool:
-    """Whether pixels as those of `is_coloured` are all grey, and enough to tell."""
-    some = _sample(pixels)
-    return len(some) > _SAMPLED // 20 and bool(np.ptp(some, axis=1).max() <= _COLOURED)
-
-
 def find_map(images: Sequence[np.ndarray]) -> str | None:
     """The colour map of a log's first images; None if it is not one of MAPS. images: (rows,
     columns, 3 or more) uint8, BGR.

@@ -13,7 +13,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.nouns import Fan
-from sonarrec.readers.decode.colour import BASE_MAPS, LUMINANCE, find_map, is_coloured, is_grey
+from sonarrec.readers.decode.colour import BASE_MAPS, LUMINANCE, find_map, is_coloured
 from sonarrec.readers.decode.grey import (
     GreyScale,
     dim_level,
@@ -71,7 +71,7 @@ class FrameMaker:
         self._to_fan: PolarToFan | None = None
         self._order: BeamOrder | None = None  # of polar samples; None before it is found
         self.colour_map: str = stated.colour_map or LUMINANCE
-        self._in_colour = self._noted_grey = False  # whether a frame was
+        self._in_colour = False  # whether a frame was
         self._amplitudes = set[np.dtype[Any]]()  # types of integers that hold them
         self._noted_against = self._noted_cut = False
         self._skipped = 0  # pings that show too little of the fan
@@ -139,19 +139,12 @@ class FrameMaker:
         self._note(f"colours {since}{how}; --colour-map states another")
 
     def _map_of(self, raw: RawFrame) -> str:
-        """The colour map of a frame: that of the log, but grey frames among coloured ones are grey.
-        If the first frames were grey, the first coloured one tells it."""
-        pixels = raw.pixels
-        if self._stated.colour_map or pixels is None or pixels.ndim < 3 or pixels.shape[2] < 3:
-            return self.colour_map
-        if pixels.dtype == np.uint8 and self.colour_map != LUMINANCE and is_grey(pixels):
-            if not self._noted_grey:
-                self._note(f"{raw.name} is grey among frames in colour, and is read as grey")
-            self._noted_grey = True
-            return LUMINANCE
-        if not self._in_colour and _in_colour(pixels):
-            self._in_colour = True
-            self._find_map([pixels], f"begin at {raw.name} after grey frames, and are ")
+        """The colour map of the log. If the first frames were grey, the first coloured one tells
+        it."""
+        if not (self._stated.colour_map or self._in_colour or raw.pixels is None):
+            self._in_colour = _in_colour(raw.pixels)
+            if self._in_colour:
+                self._find_map([raw.pixels], f"begin at {raw.name} after grey frames, and are ")
         return self.colour_map
 
     def _find_amplitudes(self, first: Sequence[RawFrame]) -> None:

@@ -29,7 +29,6 @@ from sonarrec.readers.raw import MAX_FRAME_BYTES, UnusableError
 _MAX_DEFINITION_BYTES = 2**18
 _MAX_FIELDS = 1000  # of a message and those inside it; the largest one read here has about 50
 _MAX_DEPTH = 16
-_MAX_ITEMS = 10_000  # texts and messages inside a message; those read here have far fewer
 
 Types = Mapping[str, tuple[Any, Any]]
 """Definitions as rosbags has them: package/msg/Name to (constants, [(field, kind)])."""
@@ -87,7 +86,6 @@ def parse_definition(text: str, name: str) -> Types:
     DefinitionError if the text cannot be parsed or is too long."""
     if len(text) > _MAX_DEFINITION_BYTES:
         raise DefinitionError(f"{len(text)} bytes are more than is read")
-    defined = set(_TITLE.findall(text.replace("/msg/", "/")))
     owner, lines = name, []
     for line in text.splitlines():
         line = line.partition("#")[0].strip()
@@ -100,11 +98,7 @@ def parse_definition(text: str, name: str) -> Types:
                 raise DefinitionError(f"{line[:60]!r} in {owner} is no field")
             if (field["rest"] or "").lstrip().startswith("="):
                 continue
-            own_header = f"{owner.partition('/')[0]}/Header"
-            is_own = own_header in defined and field["type"].partition("[")[0] == "Header"
-            # rosbags takes a Header without its package to be that of std_msgs.
-            kind = field["type"].replace("Header", own_header) if is_own else field["type"]
-            lines.append(f"{kind} {field['name']}")
+            lines.append(f"{field['type']} {field['name']}")
     if len(lines) > 3 * _MAX_FIELDS:  # titles and unused messages included
         raise DefinitionError(f"{len(lines)} lines are more than is read")
     try:
@@ -132,7 +126,7 @@ class RosDecoder:
         self._registered: dict[str, tuple[Any, int]] = {}
         # Messages whose fields are all of one kind of number: (that kind, names of the fields).
         self._vectors: dict[str, tuple[Any, list[str]]] = {}
-        self._field_count = self._items_left = 0
+        self._field_count = 0
         self._register("string", [_OCTETS], lambda values: values[0])
         (_, root), _ = self._message(name.replace("/", "/msg/"), 0)
         self._root = self._store.get_msgdef(root)
@@ -152,7 +146,6 @@ class RosDecoder:
 
     def _fields(self, function: str, body: memoryview) -> dict[str, Any]:
         """Decode a message. function: the name of the method of rosbags for its encoding."""
-        self._items_left = _MAX_ITEMS
         try:
             parsed, _ = getattr(self._root, function)(body, 0, self._root.cls, self._store)
         except (SerdeError, struct.error, ValueError):
@@ -241,15 +234,9 @@ class RosDecoder:
     ) -> None:
         """Put a message into the store. make: turns its fields into what is returned."""
 
-        def counted_make(*values: Any) -> Any:
-            self._items_left -= 1
-            if self._items_left < 0:
-                raise UnusableError("malformed message (too many elements)")
-            return make(values)
-
         fields = [(f"f{k}", kind) for k, kind in enumerate(kinds)]
         self._store.fielddefs[name] = ([], fields or _EMPTY)
-        self._store.types[name] = counted_make
+        self._store.types[name] = lambda *values: make(values)
 
 
 def _inflate(message: memoryview) -> memoryview:
