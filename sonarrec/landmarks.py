@@ -184,12 +184,13 @@ class _DrawnSetFile:
     pose: PlatePose = "free"
 
 
-def load_landmarks(source: str | Path) -> LandmarkSet:
+def load_landmarks(source: str | Path, beside: str | Path = "") -> LandmarkSet:
     """Read a landmark set: the name of a built-in one ("basin") or a TOML file.
 
-    Raises UsageError if the file is missing or does not describe a landmark set.
+    beside: the file that names it; a relative path may begin in its folder. Raises UsageError if
+    the file is missing or does not describe a landmark set.
     """
-    path = named_file(source, BUILT_IN)
+    path = named_file(source, BUILT_IN) or named_file(Path(beside).parent / source, BUILT_IN)
     if path is None:
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
         raise UsageError(

@@ -138,8 +138,11 @@ def _geometry_lines(images: Images) -> list[str]:
     out = [", ".join(parts), *_origin_lines(images)]
     if images.lacks:
         flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
+        or_height = " (or --height-m)" if "tilt_deg" in images.lacks else ""
         out.append(f"lacks {', '.join(images.lacks)}")
-        out.append(f"give {flags}, or put a sonar.toml beside the log, or into it if a folder:")
+        out.append(
+            f"give {flags}{or_height}, or put a sonar.toml beside the log, or into it if a folder:"
+        )
         out.append("`sonarrec help geometry` has one to copy")
     return [text for text in out if text]
 

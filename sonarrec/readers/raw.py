@@ -24,7 +24,9 @@ class UnusableError(Exception):
 class Ping:
     """The image in one message.
 
-    pixels: (rows, columns) or (rows, columns, channels; BGR first), any dtype. stamp_ns: the
+    pixels: (rows, columns) or (rows, columns, channels; BGR first), any dtype; of a polar ping
+    (bins, beams), also where its `beam_order` says that the samples came beam by beam. Their dtype
+    decides the usual pixel_scale (`sonarrec help geometry`). stamp_ns: the
     header's stamp; None if there is none. sonar: the geometry that a polar ping states (all but
     tilt and height); None for an image without its geometry.
     """

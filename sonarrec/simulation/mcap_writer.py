@@ -6,6 +6,7 @@ import base64
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -22,6 +23,7 @@ from sonarrec.simulation import mcap_fields as fields
 from sonarrec.simulation.mcap_fields import MakeFields
 from sonarrec.sonar import Geometry
 from sonarrec.tables.outputs import writing
+from sonarrec.tables.toml import brief
 
 _COMPRESSIONS = {
     "none": CompressionType.NONE,
@@ -158,7 +160,11 @@ def is_polar(schema: str) -> bool:
 def check_schema(schema: str, compression: str, polar: bool) -> None:
     """Raise SonarrecError if McapImageWriter cannot write this. polar: whether the images are."""
     if schema not in SCHEMAS:
-        raise UsageError(f"no writer for schema {schema!r}; one of {', '.join(SCHEMAS)}")
+        near = get_close_matches(schema, SCHEMAS, 1)
+        raise UsageError(
+            f"no writer for schema {brief(schema)}; "
+            + (f"did you mean {near[0]}?" if near else "`sonarrec help formats` lists them")
+        )
     if compression not in _COMPRESSIONS:
         raise SonarrecError(
             f"no MCAP compression {compression!r}; one of {', '.join(_COMPRESSIONS)}"

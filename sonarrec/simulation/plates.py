@@ -131,7 +131,7 @@ def plate_scene(source: str | Path) -> PlateScene | None:
     for key in {"landmark_set", "others"} & set(table):
         chosen = table[key]
         named = isinstance(chosen, str)
-        chosen = load_landmarks(chosen) if named else landmarks_from_table(chosen, where)
+        chosen = load_landmarks(chosen, where) if named else landmarks_from_table(chosen, where)
         if not isinstance(chosen, DrawnSet):
             raise SonarrecError(f"{where}: {key} must be a set of drawn plates")
         table[key] = chosen

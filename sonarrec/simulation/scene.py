@@ -292,7 +292,7 @@ def scene_from_table(table: Mapping[str, Any], where: str) -> Scene:
     """A Scene from the keys of its TOML. Raises SonarrecError, which begins with `where`."""
     listed = table.get("landmark_set", "basin")
     if isinstance(listed, str):
-        discs = load_landmarks(listed)
+        discs = load_landmarks(listed, where)
     else:
         discs = landmarks_from_table(listed, f"{where}: [landmark_set]")
     if isinstance(discs, DrawnSet):

@@ -76,7 +76,7 @@ def write_recording(
 
     if isinstance(scene, PlateScene):
         if image_format != "png":
-            raise UsageError("recordings of plates are written as images; leave out --format")
+            raise UsageError("recordings of plates are written as PNGs; give a folder, not an MCAP")
         _write_plates(scene, out, progress)
         return
     if image_format not in ("png", "mcap"):

@@ -130,11 +130,8 @@ def from_table(
     for key, value in table.items():
         label = f"{section}.{_key(key)}" if section else _key(key)
         if key not in names:
-            known = ", ".join(names)
-            raise error(
-                f"{where}: unknown key {label}{_meant(str(key), names)}; "
-                f"known{inside or ' keys'}: {known}"
-            )
+            listed = f"; known{inside or ' keys'}: {', '.join(names)}"
+            raise error(f"{where}: unknown key {label}{_meant(str(key), names) or listed}")
         name = names[key].name
         wanted: Any = types[name]
         rows: Any = get_args(wanted)[0] if get_origin(wanted) is tuple else None

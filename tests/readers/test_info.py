@@ -134,7 +134,10 @@ def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -
     assert images["lacks"] == ["range_min_m", "field_of_view_deg"]
     text = info(path, "--range-max-m", "9").output
     assert "20 of 20 can be used, once the geometry is complete" in text
-    assert "give --range-min-m --tilt-deg --field-of-view-deg, or put a sonar.toml" in text
+    assert (
+        "give --range-min-m --tilt-deg --field-of-view-deg (or --height-m), or put a sonar.toml"
+        in text
+    )
     assert "`sonarrec help geometry` has one to copy" in text
 
 

@@ -84,7 +84,7 @@ def test_a_recording_is_written_with_its_truth(tmp_path: Path) -> None:
     assert names == {
         *("000000.png", "000001.png", "gt.csv", "corners.csv", "landmarks.toml", "sonar.toml")
     }
-    with pytest.raises(UsageError, match="images"):
+    with pytest.raises(UsageError, match="PNGs"):
         simulate("plates", tmp_path / "other", image_format="mcap")
 
 
