@@ -218,21 +218,6 @@ def test_polar_images_go_straight_to_the_floor(bins, shrink, flip):
     assert np.abs(found - expected)[inside].mean() < 2
 
 
-def test_the_floor_of_polar_images_is_that_of_their_fan():
-    """A picture that changes slowly, by way of the fan and without it."""
-    bins, beams = 512, 96
-    polar = PolarToFan(POLAR.complete("test"), bins, beams)
-    plane = FloorPlane(polar.fan, 0.15, 12.0)
-    row, column = np.mgrid[0:bins, 0:beams]
-    image = (128 + 60 * np.sin(row / 40) + 60 * np.sin(column / 12)).astype(np.uint8)
-    straight, by_way = plane.warp(image, polar), plane.warp(polar(image))
-    # At its edges the fan is mixed with the black outside.
-    well = cv2.erode(plane.inside, np.ones((7, 7), np.uint8), borderValue=0) == 1
-    apart = np.abs(straight.astype(int) - by_way)[well]
-    assert apart.max() <= 4  # both round, to whole grey levels and to 1/32 pixel
-    assert apart.mean() < 1
-
-
 def test_a_ping_of_another_window_lies_where_the_fan_of_the_log_has_it():
     fan = PolarToFan(POLAR.complete("test"), 400, 48).fan
     near = POLAR.updated(Sonar(range_max_m=2.75)).complete("test")
@@ -249,18 +234,6 @@ def test_a_ping_of_another_window_lies_where_the_fan_of_the_log_has_it():
     # Along the end of its window a ping is mixed with the black beyond.
     assert (found[inside & (range_m <= 2.75 - 0.02)] == 200).all()
     assert not found[range_m > 2.75].any()
-
-
-@pytest.mark.parametrize("kind", ["fan", "floor"])
-def test_line_of_sight_points_straight_away_from_the_sonar(kind):
-    plane = working_plane(kind, make_fan(200), 0.15, 15.0)
-    bearing = np.array([-13.0, -4.0, 0.0, 9.0])
-    near = np.stack(plane.from_polar(np.full(4, 2.0), bearing), axis=-1)
-    far = np.stack(plane.from_polar(np.full(4, 2.001), bearing), axis=-1)
-    step = far - near
-    np.testing.assert_allclose(
-        plane.line_of_sight(near), np.arctan2(-step[:, 1], step[:, 0]), atol=1e-6
-    )
 
 
 @settings(max_examples=60)

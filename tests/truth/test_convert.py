@@ -11,11 +11,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
 from sonarrec.geometry import floor_depth, polar_from_pixel
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
@@ -24,6 +23,7 @@ from sonarrec.truth.annotations.shapes import centre_of_area
 from sonarrec.truth.convert import convert
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import read_truth
+from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import frames, image_folder
 from tests.support.rows import read_rows
@@ -32,8 +32,8 @@ BASIN = load_landmarks("basin")
 Row = tuple[int, int, float, float, float]
 
 
-def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, ["truth", "convert", *map(str, arguments)])
+def run(*arguments: str | Path, code: int = 0) -> Result:
+    return sonarrec("truth", "convert", *arguments, code=code)
 
 
 def rows_of(path: Path) -> list[Row]:
@@ -45,16 +45,14 @@ def rows_of(path: Path) -> list[Row]:
 
 
 def converted(tmp_path: Path, source: Path, *more: str | Path, code: int = 0) -> list[Row]:
-    done = run(source, "--out", tmp_path / "gt.csv", *more)
-    assert done.exit_code == code, done.output
+    run(source, "--out", tmp_path / "gt.csv", *more, code=code)
     return rows_of(tmp_path / "gt.csv")
 
 
 def failure(source: Path, *more: str | Path, code: int = 1) -> str:
     """The one line said of a fault; no gt.csv may have been written."""
     out = source.parent / "nothing.csv"
-    done = run(source, "--out", out, *more)
-    assert done.exit_code == code, done.output
+    done = run(source, "--out", out, *more, code=code)
     assert not out.exists()
     (line,) = done.stderr.splitlines()
     return line
@@ -486,11 +484,12 @@ def test_format_can_be_named(tmp_path: Path) -> None:
 def test_an_existing_truth_is_never_written_over(tmp_path: Path) -> None:
     source = mot(tmp_path, "1,1,1,1,5,3,1\n")
     (tmp_path / "gt.csv").write_text("corrected by hand")
-    done = run(source, "--out", tmp_path / "gt.csv")
-    assert done.exit_code == 1
+    done = run(source, "--out", tmp_path / "gt.csv", code=1)
     assert "exists already and is left as it is" in done.stderr
     assert (tmp_path / "gt.csv").read_text() == "corrected by hand"
-    assert "cannot be written" in run(source, "--out", tmp_path / "gt.csv" / "gt.csv").stderr
+    assert (
+        "cannot be written" in run(source, "--out", tmp_path / "gt.csv" / "gt.csv", code=1).stderr
+    )
     assert (tmp_path / "gt.csv").read_text() == "corrected by hand"
 
 
@@ -511,8 +510,7 @@ def test_other_labels_are_told_of(tmp_path: Path, label: str) -> None:
     """A fake called `tyre 1` must not become ID.1."""
     body = track(BOX.format(0, 0, 0, 10, 20)) + track(BOX.format(0, 0, 0, 40, 50), label=label)
     source = cvat(tmp_path, body)
-    done = run(source, "--out", tmp_path / "gt.csv")
-    assert done.exit_code == 3
+    done = run(source, "--out", tmp_path / "gt.csv", code=3)
     assert f"label {label!r} (1 time)" in done.stderr
     assert len(rows_of(tmp_path / "gt.csv")) == 1
     (tmp_path / "gt.csv").unlink()
@@ -604,13 +602,12 @@ def test_frames_beyond_the_log_are_told(tmp_path: Path) -> None:
     for names, count in (["x127.png", "y3.png"], 0), (["x998812.jpg", "x127.png"], 1):
         annotations = [BBOX | {"image_id": 7 + n} for n in range(2)]
         images = coco(tmp_path, annotations, names, (191, 256))
-        done = run(images, "--log", SAMPLE, "--out", tmp_path / f"{count}.csv")
-        assert done.exit_code == 3 * count
+        done = run(images, "--log", SAMPLE, "--out", tmp_path / f"{count}.csv", code=3 * count)
         beyond = "1 shape beyond the log's last frame, 127: frame 998812; frames by the number"
         assert done.stderr.count(beyond) == count
     log = image_folder(tmp_path / "log", frames(2, 80, 100))
     drawn = cvat(tmp_path, track(BOX.format(1, 0, 0, 10, 20), BOX.format(2, 0, 0, 10, 20)))
-    done = run(drawn, "--log", log, "--out", tmp_path / "folder.csv")
+    done = run(drawn, "--log", log, "--out", tmp_path / "folder.csv", code=3)
     assert "1 shape beyond the log's last frame, 1: frame 2; frames as numbered" in done.stderr
 
 
@@ -618,8 +615,7 @@ def test_an_order_of_fewer_images_than_the_log_has_frames_is_told(tmp_path: Path
     for listed, code in (2, 3), (128, 0):
         names = [f"a{n}left.png" for n in range(listed)]
         source = coco(tmp_path, [BBOX | {"image_id": 7}], names, (191, 256))
-        done = run(source, "--log", SAMPLE, "--out", tmp_path / f"{listed}.csv")
-        assert done.exit_code == code, done.output
+        done = run(source, "--log", SAMPLE, "--out", tmp_path / f"{listed}.csv", code=code)
         assert ("2 images listed, but the log has 128 frames" in done.stderr) == (code == 3)
 
 
@@ -628,8 +624,7 @@ def test_an_order_of_fewer_images_than_the_log_has_frames_is_told(tmp_path: Path
 )
 def test_names_that_are_times_give_times(tmp_path: Path, name: str) -> None:
     source = coco(tmp_path, [BBOX | {"image_id": 7}], [f"{name}.png"])
-    done = run(source, "--out", tmp_path / "gt.csv")
-    assert done.exit_code == 0
+    run(source, "--out", tmp_path / "gt.csv")
     assert (tmp_path / "gt.csv").read_text().splitlines() == [
         "timestamp_ns,landmark,x_px,y_px,visible",
         "1700000000123456789,1,0.00,0.00,1.000",
@@ -668,15 +663,13 @@ def test_frames_by_name_in_the_log(tmp_path: Path) -> None:
     names = ["task/c1.jpg", "task/b4.jpg", "task/elsewhere9.jpg"]
     annotations = [BBOX | {"image_id": 7 + n} for n in range(3)]
     source = coco(tmp_path, annotations, names)
-    done = run(source, "--log", log, "--out", tmp_path / "gt.csv")
-    assert done.exit_code == 3
+    done = run(source, "--log", log, "--out", tmp_path / "gt.csv", code=3)
     assert "not in the log: task/elsewhere9.jpg" in done.stderr
     assert [row[0] for row in rows_of(tmp_path / "gt.csv")] == [1, 3]
     assert "--first-frame has no meaning" in failure(
         source, "--log", log, "--first-frame", "1", code=2
     )
-    by_glob = run(source, "--log", log / "*.png", "--out", tmp_path / "glob.csv")
-    assert by_glob.exit_code == 3
+    run(source, "--log", log / "*.png", "--out", tmp_path / "glob.csv", code=3)
     assert rows_of(tmp_path / "glob.csv") == rows_of(tmp_path / "gt.csv")
 
 

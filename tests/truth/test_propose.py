@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.functions import run as run_log
 from sonarrec.truth.propose import propose
 from sonarrec.truth.table import read_truth
+from tests.support.command import sonarrec
 from tests.support.rows import read_rows
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -56,15 +56,14 @@ def track(
     return [(n, number, 2 - n / 1000, n / 2 - 7, landmark, score, declared) for n in frames]
 
 
-def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, ["truth", "propose", *map(str, arguments)])
+def run(*arguments: str | Path, code: int = 0) -> Result:
+    return sonarrec("truth", "propose", *arguments, code=code)
 
 
 def proposed(folder: Path, *more: str | Path) -> list[dict[str, str]]:
     out = folder.parent / "proposed.csv"
     out.unlink(missing_ok=True)
-    done = run(folder, "--out", out, *more)
-    assert done.exit_code == 0, done.output
+    run(folder, "--out", out, *more)
     read_truth(out)
     return read_rows(out)
 
@@ -152,12 +151,10 @@ def test_several_logs_have_a_log_column(tmp_path: Path) -> None:
 def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
     part = results(tmp_path / "out" / "dive.part", track(1, range(10)))
     (part / "run.toml").write_text(RUN.replace("finished = true", "finished = false"))
-    done = run(part, "--out", tmp_path / "gt.csv")
-    assert done.exit_code == 3
+    done = run(part, "--out", tmp_path / "gt.csv", code=3)
     assert "dive.part: the run was cut short" in done.stderr
     assert "only 60 frames could be used" in done.stderr
-    done = run(tmp_path / "out" / "dive", "--out", tmp_path / "other.csv")
-    assert done.exit_code == 2
+    done = run(tmp_path / "out" / "dive", "--out", tmp_path / "other.csv", code=2)
     assert f"a run that did not finish left {part}" in done.stderr
 
 
@@ -167,8 +164,7 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     bad = results(tmp_path / "out" / "b", track(1, range(5))) / "estimates.csv"
     bad.write_text("nothing")
     empty = results(tmp_path / "out" / "c.part", (), ()) / "frames.csv"
-    done = run(tmp_path / "out", "--out", tmp_path / "gt.csv")
-    assert done.exit_code == 3
+    done = run(tmp_path / "out", "--out", tmp_path / "gt.csv", code=3)
     first, second = done.stderr.splitlines()
     assert first.startswith(f"sonarrec: {bad}: wrong columns")
     assert first.endswith("; b is not used")
@@ -176,8 +172,7 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     assert [row["log"] for row in read_rows(tmp_path / "gt.csv")] == ["a"] * 10
     (tmp_path / "gt.csv").unlink()
     (tmp_path / "out" / "a" / "frames.csv").write_text("frame\n")
-    done = run(tmp_path / "out", "--out", tmp_path / "gt.csv")
-    assert done.exit_code == 1
+    done = run(tmp_path / "out", "--out", tmp_path / "gt.csv", code=1)
     assert done.stderr.endswith("frames.csv: no frame was processed\n")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
@@ -208,19 +203,18 @@ def test_faults(tmp_path: Path) -> None:
     folder = results(tmp_path / "log", track(1, range(10)))
     out = tmp_path / "gt.csv"
     out.write_text("corrected by hand")
-    done = run(folder, "--out", out)
-    assert (done.exit_code, out.read_text()) == (1, "corrected by hand")
+    done = run(folder, "--out", out, code=1)
+    assert out.read_text() == "corrected by hand"
     assert "exists already" in done.stderr
     out.unlink()
-    done = run(folder, "--out", out, "--method", "other")
-    assert done.exit_code == 2
+    done = run(folder, "--out", out, "--method", "other", code=2)
     assert "no method other" in done.stderr
     assert done.stderr.endswith("--method: framework\n")  # not smi, which is refused
-    assert run(folder, "--out", out, "--min-score", "2").exit_code == 2
-    assert "it has no tracks" in run(folder, "--out", out, "--method", "smi").stderr
-    assert "no such results folder" in run(tmp_path / "gone", "--out", out).stderr
+    run(folder, "--out", out, "--min-score", "2", code=2)
+    assert "it has no tracks" in run(folder, "--out", out, "--method", "smi", code=2).stderr
+    assert "no such results folder" in run(tmp_path / "gone", "--out", out, code=2).stderr
     (folder / "run.toml").unlink()
-    assert "does not tell the sonar's geometry" in run(folder, "--out", out).stderr
+    assert "does not tell the sonar's geometry" in run(folder, "--out", out, code=1).stderr
     assert not out.exists()
 
 
@@ -244,26 +238,20 @@ def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
     for key, (x, y) in found.items():
         apart = math.hypot(x - float(true[key]["x_px"]), y - float(true[key]["y_px"]))
         assert apart * metres_per_pixel < 0.075
-    checked = CliRunner().invoke(
-        main,
-        [
-            *("truth", "check", str(summary.folder.parent / "proposed.csv")),
-            *(str(SAMPLES / "pan"), "--sheet", str(tmp_path / "sheet.png")),
-        ],
-    )
-    assert checked.exit_code == 0, checked.output
+    gt = summary.folder.parent / "proposed.csv"
+    sonarrec("truth", "check", gt, SAMPLES / "pan", "--sheet", tmp_path / "sheet.png")
 
 
 def test_scoring_counts_the_rows_that_nobody_has_checked(tmp_path: Path) -> None:
     """Of results against a proposal made from them: every rate is 1, and nothing was said."""
     folder, gt = results(tmp_path / "log", track(1, range(20))), tmp_path / "proposed.csv"
     proposed(folder)
-    call = ["evaluate", str(folder), "--ground-truth", str(gt)]
-    told = CliRunner().invoke(main, call).stdout
+    call = ("evaluate", folder, "--ground-truth", gt)
+    told = sonarrec(*call).stdout
     assert "20 of 20 rows for log are unchecked proposals of `truth propose`" in told
     lines = gt.read_text().splitlines()
     lines[1:16] = [line.replace(",tracked", ",") for line in lines[1:16]]
     gt.write_text("\n".join(lines) + "\n")
-    assert "by `source`, 5 of 20 rows" in CliRunner().invoke(main, call).stdout
+    assert "by `source`, 5 of 20 rows" in sonarrec(*call).stdout
     gt.write_text(gt.read_text().replace(",tracked", ",diver"))
-    assert "truth propose" not in CliRunner().invoke(main, call).stdout
+    assert "truth propose" not in sonarrec(*call).stdout

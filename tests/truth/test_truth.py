@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from sonarrec.cli import main
 from sonarrec.errors import Diagnostics
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
@@ -19,6 +18,7 @@ from sonarrec.results.read import read_log
 from sonarrec.truth.fits import tell_fit
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
+from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 from tests.truth.test_propose import RUN
 
@@ -40,14 +40,14 @@ def case(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(case: Path, *more: str) -> Result:
-    arguments = ["evaluate", "--ground-truth", str(case / "gt.csv"), str(case / "out"), *more]
-    return CliRunner().invoke(main, arguments)
+def run(case: Path, *more: str, code: int = 0) -> Result:
+    truth = ("--ground-truth", case / "gt.csv")
+    return sonarrec("evaluate", *truth, case / "out", *more, code=code)
 
 
-def failure(done: Result, code: int = 1) -> str:
+def failure(case: Path, code: int = 1) -> str:
     """The one line said of a fault; nothing may have been written as a result."""
-    assert done.exit_code == code, done.output
+    done = run(case, code=code)
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
     return line
@@ -59,7 +59,7 @@ def matched(case: Path, tolerance_s: float | None = None) -> Truth:
 
 def test_sound_case(case: Path) -> None:
     done = run(case, "-q")
-    assert (done.exit_code, done.stdout) == (0, "")
+    assert done.stdout == ""
     assert all(line.startswith("sonarrec: note: ") for line in done.stderr.splitlines())
     assert {p.name for p in (case / "out" / "evaluation").iterdir()} >= {
         "confusion.csv",
@@ -86,14 +86,13 @@ def test_position_is_metres_in_the_fan_plane(case: Path) -> None:
 
 def test_a_truth_without_a_row_scores_nothing(case: Path) -> None:
     (case / "gt.csv").write_text("frame,landmark,x_px,y_px,visible\n")
-    assert "gt.csv: it has no row, so nothing is scored" in failure(run(case))
+    assert "gt.csv: it has no row, so nothing is scored" in failure(case)
     assert not (case / "out" / "evaluation").exists()
 
 
 def test_truth_without_position_is_scored_under_the_paper_protocol_only(case: Path) -> None:
     (case / "gt.csv").write_text("frame,landmark\n0,1\n")
     done = run(case)
-    assert done.exit_code == 0, done.output
     assert "protocol paper" in done.output
     assert "strict protocol is not scored" in done.output
 
@@ -110,11 +109,8 @@ def test_nearest_frame_within_half_an_interval(case: Path) -> None:
     # Frames at 1000, 1250 and 1750 ms: the median interval is 375 ms, half of it 187.5.
     stamps(case, 900, 1260, 1562, 1600, 1938)
     truth = matched(case)
-    assert truth.frame_index.tolist() == [
-        0,
-        1,
-        2,
-    ]  # 1562 and 1600 both belong to 1750; 1600 is nearer
+    # 1562 and 1600 both belong to 1750; 1600 is nearer.
+    assert truth.frame_index.tolist() == [0, 1, 2]
     assert (truth.between, truth.unprocessed) == (0, 2)
     assert matched(case, 0.05).frame_index.tolist() == [1]
     assert matched(case, 0.2).between == 2
@@ -130,11 +126,11 @@ def test_times_of_another_zone_are_told_as_that(case: Path) -> None:
         "timestamp_ns,landmark\n" + "".join(f"{zone}{ms}000000,1\n" for ms in (103, 351, 849))
     )
     told = "shifted by -7200 s all would: are they times of another time zone?"
-    assert told in failure(run(case))
+    assert told in failure(case)
     (case / "gt.csv").write_text(
         "timestamp_ns,landmark\n" + "".join(f"{zone}{ms}000000,1\n" for ms in (103, 351, 850))
     )
-    assert failure(run(case)).endswith("is this the truth of another log?")
+    assert failure(case).endswith("is this the truth of another log?")
 
 
 @pytest.mark.parametrize(
@@ -150,7 +146,7 @@ def test_times_of_another_unit_are_told_as_that(
     (case / "out" / "frames.csv").write_text("frame,timestamp_ns\n" + rows)
     times = "".join(f"{at // unit_ns},1\n" for at in frames)
     (case / "gt.csv").write_text("timestamp_ns,landmark\n" + times)
-    assert f"fit the frames of out only if they are {unit}" in failure(run(case))
+    assert f"fit the frames of out only if they are {unit}" in failure(case)
 
 
 def test_time_matching_against_brute_force(case: Path) -> None:
@@ -199,7 +195,7 @@ def test_time_matching_against_brute_force(case: Path) -> None:
 )
 def test_bad_truth(case: Path, text: str, said: str) -> None:
     (case / "gt.csv").write_text(text)
-    line = failure(run(case))
+    line = failure(case)
     assert said in line
     assert "gt.csv" in line
     assert not (case / "out" / "evaluation").exists()
@@ -207,8 +203,7 @@ def test_bad_truth(case: Path, text: str, said: str) -> None:
 
 def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> None:
     (case / "gt.csv").write_text("frame,landmark\n0,1\n2,1\n4,1\n")
-    done = run(case)
-    assert done.exit_code == 3
+    done = run(case, code=3)
     assert "2 of 3 rows lie on frames that were not processed" in done.stderr
     assert "protocol paper" in done.stdout
 
@@ -229,22 +224,21 @@ def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> No
 )
 def test_bad_results(case: Path, name: str, text: str, said: str) -> None:
     (case / "out" / name).write_text(text)
-    assert said in failure(run(case))
+    assert said in failure(case)
 
 
 def test_no_results(case: Path) -> None:
     (case / "out" / "estimates.csv").unlink()
-    assert "estimates.csv: no such file" in failure(run(case))
+    assert "estimates.csv: no such file" in failure(case)
     (case / "out" / "frames.csv").unlink()
-    assert "no results here" in failure(run(case))
+    assert "no results here" in failure(case)
     (case / "out").rename(case / "gone")
-    assert "no such results folder" in failure(run(case), code=2)
+    assert "no such results folder" in failure(case, code=2)
 
 
 def test_estimates_off_the_listed_frames_are_counted_and_said(case: Path) -> None:
     (case / "out" / "estimates.csv").write_text(ESTIMATES + "2,m,2,0,1,0.5,1\n")
-    done = run(case)
-    assert done.exit_code == 3
+    done = run(case, code=3)
     assert "1 estimates lie on frames that frames.csv does not list" in done.stderr
 
 
@@ -269,11 +263,10 @@ def test_pixels_that_contradict_range_and_bearing_are_said(case: Path) -> None:
 
 def test_a_run_cut_short_is_not_passed_off_as_whole(case: Path) -> None:
     (case / "out" / "run.toml").write_text("finished = false\n")
-    done = run(case)
-    assert done.exit_code == 3
+    done = run(case, code=3)
     assert "out: the run was cut short" in done.stderr
     (case / "out" / "run.toml").write_text("finished = true\n")
-    assert run(case).exit_code == 0
+    run(case)
 
 
 def test_an_empty_run_of_ours_is_scored(case: Path) -> None:
@@ -281,7 +274,6 @@ def test_an_empty_run_of_ours_is_scored(case: Path) -> None:
     (case / "out" / "estimates.csv").write_text(ESTIMATES.splitlines()[0] + "\n")
     (case / "out" / "run.toml").write_text('[program]\nname = "sonarrec"\n')
     done = run(case)
-    assert done.exit_code == 0, done.output
     assert "framework: no estimate at all" in done.output
 
 
@@ -293,14 +285,11 @@ def test_several_logs_need_a_log_column(case: Path) -> None:
     (case / "root" / "b" / "estimates.csv").write_text(ESTIMATES.replace("0.9,1", "0.8,1"))
     (case / "out" / "frames.csv").unlink()
     (case / "root").rename(case / "out" / "root")
-    root = str(case / "out" / "root")
-    arguments = ["evaluate", "--ground-truth", str(case / "gt.csv"), root]
-    assert "holds 2 logs (a, b), so the truth needs a log column" in failure(
-        CliRunner().invoke(main, arguments)
-    )
+    several = ("evaluate", "--ground-truth", case / "gt.csv", case / "out" / "root")
+    told = sonarrec(*several, code=1).stderr
+    assert "holds 2 logs (a, b), so the truth needs a log column" in told
     (case / "gt.csv").write_text("log,frame,landmark\na,0,1\nc,0,1\n")
-    done = CliRunner().invoke(main, arguments)
-    assert done.exit_code == 3
+    done = sonarrec(*several, code=3)
     told = "1 of 2 rows name logs that were not given (c); they are not scored"
     assert done.stderr == f"sonarrec: {case / 'gt.csv'}: {told}\n"
     assert "b: no row in the ground truth" in done.stdout
@@ -310,7 +299,7 @@ def test_several_logs_need_a_log_column(case: Path) -> None:
 def test_times_cannot_be_matched_without_times(case: Path) -> None:
     (case / "out" / "frames.csv").write_text("frame\n0\n1\n")
     stamps(case, 1000)
-    assert "frames.csv of out has no such column" in failure(run(case))
+    assert "frames.csv of out has no such column" in failure(case)
 
 
 def scored(case: Path, claims: list[str], truth: str) -> Result:
@@ -335,7 +324,6 @@ def test_a_truth_that_bears_out_no_claim_is_doubted(
 ) -> None:
     rows = "".join(f"{n},1,2.0,5.0,1\n" for n in range(9))
     done = scored(case, [claim.format(n) for n in range(9)], f"{TRUTH.split()[0]}\n{rows}")
-    assert done.exit_code == 0, done.output
     told = [line for line in done.output.splitlines() if "none of the 9 claims of m" in line]
     assert [said in line for line in told] == [True] if said else not told
 
@@ -344,7 +332,6 @@ def test_rows_of_other_logs_are_told_where_one_log_is_scored(case: Path) -> None
     header = TRUTH.split()[0]
     rows = "".join(f"{n},1,2.0,5.0,1,{log}\n" for n in range(9) for log in ("out", "in"))
     done = scored(case, [f"{n},m,2.0,5.0,1,0.9,1" for n in range(9)], f"{header},log\n{rows}")
-    assert done.exit_code == 0, done.output
     assert "9 of 18 rows name logs that were not given (in); they are not scored" in done.output
 
 
