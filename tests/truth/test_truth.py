@@ -272,7 +272,9 @@ def test_a_run_cut_short_is_not_passed_off_as_whole(case: Path) -> None:
 def test_an_empty_run_of_ours_is_scored(case: Path) -> None:
     """Nothing seen at all, as on a riverbed, is a result and no fault."""
     (case / "out" / "estimates.csv").write_text(ESTIMATES.splitlines()[0] + "\n")
-    (case / "out" / "run.toml").write_text('[program]\nname = "sonarrec"\n')
+    (case / "out" / "run.toml").write_text(
+        '[program]\nname = "sonarrec"\nmethods = ["framework"]\n'
+    )
     done = run(case)
     assert "framework: no estimate at all" in done.output
 
