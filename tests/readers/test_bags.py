@@ -14,14 +14,13 @@ import pytest
 import zstandard
 
 from sonarrec.errors import SonarrecError
-from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.messages import ros
 from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.open import find_log
 from tests.support.bags import IMAGE, bag, messages, ros1_messages, split_bag
 from tests.support.command import sonarrec
-from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
+from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file, read
 from tests.support.messages import FIELDS, by_rosbags, image_fields, polar_frames, serialised
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
@@ -32,11 +31,6 @@ PARTS = [2, 1, 3, 2, 2]
 def parts_of(timed: list[tuple[int, bytes]], sizes: list[int]) -> list[list[tuple[int, bytes]]]:
     ends = np.cumsum(sizes)
     return [timed[end - size : end] for size, end in zip(sizes, ends, strict=True)]
-
-
-def read(path: Path) -> tuple[list[Frame], list[str]]:
-    with open_log(path) as log:
-        return list(log), log.diagnostics.problems
 
 
 def cut(path: Path, share: float) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import lz4.frame
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from tests.support.bags import bag, messages, ros1_bag
-from tests.support.logs import SONAR_TOML, frames, mcap_file
+from tests.support.logs import SONAR_TOML, frames, mcap_file, video_file
 from tests.support.sonar_files import aris_file, didson_file, gemini_log, gemini_record, oculus_ping
 
 IMAGES = frames(10, 64, 48)
@@ -52,18 +51,6 @@ def oculus(path: Path) -> Path:
     return file
 
 
-def video(suffix: str, codec: str) -> Make:
-    def make(path: Path) -> Path:
-        file = path / f"log{suffix}"
-        writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), 4, (48, 64))
-        for image in IMAGES:
-            writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-        writer.release()
-        return file
-
-    return make
-
-
 CORPUS: dict[str, Make] = {
     "mcap": mcap("none"),
     "mcap, lz4": mcap("lz4"),
@@ -79,9 +66,9 @@ CORPUS: dict[str, Make] = {
         path / "log.glf", [gemini_record(k, image) for k, image in enumerate(IMAGES)]
     ),
     "didson": lambda path: didson_file(path / "log.ddf", IMAGES_OF_96, 4),
-    "avi": video(".avi", "MJPG"),
-    "mkv": video(".mkv", "FFV1"),
-    "mp4": video(".mp4", "mp4v"),
+    "avi": lambda path: video_file(path / "log.avi", IMAGES, "MJPG"),
+    "mkv": lambda path: video_file(path / "log.mkv", IMAGES, "FFV1"),
+    "mp4": lambda path: video_file(path / "log.mp4", IMAGES, "mp4v"),
 }
 POLAR = (".aris", ".ddf", ".glf", ".raw")
 

@@ -18,6 +18,7 @@ from sonarrec.readers import open_log
 from sonarrec.readers.containers.gemini import GeminiPings
 from sonarrec.readers.raw import RawFrame
 from tests.readers.test_ddf import as_fan
+from tests.support import logs
 from tests.support.command import sonarrec
 from tests.support.logs import frames
 from tests.support.sonar_files import (
@@ -35,8 +36,7 @@ START_NS = round((GEMINI_START_S + 315_532_800) * 1e9)
 
 
 def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:
-    with open_log(path, sonar=TILT | sonar) as log:
-        return list(log), log.diagnostics.problems
+    return logs.read(path, sonar=TILT | sonar)
 
 
 def raw(path: Path) -> tuple[list[RawFrame], list[str]]:

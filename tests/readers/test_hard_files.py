@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
 import struct
 import zlib
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,8 +19,6 @@ from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
-from sonarrec.simulation.mcap_writer import McapImageWriter
-from sonarrec.sonar import Sonar
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 from tests.support.shapes import peak_of_reading
 
@@ -67,27 +63,11 @@ def test_a_file_too_large_to_be_an_image(tmp_path: Path) -> None:
 
 
 def test_a_name_that_is_no_utf8(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", IMAGES)
-    odd = os.fsdecode(os.fsencode(log) + b"/frame5\xe9.png")
-    Path(odd).write_bytes(b"broken")
-    with open_log(log) as opened:
-        assert len(list(opened)) == 6
-    assert opened.diagnostics.problems == [r"frame5\xe9.png: unreadable image, skipped"]
-    moved = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
-    shutil.copytree(log, moved)
-    with open_log(moved) as opened:
-        list(opened)
-        assert opened.name == r"caf\xe9"
-    video = Path(os.fsdecode(os.fsencode(tmp_path) + b"/dive\xe9.mcap"))
-    mcap_file(tmp_path / "m.mcap", [("/a", k, cdr_image(i)) for k, i in enumerate(IMAGES)])
-    video.write_bytes((tmp_path / "m.mcap").read_bytes()[:-40])
-    with open_log(video) as opened:
-        list(opened)
-    assert opened.diagnostics.problems[0].startswith(r"dive\xe9.mcap: cut short")
-    Path(str(video).replace(".mcap", ".avi")).write_bytes(b"junk" * 100)
-    for name in (odd + "x.png", str(video).replace(".mcap", ".avi"), str(video) + ".xyz"):
+    odd = os.fsdecode(os.fsencode(tmp_path) + b"/dive\xe9")
+    for ending in (".avi", ".xyz"):
+        Path(odd + ending).write_bytes(b"junk" * 100)
         with pytest.raises(SonarrecError) as caught:
-            open_log(name)
+            open_log(odd + ending)
         str(caught.value).encode()
 
 
@@ -126,12 +106,6 @@ def test_a_quoted_glob_of_logs(tmp_path: Path) -> None:
     mcap_file(tmp_path / "dives" / "dive10.mcap", messages)
     with pytest.raises(SonarrecError, match=r"matches 2 logs, dive2.mcap the first; open each"):
         open_log(pattern)
-    done = CliRunner().invoke(main, ["run", pattern, "-j", "1", "--out", str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
-    assert {p.name for p in (tmp_path / "out").iterdir()} >= {"dive2", "dive10"}
-    told = CliRunner().invoke(main, ["info", pattern])
-    assert told.exit_code == 0
-    assert told.output.index("dive2.mcap") < told.output.index("dive10.mcap")
 
 
 @pytest.mark.parametrize(
@@ -230,16 +204,3 @@ def test_no_room_is_made_for_what_an_image_claims(image: bytes, tmp_path: Path) 
     frames_read, peak = peak_of_reading(tmp_path)
     assert frames_read == 2
     assert peak < 150
-
-
-def test_a_window_too_short_to_be_meant(tmp_path: Path) -> None:
-    bearings = tuple(np.linspace(-30, 30, 20).tolist())
-    sonar = Sonar(range_min_m=1, range_max_m=2, tilt_deg=20, bearings_deg=bearings).complete("test")
-    sonar = replace(sonar, range_max_m=1.001)
-    path = tmp_path / "log.mcap"
-    (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
-    schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
-    with McapImageWriter(path, schema=schema, sonar=sonar) as writer:
-        writer.write(0, np.zeros((100, 20), np.uint8))
-    with pytest.raises(SonarrecError, match=r"a window of 0\.00099.* m"), open_log(path) as opened:
-        list(opened)

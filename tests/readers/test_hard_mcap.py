@@ -24,7 +24,7 @@ from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.mcap import chunks, recording
 from tests.support.hard_logs import HardLog, record
-from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, mcap_file
+from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, mcap_file, read
 from tests.support.shapes import peak_of_reading, shapes
 from tests.support.slow import but_first
 
@@ -34,11 +34,6 @@ HEAD = 9 + 22  # of a record, of a message
 ALL = list(range(12))
 WITHOUT_SECOND = [0, 1, 2, *range(6, 12)]
 """The frames of the other chunks, of three each."""
-
-
-def read(path: Path) -> tuple[list[Frame], list[str]]:
-    with open_log(path) as log:
-        return list(log), log.diagnostics.problems
 
 
 def numbers(found: list[Frame]) -> list[int]:

@@ -9,7 +9,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
@@ -21,7 +20,7 @@ from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.hard_logs import HardLog
-from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
+from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file, video_file
 
 IMAGES = frames(20, 30, 24)
 START_NS = 1_700_000_000 * 10**9
@@ -210,12 +209,7 @@ def test_folder_glob_and_video(tmp_path: Path) -> None:
     found = table(folder, code=3)
     assert found["images"][0]["usable"] == 19
     assert found["images"][0]["problems"] == ["frame7.png: unreadable image, skipped"]
-    video = folder / "log.avi"
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10, (24, 30))
-    for image in IMAGES:
-        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    found = table(video)
+    found = table(video_file(folder / "log.avi", IMAGES, "MJPG", 10.0))
     assert (found["kind"], found["images"][0]["usable"]) == ("video", 20)
     assert found["images"][0]["rate_hz"] == pytest.approx(10, rel=0.01)
     assert found["images"][0]["pixels"] == "3 x uint8"

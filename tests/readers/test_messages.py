@@ -145,6 +145,7 @@ def test_bins_from_the_sonar_on_lie_at_their_own_ranges(name: str) -> None:
     ("name", "change", "says"),
     [
         (PROJECTED, {"ranges": np.zeros(BINS, np.float32)}, "ranges do not rise"),
+        (PROJECTED, {"ranges": np.linspace(1, 1.001, BINS, dtype=np.float32)}, "a window of"),
         (PROJECTED, {"ranges": np.full(BINS, np.nan, np.float32)}, "'ranges' is no list"),
         (PROJECTED, {"ranges": np.arange(3, dtype=np.float32)}, "do not fit 1440 bytes"),
         (PROJECTED, {"beam_directions": []}, "fewer than two beams"),

@@ -15,6 +15,7 @@ from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.oculus import OculusPings
 from tests.readers.test_ddf import as_fan
+from tests.support import logs
 from tests.support.command import sonarrec
 from tests.support.logs import frames
 from tests.support.sonar_files import oculus_log, oculus_message, oculus_ping
@@ -27,8 +28,7 @@ PINGS = [oculus_ping(k, image) for k, image in enumerate(IMAGES)]
 
 
 def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:
-    with open_log(path, sonar=TILT | sonar) as log:
-        return list(log), log.diagnostics.problems
+    return logs.read(path, sonar=TILT | sonar)
 
 
 def written(path: Path, data: bytes) -> Path:

@@ -287,13 +287,6 @@ def test_beam_order_of_noise_and_ramps() -> None:
             assert not looks_beam_major(image)
 
 
-def test_beam_order_of_images_that_decide_nothing(tmp_path: Path) -> None:
-    blank = [messages.projected_fields(0, np.full((BINS, BEAMS), 9, np.uint8))]
-    with open_log(log_of(tmp_path / "log.mcap", blank), sonar=TILT) as log:
-        list(log)
-        assert log.reading()["beam_order"] == "range-major"
-
-
 @pytest.mark.parametrize("stated", [None, "range-major"])
 def test_beam_order_of_as_many_bins_as_beams_is_assumed(tmp_path: Path, stated: Any) -> None:
     pings = []

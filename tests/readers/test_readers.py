@@ -21,25 +21,27 @@ from hypothesis import strategies as st
 
 from sonarrec.errors import MAX_PROBLEM_LINES, SonarrecError, UsageError
 from sonarrec.geometry import PolarToFan
-from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.images import ImagePaths
 from sonarrec.readers.info import describe
-from sonarrec.readers.log import _of_one_size, _to_settle
+from sonarrec.readers.log import _of_one_size
 from sonarrec.readers.raw import RawFrame
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.sonar import Sonar, load_sonar
 from sonarrec.tables.order import natural_order
 from tests.support.bags import bag, messages, ros1_bag, split_bag
-from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
+from tests.support.logs import (
+    PERIOD_NS,
+    SONAR_TOML,
+    cdr_image,
+    frames,
+    image_folder,
+    mcap_file,
+    read,
+    video_file,
+)
 from tests.support.sonar_files import aris_file, gemini_log, gemini_record, oculus_ping
 
 Maker = Callable[[Path, list[np.ndarray]], Path]
-
-
-def read(path: str | Path, **options: object) -> tuple[list[Frame], list[str]]:
-    with open_log(path, **options) as log:  # type: ignore[arg-type]
-        return list(log), log.diagnostics.problems
 
 
 def folder(suffix: str, change: Callable[[np.ndarray], np.ndarray] = lambda image: image) -> Maker:
@@ -64,46 +66,6 @@ def theirs(**options: object) -> Maker:
         [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)],
         **options,  # type: ignore[arg-type]
     )
-
-
-def by_rosbags(path: Path, images: list[np.ndarray]) -> Path:
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    types = store.types
-    told = []
-    for k, image in enumerate(images):
-        message = types["sensor_msgs/msg/Image"](
-            header=types["std_msgs/msg/Header"](
-                stamp=types["builtin_interfaces/msg/Time"](sec=k, nanosec=3), frame_id="x" * k
-            ),
-            height=image.shape[0],
-            width=image.shape[1],
-            encoding="mono8",
-            is_bigendian=0,
-            step=image.shape[1],
-            data=image.ravel(),
-        )
-        data = bytes(store.serialize_cdr(message, "sensor_msgs/msg/Image", little_endian=k % 2 > 0))
-        told.append(("/a", k * PERIOD_NS, data))
-    return mcap_file(path / "log.mcap", told)
-
-
-def lossless_video(suffix: str) -> Maker:
-    """Huffman-coded RGB, which holds the pixels as they are."""
-
-    def make(path: Path, images: list[np.ndarray]) -> Path:
-        file = path / f"log{suffix}"
-        size = images[0].shape[1], images[0].shape[0]
-        writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"HFYU"), 4.0, size)
-        assert writer.isOpened()
-        for image in images:
-            writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-        writer.release()
-        (path / "log.sonar.toml").write_text(SONAR_TOML)
-        return file
-
-    return make
 
 
 def as_bag(storage: str, compressed: str | None = None) -> Maker:
@@ -149,8 +111,8 @@ SAME_FRAMES: dict[str, Maker] = {
     "tiff, float": folder(".tif", lambda i: (i / 255).astype(np.float32)),
     "png, colour": folder(".png", lambda i: cv2.cvtColor(i, cv2.COLOR_GRAY2BGR)),
     "png, alpha": folder(".png", lambda i: cv2.cvtColor(i, cv2.COLOR_GRAY2BGRA)),
-    "avi": lossless_video(".avi"),
-    "mkv": lossless_video(".mkv"),
+    "avi": lambda path, images: video_file(path / "log.avi", images, "HFYU"),  # lossless
+    "mkv": lambda path, images: video_file(path / "log.mkv", images, "HFYU"),
     "mcap.zst": packed(".zst"),
     "mcap.lz4": packed(".lz4"),
     "bag, ROS 1": lambda path, images: ros1_bag(path / "log.bag", images),
@@ -170,7 +132,6 @@ SAME_FRAMES: dict[str, Maker] = {
     "mcap, no index": theirs(indexed=False),
     "mcap, dotted schema": theirs(schema="sensor_msgs.msg.Image"),
     "mcap, short schema": theirs(schema="sensor_msgs/Image"),
-    "mcap, rosbags, both byte orders": by_rosbags,
     "mcap, mono16": ours("sensor_msgs/msg/Image", "zstd", scale=257),
     **{
         f"mcap, {schema}, {compression}": ours(schema, compression)
@@ -310,20 +271,12 @@ def test_a_log_that_begins_with_nothing_is_read_as_without_it(
         np.testing.assert_array_equal(frame.image, same.image)
 
 
-def test_few_blank_images_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    images = frames(9)
-    monkeypatch.setattr("sonarrec.readers.log.SETTLING_BYTES", 4 * images[0].nbytes)
-    begin = iter(RawFrame(str(k), None, image * (k > 6)) for k, image in enumerate(images))
-    assert len(_to_settle(begin)) == 5
-    assert len(list(begin)) == 4
-
-
 @pytest.mark.parametrize(("stated_hz", "noted"), [(4.0, False), (25.0, True), (None, False)])
 def test_a_stated_rate_that_a_video_overrides_is_noted(
     stated_hz: float | None, noted: bool, tmp_path: Path
 ) -> None:
     """Its times come from its container, here of 4 frames per second."""
-    path = lossless_video(".avi")(tmp_path, frames(3))
+    path = video_file(tmp_path / "log.avi", frames(3), "HFYU")
     with open_log(path, sonar=Sonar(frame_rate_hz=stated_hz)) as log:
         assert [frame.timestamp_ns for frame in log] == [0, 250_000_000, 500_000_000]
         notes = log.diagnostics.notes
@@ -337,13 +290,7 @@ def test_a_stated_rate_that_a_video_overrides_is_noted(
 )
 def test_lossy_video(suffix: str, codec: str, tmp_path: Path) -> None:
     images = [cv2.GaussianBlur(i, (0, 0), 5) for i in frames(5, 64, 80)]
-    file = tmp_path / f"log{suffix}"
-    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), 4.0, (80, 64))
-    for image in images:
-        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
-    found, problems = read(file)
+    found, problems = read(video_file(tmp_path / f"log{suffix}", images, codec))
     assert not problems
     assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(5)]
     for frame, image in zip(found, images, strict=True):
@@ -364,21 +311,6 @@ def test_polar_becomes_a_fan(tmp_path: Path) -> None:
         read(log, sonar=Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
 
 
-@pytest.mark.slow
-def test_many_images_take_little_room_and_lie_in_order() -> None:
-    """A list of paths would hold some 370 bytes each; sorting them by lists of text and numbers
-    took 270 bytes each in all."""
-    names = [Path("/dives/today", f"ping{(7919 * i) % 20_000}.png") for i in range(20_000)]
-    tracemalloc.start()
-    paths = ImagePaths(names.pop() for _ in range(20_000))  # none is kept, nor its own text
-    held, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert held < 110 * len(paths)
-    assert most < 250 * len(paths)
-    assert list(paths) == [Path("/dives/today", f"ping{i}.png") for i in range(20_000)]
-    assert paths[-2:] == [Path("/dives/today/ping19998.png"), Path("/dives/today/ping19999.png")]
-
-
 @given(st.lists(st.text("019.aZ-_/ é\u0663", max_size=8), max_size=12))
 def test_natural_order_is_that_of_texts_and_numbers_in_turns(names: list[str]) -> None:
     def in_turns(name: str) -> tuple[list[str | int], str]:
@@ -386,19 +318,6 @@ def test_natural_order_is_that_of_texts_and_numbers_in_turns(names: list[str]) -
         return [int(p) if i % 2 else p for i, p in enumerate(parts)], name
 
     assert sorted(names, key=natural_order) == sorted(names, key=in_turns)
-
-
-def test_seconds_since_1970_come_in_the_order_of_their_value() -> None:
-    """Python writes 0.50 s as .5: such frames came before all others of their second."""
-    seconds = [1700000000.0, 1700000000.0625, 1700000000.25, 1700000000.5, 1700000000.5123456]
-    names = [f"sonar_{s}.png" for s in (*seconds, 1700000001.0)]
-    assert sorted(names, key=natural_order) == names
-    names = [f"{s}.png" for s in ("1699999999.75", "1700000000", "1700000000.25", "17000000000")]
-    assert sorted(names, key=natural_order) == names  # JavaScript leaves out .0 as well
-    dates = [
-        f"{date}.png" for date in ("20231101.9", "20231101.10", "2023110112.9", "2023110112.10")
-    ]
-    assert sorted(dates, key=natural_order) == dates
 
 
 @pytest.mark.parametrize(
@@ -464,20 +383,6 @@ def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
     with open_log(one) as opened:
         assert opened.digest_source()[1] == hashlib.sha256(one.read_bytes()).hexdigest()
         assert [f.index for f in opened] == [0]
-
-
-def test_times(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    log.mkdir()
-    stamps = [1_700_000_000_000_000_000, 1_700_000_000_300_000_000]
-    for stamp, image in zip(stamps, frames(2), strict=True):
-        cv2.imwrite(str(log / f"{stamp}.png"), image)
-    (log / "sonar.toml").write_text(SONAR_TOML)
-    assert [f.timestamp_ns for f in read(log)[0]] == stamps
-    cv2.imwrite(str(log / "last.png"), frames(1)[0])  # now the names are no stamps
-    assert [f.timestamp_ns for f in read(log)[0]] == [0, 250_000_000, 500_000_000]
-    (log / "sonar.toml").write_text(SONAR_TOML.replace("frame_rate_hz = 4.0", ""))
-    assert [f.timestamp_ns for f in read(log)[0]] == [0, 10**9, 2 * 10**9]
 
 
 def test_which_geometry_counts(tmp_path: Path) -> None:

@@ -7,10 +7,14 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
+
+from sonarrec.nouns import Frame
+from sonarrec.readers import open_log
 
 SONAR_TOML = """\
 [sonar]
@@ -46,6 +50,24 @@ def image_folder(path: Path, images: list[np.ndarray], suffix: str = ".png") -> 
         assert cv2.imwrite(str(path / f"frame{k}{suffix}"), image)
     (path / "sonar.toml").write_text(SONAR_TOML)
     return path
+
+
+def video_file(path: Path, images: list[np.ndarray], codec: str, rate_hz: float = 4.0) -> Path:
+    rows, columns = images[0].shape
+    code = cv2.VideoWriter.fourcc(*codec)
+    writer = cv2.VideoWriter(str(path), code, rate_hz, (columns, rows))
+    assert writer.isOpened()
+    for image in images:
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    path.with_suffix(".sonar.toml").write_text(SONAR_TOML)
+    return path
+
+
+def read(path: str | Path, **options: Any) -> tuple[list[Frame], list[str]]:
+    """The frames of a log, and what of it could not be used. options: of open_log."""
+    with open_log(path, **options) as log:
+        return list(log), log.diagnostics.problems
 
 
 def cdr_image(
