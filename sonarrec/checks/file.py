@@ -1,8 +1,10 @@
-"""The check file: which logs are run and compared, and what their results must keep."""
+"""The check file: which logs are run and compared, what their results must keep; and the record."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,16 @@ from typing import Any
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers.named_logs import logs_named
 from sonarrec.readers.open import find_log
+from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.run_file import LogOptions
+from sonarrec.results.write import write_run
 from sonarrec.runs.one import result_names
+from sonarrec.tables.outputs import writing
 from sonarrec.tables.toml import Share, checked, from_table, read_toml
 from sonarrec.truth.table import TRUTH_FILE
+
+TABLES = ("frames.csv", "estimates.csv")
+"""Of recorded results, beside run.toml."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,3 +172,44 @@ def read_check(path: Path) -> Check:
         for method, rate in getattr(file, key).items():
             checked(rate, Share, f"{path}: {key}.{method}", UsageError)
     return Check(path, file)
+
+
+def is_recorded(record: Path, name: str) -> bool:
+    """Whether there are results of a log on record."""
+    return all((record / name / table).is_file() for table in TABLES)
+
+
+def save(results: Path, record: Path, logs: Sequence[LogToRun]) -> list[str]:
+    """Record the results of the logs, in place of those on record; returns notes.
+
+    Nothing on record is replaced before all is written. Results of logs that are no longer in the
+    check file go. Raises SonarrecError if that cannot be written.
+    """
+    notes: list[str] = []
+    with writing(record), ExitStack() as stack:
+        record.mkdir(parents=True, exist_ok=True)
+        for log in logs:
+            folder = record / log.name
+            stack.callback(release, folder, lock(folder))
+            restore(folder)
+            part = part_of(folder)
+            shutil.rmtree(part, ignore_errors=True)
+            part.mkdir()
+            for table in TABLES:
+                shutil.copyfile(results / log.name / table, part / table)
+            run = read_toml(results / log.name / "run.toml")
+            # What is committed must not change with the folder it was made in.
+            run["input"] = {k: v for k, v in run["input"].items() if k != "place"}
+            run["input"]["path"] = log.stated
+            write_run(part / "run.toml", run)
+        for log in logs:
+            notes += exchange(record / log.name)
+        names = {log.name for log in logs}
+        for folder in sorted(record.iterdir()):
+            if folder.is_dir() and folder.name not in names and is_recorded(record, folder.name):
+                for file in (*TABLES, "run.toml"):
+                    (folder / file).unlink(missing_ok=True)
+                if not any(folder.iterdir()):
+                    folder.rmdir()
+                notes.append(f"{folder}: of no log in the check file any more, deleted")
+    return notes

@@ -96,8 +96,7 @@ def check(
       sonarrec check --set features.declare=0.9
       sonarrec check tests/sonar.toml --least-tpr 0.95 --markdown -o check
     """
-    from sonarrec.checks.file import read_check
-    from sonarrec.checks.record import is_recorded
+    from sonarrec.checks.file import is_recorded, read_check
 
     one = read_check(file)
     if update and any(value not in (None, ()) for value in settings.values.values()):
@@ -194,7 +193,7 @@ def _run(
 
 def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> None:
     """Record the results, and say so."""
-    from sonarrec.checks.record import save
+    from sonarrec.checks.file import save
 
     notes = save(folder, one.record, logs)
     tell([], notes)
@@ -243,8 +242,8 @@ def _print(
     judged: Judgement, compared: Comparison, out: Path | None, markdown: bool, quiet: bool
 ) -> None:
     """Print the judgement and, if the results are kept, write the comparison's files."""
-    from sonarrec.evaluation import limits_screen
-    from sonarrec.evaluation.compare_screen import settings_lines
+    from sonarrec.evaluation.compare_screen import judgement_screen, settings_lines
+    from sonarrec.evaluation.compare_screen import markdown as in_markdown
     from sonarrec.evaluation.compare_write import write_comparison
 
     tell(compared.unused)
@@ -255,9 +254,9 @@ def _print(
     if quiet:
         return
     if markdown:
-        click.echo(limits_screen.markdown(judged, changed))
+        click.echo(in_markdown(judged, changed))
         return
-    click.echo(limits_screen.screen(judged))
+    click.echo(judgement_screen(judged))
     lines = [*changed, *(f"note: {note}" for note in compared.notes)]
     lines += [] if out is None else [f"{out / 'evaluation'}: {', '.join(files)}"]
     if lines:

@@ -15,7 +15,7 @@ from sonarrec.cli import options
 from sonarrec.cli.bars import fetching, progress
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, leave, say, tell
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
-from sonarrec.cli.info_lines import lines, radii_lines
+from sonarrec.cli.info_lines import HEAD, lines, radii_lines, write_sonar_toml
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
 from sonarrec.errors import MissingError, SonarrecError, UsageError, name_as_text
 
@@ -101,8 +101,6 @@ def info(
         if file is not None and len(logs) > 1:
             raise UsageError(f"{option} {file}: for one log, but {len(logs)} are given")
     if write_sonar is not None:
-        from sonarrec.cli.sonar_toml import HEAD
-
         check_output(write_sonar, "table", names, header=HEAD)
     if preview is not None:
         if preview.suffix.lower() != ".png":
@@ -208,8 +206,6 @@ def _show(
         try:
             with origin.translated() if origin else nullcontext():
                 if write_sonar is not None:
-                    from sonarrec.cli.sonar_toml import write_sonar_toml
-
                     missing = write_sonar_toml(write_sonar, log_info)
                     lacks = f"complete {', '.join(missing)}" if missing else "nothing is missing"
                     if not quiet:

@@ -49,7 +49,8 @@ def bound_table(counts: Counts, folders: Iterable[Path], share: float) -> dict[s
             )
     features = settings["config"]["features"]
     widths = {other["config"]["features"]["beam_width_deg"] for _, other in (first, *others)}
-    claims = [part.claimed[method] for part in counts.parts if method in part.claimed]
+    found = (part.sums.get(("claimed", method)) for part in counts.parts)
+    claims = [of_log for of_log in found if of_log is not None]
     declare, bound = least_declare(np.concatenate(claims), share, features["declare"])
     features |= {"declare": declare, "beam_width_deg": widths.pop() if len(widths) == 1 else 0.0}
     return {"bound": asdict(bound), **settings}

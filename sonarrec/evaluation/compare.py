@@ -12,8 +12,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics, SonarrecError, printable
 from sonarrec.evaluation import metrics, unit_sums
 from sonarrec.evaluation.changes import ByMethod, FrameChanges
-from sonarrec.evaluation.compare_settings import changed_settings
-from sonarrec.evaluation.comparison import Comparison, PassChanges, RateChange
+from sonarrec.evaluation.comparison import Comparison, PassChanges, RateChange, changed_settings
 from sonarrec.evaluation.count import Adder, Counts
 from sonarrec.evaluation.intervals import (
     Difference,

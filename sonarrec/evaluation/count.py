@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +32,9 @@ from sonarrec.evaluation.passes import UnitKind, find_passes
 from sonarrec.evaluation.tracking import tracking
 from sonarrec.results.methods import chosen
 
+NOBODY = "\0"
+"""A method that claims nothing: its counts hold for those that a log lacks. No method that is read
+has such a name."""
 LOGS_ENOUGH = 10
 """With so many logs the unit is a log, since the passes of one log have much in common."""
 MOST_UNITS = 400
@@ -53,11 +56,7 @@ class PassTable:
 
 @dataclass(frozen=True, slots=True)
 class LogCounts:
-    """The counts of one log: K IDs, U pass units, P passes. Small enough to keep for every log.
-
-    By protocol and method. The method None claims nothing; what it has holds for those that the log
-    lacks.
-    """
+    """The counts of one log: K IDs, U pass units, P passes. Small enough to keep for every log."""
 
     name: str
     ids: tuple[int, ...]
@@ -79,20 +78,15 @@ class LogCounts:
     """How many each method has."""
     units: int
     passes: PassTable
-    declared: dict[tuple[str, str | None], IntArray]
-    """(U, K, 4) TP, TN, FP, FN at the operating point."""
-    outcomes: dict[tuple[str, str | None], PassOutcomes]
+    sums: dict[Key, FloatArray | IntArray]
+    """(U, ...) by pass unit. ("declared", protocol, method): (K, 4) TP, TN, FP, FN at the operating
+    point. "minutes" and, with the method, "false_claims", "claimed" and "calibration": as the
+    functions of these names in `behaviour` give them. ("tracking", method): as of
+    `tracking.tracking`, all in the first unit, since tracks go on from pass to pass."""
+    outcomes: dict[Key, PassOutcomes]
+    """By protocol and method."""
     switches: dict[str, Switches]
-    false_claims: dict[str, IntArray]
-    """(U, K, 2), see `behaviour.false_claims`."""
-    claimed: dict[str, IntArray]
-    """(U, D + 1, 2), see `behaviour.claimed`."""
-    minutes: FloatArray
-    """(U,), see `behaviour.minutes`."""
-    tracking: dict[str, FloatArray]
-    """(COLUMNS,), see `tracking.tracking`."""
-    calibration: dict[str, FloatArray]
-    """(U, K + 2, C), see `behaviour.calibration`."""
+    """By method."""
     values: dict[Key, Rows]
     """("claims", protocol, method, k): scores with the effects of claims of the k-th ID.
     ("position" or "orientation", method, k): errors."""
@@ -102,16 +96,15 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
     """Count one log. rates_only: leave out what needs `truth_beneath`, and errors."""
     passes = find_passes(log)
     groups = passes.unit_of_frame, passes.unit_of_truth
-    declared: dict[tuple[str, str | None], IntArray] = {}
-    outcomes: dict[tuple[str, str | None], PassOutcomes] = {}
-    reaching: dict[str, IntArray] = {}
+    sums: dict[Key, FloatArray | IntArray] = {("minutes",): minutes(log, passes)}
+    outcomes: dict[Key, PassOutcomes] = {}
     values: dict[Key, Rows] = {}
     for protocol in PROTOCOLS if log.placed else PROTOCOLS[:1]:
-        for method in (None, *log.methods):
+        for method in (NOBODY, *log.methods):
             judged = judge(log, method, protocol)
-            declared[protocol, method] = judged.declared(*groups, passes.units)
+            sums["declared", protocol, method] = judged.declared(*groups, passes.units)
             outcomes[protocol, method] = pass_outcomes(judged, log, passes)
-            if method is None:
+            if method == NOBODY:
                 continue
             group = judged.group(*groups)
             for k in range(len(log.ids)):
@@ -119,14 +112,19 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
                 rows = sum_by_unit(judged.score[of_id], group[of_id], judged.effect[of_id])
                 values["claims", protocol, method, k] = rows
             if protocol == "strict" and not rates_only:
-                reaching[method] = claimed(judged, passes)
+                sums["claimed", method] = claimed(judged, passes)
                 for (name, k), found in errors(judged, log, passes.unit_of_truth).items():
                     values[name, method, k] = found
-    more = log.placed and not rates_only
-    beneath = truth_beneath(log) if more else np.empty(0, dtype=np.int64)
-    numbered = list(enumerate(log.methods)) if more else []
-    stated = {name: calibration(log, beneath, passes, m) for m, name in numbered}
-    followed = {name: tracking(log, beneath, m) for m, name in numbered}
+    switched: dict[str, Switches] = {}
+    if log.placed and not rates_only:
+        beneath = truth_beneath(log)
+        switched = switches(log, beneath, passes)
+        for m, method in enumerate(log.methods):
+            sums["false_claims", method] = false_claims(log, beneath, passes, m)
+            if (stated := calibration(log, beneath, passes, m)) is not None:
+                sums["calibration", method] = stated
+            if (followed := tracking(log, beneath, m)) is not None:
+                sums["tracking", method] = followed[None]
     return LogCounts(
         name=log.name,
         ids=log.ids,
@@ -147,14 +145,9 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
             log.frame[passes.last_frame_index],
             passes.unit,
         ),
-        declared=declared,
+        sums=sums,
         outcomes=outcomes,
-        switches=switches(log, beneath, passes) if more else {},
-        false_claims={name: false_claims(log, beneath, passes, m) for m, name in numbered},
-        claimed=reaching,
-        minutes=minutes(log, passes),
-        tracking={name: sums for name, sums in followed.items() if sums is not None},
-        calibration={name: rows for name, rows in stated.items() if rows is not None},
+        switches=switched,
         values=values,
     )
 
@@ -241,12 +234,12 @@ class Counts:
     def scored(self) -> tuple[Scored, ...]:
         """Every method under every protocol."""
 
-        def summed(protocol: str, method: str | None) -> IntArray:
-            found = (_of(part.declared, protocol, method) for part in self.parts)
-            return np.stack([by_unit.sum(axis=0) for by_unit in found])
+        def summed(protocol: str, method: str) -> IntArray:
+            found = (_of(part.sums, "declared", protocol, method) for part in self.parts)
+            return np.stack([np.asarray(by_unit).sum(axis=0) for by_unit in found])
 
         return tuple(
-            Scored(p, m, self.ids, summed(p, None), summed(p, m), self.values)
+            Scored(p, m, self.ids, summed(p, NOBODY), summed(p, m), self.values)
             for m in self.methods
             for p in self.protocols
         )
@@ -288,31 +281,27 @@ class Counts:
         number = number * MOST_UNITS // count if count > MOST_UNITS else number
         return Units(kind, min(count, MOST_UNITS), number)
 
-    def sums(
-        self, units: Units, rows_of: Callable[[LogCounts], FloatArray | IntArray | None]
-    ) -> FloatArray | IntArray | None:
-        """(U, ...) sums of what `rows_of` gives of a log by pass units; None if none has any."""
+    def sums(self, units: Units, *key: str) -> FloatArray | IntArray | None:
+        """(U, ...) what the LogCounts have in `sums` under this key; None if none has any."""
         sums: FloatArray | IntArray | None = None
         for part, first in zip(self.parts, self._first_unit, strict=False):
-            rows = rows_of(part)
-            if rows is not None:
+            if (rows := _of(part.sums, *key)) is not None:
                 if sums is None:
                     sums = np.zeros((units.count, *rows.shape[1:]), dtype=rows.dtype)
                 np.add.at(sums, units.of_pass_unit[first : first + len(rows)], rows)
         return sums
 
-    def declared(self, units: Units, protocol: str, method: str | None) -> IntArray:
-        """(U, K, 4) TP, TN, FP, FN at the operating point; of None: without any claim."""
-        found = self.sums(units, lambda part: _of(part.declared, protocol, method))
-        assert found is not None
-        return np.asarray(found, dtype=np.int64)
+    def declared(self, units: Units, protocol: str, method: str) -> IntArray:
+        """(U, K, 4) TP, TN, FP, FN at the operating point; of NOBODY: without any claim."""
+        return np.asarray(self.sums(units, "declared", protocol, method), dtype=np.int64)
 
 
 T = TypeVar("T")
 
 
-def _of(found: dict[tuple[str, str | None], T], protocol: str, method: str | None) -> T:
-    return found.get((protocol, method), found[protocol, None])
+def _of(found: dict[Key, T], *key: str) -> T | None:
+    """What a log has of a method, which is the last of the key, else what it has of NOBODY."""
+    return found.get(key, found.get((*key[:-1], NOBODY)))
 
 
 class Adder:

@@ -82,11 +82,8 @@ def evaluate_logs(
             f"{table.path}: {results} holds {len(names)} logs ({', '.join(names)}), so the "
             "truth needs a log column that names their folders; or give the folder of one log"
         )
-    faults = [UnreadableLog(log.name, log.error) for log in kept if log.error is not None]
-    if len(faults) == len(kept):
-        raise faults[0].error
-    fit_notes, misfits = check_logs([log.check for log in kept if log.check is not None])
-    scored = [log for log in kept if log.check is not None and log.check.fault is None]
+    fit_notes, misfits = check_logs([log.check for log in kept])
+    scored = [log for log in kept if log.check.fault is None]
     pooled = adder.counts([log.folder for log in scored], options.methods)
     if table is not None:
         everyone = [*(log.name for log in read), *(log.name for log in unread)]
@@ -96,7 +93,7 @@ def evaluate_logs(
     notes += _notes(scored, pooled)
     unused = [
         *found.problems,
-        *(log.message() for log in [*unread, *faults]),
+        *(log.message() for log in unread),
         *misfits,
         *_left_out(scored, as_one=table is not None),
         *others.problems * (not alone),
@@ -134,7 +131,7 @@ def _pairs(
 def _left_out(scored: Sequence[LogScore], *, as_one: bool) -> Iterator[str]:
     """A line for each part of truth and results that is not scored. as_one: all share a truth."""
     for logs in [scored] if as_one else [[log] for log in scored]:
-        checks = [log.check for log in logs if log.check is not None]
+        checks = [log.check for log in logs]
         unprocessed = sum(check.unprocessed for check in checks)
         if unprocessed:
             frames = sum(check.frames for check in checks)
@@ -155,7 +152,6 @@ def _notes(logs: Sequence[LogScore], counts: Counts) -> Iterator[str]:
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
     for part, log in zip(counts.parts, logs, strict=True):
-        assert log.check is not None
         told = Diagnostics()
         tell_rows(told, part.name, log.check.rows, log.check.between)
         yield from told.notes

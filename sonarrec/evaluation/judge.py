@@ -93,8 +93,8 @@ class Judged:
         return counts
 
 
-def judge(log: Matched, method: str | None, protocol: str) -> Judged:
-    """Judge a method's claims as `sonarrec.evaluate` says; None, or a missing method, has none.
+def judge(log: Matched, method: str, protocol: str) -> Judged:
+    """Judge a method's claims as `sonarrec.evaluate` says; a missing method has none.
 
     A cell is an ID in a frame, numbered as frame * K + ID.
     """

@@ -60,20 +60,18 @@ class Limits:
         protocol = max(protocol for protocol, _ in rates)  # strict, if it is scored
         lines = []
         for method in methods:
-            count, where = rates[protocol, method], f"({method}, {protocol})"
-            least, most = (
-                of.get(method, of.get(EACH) if method in looked_at else None)
-                for of in (self.least_tpr, self.most_fpr)
-            )
-            # A TPR of 0/0 shows nothing, so it keeps no limit.
-            if least is not None and not count.tpr >= least:
-                lines.append(
-                    f"limit not kept: TPR {rate_text(count.tpr)} {where} is below {least:g}"
-                )
-            if most is not None and count.fpr > most:
-                lines.append(
-                    f"limit not kept: FPR {rate_text(count.fpr)} {where} is above {most:g}"
-                )
+            count = rates[protocol, method]
+            for name, rate, limits in (
+                ("TPR", count.tpr, self.least_tpr),
+                ("FPR", count.fpr, self.most_fpr),
+            ):
+                limit = limits.get(method, limits.get(EACH) if method in looked_at else None)
+                # A TPR of 0/0 shows nothing, so it keeps no limit.
+                if limit is None or (rate >= limit if name == "TPR" else not rate > limit):
+                    continue
+                beyond = f"{'below' if name == 'TPR' else 'above'} {limit:g}"
+                told = f"{name} {rate_text(rate)} ({method}, {protocol}) is {beyond}"
+                lines.append(f"limit not kept: {told}")
         return lines
 
 

@@ -128,13 +128,11 @@ class LogScore:
     ground_truth: TruthOf
     name: str
     recording: Recording
-    check: TruthCheck | None
-    """None if truth and log could not be matched; then `error` says why."""
-    error: SonarrecError | None
+    check: TruthCheck
     not_whole: list[str]
     """As `results.read.not_whole`."""
     counts: LogCounts | None
-    """None if the log cannot be scored, or once they are added to those of others."""
+    """None if the truth does not fit the log, or once they are added to those of others."""
 
 
 def score_log(
@@ -144,31 +142,24 @@ def score_log(
     try:
         table = truth_table(pair.ground_truth)
         log = read_log(pair.results, options.landmarks, options.sonar)
+        log = log if pair.log is None else replace(log, name=pair.log)
+        truth = match_truth(table, log, options.tolerance_s)
+        lost = not_whole(log, "scored")
     except SonarrecError as fault:  # the other logs can be scored
         return UnreadableLog(pair.log or log_of(pair.results), fault)
-    log = log if pair.log is None else replace(log, name=pair.log)
-    check: TruthCheck | None = None
-    error: SonarrecError | None = None
-    counts: LogCounts | None = None
-    try:
-        truth = match_truth(table, log, options.tolerance_s)
-        check = check_fit(table, log, truth)
-        if check.fault is None:
-            matched = match(log, truth, options.min_visible, ids, within_m=options.within_m)
-            if (doubt := _no_claim_right(matched)) is not None:
-                check.notes.append(f"{table.path}: {doubt}")
-            counts = count_log(matched)
-    except SonarrecError as fault:  # raised later, unless the log is a copy of another
-        error = fault
-    rows = table.rows_of(log.name)
+    check, counts, rows = check_fit(table, log, truth), None, table.rows_of(log.name)
+    if check.fault is None:
+        matched = match(log, truth, options.min_visible, ids, within_m=options.within_m)
+        if (doubt := _no_claim_right(matched)) is not None:
+            check.notes.append(f"{table.path}: {doubt}")
+        counts = count_log(matched)
     return LogScore(
         folder=pair.results,
         ground_truth=TruthOf(pair.ground_truth, log.name, len(rows), table.digest_of(rows)),
         name=log.name,
         recording=recording(pair.results, log.run, len(log.frame_index)),
         check=check,
-        error=error,
-        not_whole=not_whole(log, "scored"),
+        not_whole=lost,
         counts=counts,
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.evaluation.behaviour import BINS
-from sonarrec.evaluation.count import Counts, Scored, Units
+from sonarrec.evaluation.count import NOBODY, Counts, Scored, Units
 from sonarrec.evaluation.curves import FPR_POINTS, Curve, ratio
 from sonarrec.evaluation.histogram import Rows, Table, sum_by_value, values_at_ranks
 from sonarrec.evaluation.tracking import COLUMNS
@@ -97,7 +97,7 @@ def rates(counts: Counts, units: Units) -> Iterator[UnitSums]:
 
 def rates_of(counts: Counts, units: Units, s: Scored) -> Iterator[UnitSums]:
     """Rates of one method under one protocol."""
-    base = counts.declared(units, s.protocol, None)
+    base = counts.declared(units, s.protocol, NOBODY)
     declared = counts.declared(units, s.protocol, s.method)
     for k, landmark in enumerate(s.ids):
         labels, rows = (s.protocol, s.method, str(landmark)), _rows(s, units, k)
@@ -212,9 +212,9 @@ def false_claims(counts: Counts, units: Units) -> Iterator[UnitSums]:
     Columns: those on no landmark at all, those on a landmark of another ID, minutes. Only frames
     of known duration count.
     """
-    minutes = counts.sums(units, lambda part: part.minutes)
+    minutes = counts.sums(units, "minutes")
     for method in counts.methods if counts.placed else ():
-        claims = counts.sums(units, lambda part: part.false_claims.get(method))  # noqa: B023
+        claims = counts.sums(units, "false_claims", method)
         if claims is not None and minutes is not None:
             for k, name in _landmarks(counts.ids):
                 kinds = claims.sum(axis=1) if k is None else claims[:, k]
@@ -230,18 +230,10 @@ def _plain_sums(
 
 
 def tracking(counts: Counts, units: Units) -> Iterator[UnitSums]:
-    """Sums for HOTA and IDF1 of every method with tracks, over all IDs; see `tracking.tracking`.
-
-    Tracks go on from pass to pass, so those of a log count in the first of its units.
-    """
+    """Sums for HOTA and IDF1 of every method with tracks, over all IDs; see `tracking.tracking`."""
     for method in counts.methods if counts.placed else ():
-        found = counts.sums(units, lambda part: _first_row(part.tracking.get(method)))  # noqa: B023
-        if found is not None:
+        if (found := counts.sums(units, "tracking", method)) is not None:
             yield _plain_sums(("strict", method, "total"), found, COLUMNS)
-
-
-def _first_row(sums: FloatArray | None) -> FloatArray | None:
-    return None if sums is None else sums[None]
 
 
 def switches(counts: Counts, units: Units) -> Iterator[UnitSums]:
@@ -296,7 +288,7 @@ def calibration(counts: Counts, units: Units) -> Iterator[UnitSums]:
         return Calibration(rows[:, 0], *in_bins)
 
     for method in counts.methods if counts.placed else ():
-        found = counts.sums(units, lambda part: part.calibration.get(method))  # noqa: B023
+        found = counts.sums(units, "calibration", method)
         if found is None:
             continue
         for c, name in enumerate([*map(str, counts.ids), "none", "total"]):

@@ -69,7 +69,7 @@ def test_claims_are_counted_by_pass_and_score() -> None:
     claims = [(0, f, 1, 0, 0, 0.99, True) for f in range(10)]
     claims += [(0, 101, 1, 0, 0, 0.8, True), (0, 102, 3, 1, 0, 0.97, True)]
     claims += [(0, 103, 3, 1, 0, 0.99, False), (0, 104, 3, 1, 0, 0.6, True)]
-    found = counts(matched(120, truth, claims)).parts[0].claimed["a"]
+    found = counts(matched(120, truth, claims)).parts[0].sums["claimed", "a"]
     of = {d: found[:, i].tolist() for i, d in enumerate(DECLARES)}
     assert of[0.99] == [[10, 0], [0, 0]]
     assert of[0.97] == [[10, 0], [0, 1]]

@@ -8,8 +8,8 @@ import pytest
 
 from sonarrec.cli import main
 from sonarrec.evaluation.compare import compare
+from sonarrec.evaluation.compare_screen import MOST_ROWS, judgement_screen, markdown
 from sonarrec.evaluation.limits import EACH, Limits, judge_by
-from sonarrec.evaluation.limits_screen import MOST_ROWS, markdown, screen
 from sonarrec.evaluation.pairs import Pair
 from tests.evaluation.test_compare import FRAMES, TRUTH, claims, command
 from tests.evaluation.test_evaluation import write_case
@@ -137,7 +137,7 @@ def test_many_logs_show_what_is_worse_and_the_total(tmp_path: Path) -> None:
     logs = {f"log_{i}": claims(RIGHT) for i in range(MOST_ROWS)}
     logs["log_3"], logs["log_5"] = claims({5}), claims(RIGHT - set(range(5, 15)))
     found = judged(*both(tmp_path, **logs), Limits(band=0.1))
-    lines = screen(found).splitlines()
+    lines = judgement_screen(found).splitlines()
     assert lines[0].endswith("worse on 2 of 24 logs: log_3, log_5")
     assert [line.split()[0] for line in lines[2:]] == [
         *(["log_3"] * 2 + ["log_5"] * 2 + ["total"] * 2 + ["44"])

@@ -96,16 +96,6 @@ def test_a_name_too_long_costs_that_log_only(tmp_path: Path) -> None:
     assert planned.endswith("a: up to date\n")
 
 
-@pytest.mark.slow
-def test_one_after_the_other_gives_the_same_as_side_by_side(tmp_path: Path) -> None:
-    logs = made(tmp_path, "a", "b", "c")
-    for jobs in (1, 2):
-        out = tmp_path / str(jobs)
-        sonarrec("run", *logs, "-j", str(jobs), "-o", out, "-q")
-    for name in "abc":
-        assert tables(tmp_path / "1" / name) == tables(tmp_path / "2" / name)
-
-
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[bytes]]:
     """The tables of a log of some frames, and of one longer than a run looks ahead."""
@@ -171,19 +161,6 @@ def test_a_call_is_stopped_though_a_log_hangs(
             running.kill()
     until(lambda: ended(tmp_path / "hangs"))
     sonarrec(*call)
-
-
-@pytest.mark.slow
-def test_shares_make_up_the_whole(tmp_path: Path) -> None:
-    logs = made(tmp_path, *"abcde", frames=3)
-    out = tmp_path / "out"
-    running = [
-        subprocess.Popen(command("run", *logs, "--shard", f"{i}/3", "-j", 1, "-o", out, "-q"))
-        for i in (1, 2, 3)
-    ]
-    assert [process.wait() for process in running] == [0, 0, 0]
-    assert sorted(rows(out)) == [*"abcde"]
-    assert {row["status"] for row in rows(out).values()} == {"done"}
 
 
 def test_the_one_log_of_a_share_or_of_a_second_try_is_told(tmp_path: Path) -> None:

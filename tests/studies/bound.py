@@ -16,6 +16,7 @@ from sonarrec.config import preset
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.behaviour import DECLARES
 from sonarrec.evaluation.bound import least_declare
+from sonarrec.evaluation.count import NOBODY
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, random_scene
@@ -42,8 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folders = [asked.out / str(n) for n in range(len(scenes))]
     in_processes(recognise, [Job(s, f, [low]) for s, f in zip(scenes, folders, strict=True)])
     parts = score(folders).parts
-    claims = np.concatenate([p.claimed[FRAMEWORK] for p in parts])[:, :-1]
-    whole = np.concatenate([p.declared["strict", None][:, :, 3].sum(axis=1) for p in parts])
+    claims = np.concatenate([p.sums["claimed", FRAMEWORK] for p in parts])[:, :-1]
+    whole = np.concatenate(
+        [p.sums["declared", "strict", NOBODY][:, :, 3].sum(axis=1) for p in parts]
+    )
     total = claims.sum(axis=2)
     with np.errstate(invalid="ignore"):
         false = np.nanmean(claims[:, :, 1] / total, axis=0)
