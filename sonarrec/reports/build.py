@@ -160,10 +160,8 @@ def _with_panels(
     tables = {file: read_truth(file) for file in {row.ground_truth for row in truths}}
     to_show = [LogToShow(row.results, tables[row.ground_truth], row.log) for row in truths]
     logs, unread = read_logs(to_show, options)
-    named_logs = [
-        replace(log, results=replace(log.results, name=scored[log.folder])) for log in logs
-    ]
-    return named_logs, unread
+    named = (replace(log, results=replace(log.results, name=scored[log.folder])) for log in logs)
+    return list(named), unread
 
 
 def _draw_all(
@@ -178,10 +176,11 @@ def _draw_all(
     sources, missing = match_recordings(logs, recordings, sonar, topic)
     recorded = [log for log in logs if log.results.name in sources]
     passes = [(log, s) for log in recorded for s in judged_sightings(log)]
-    requests = [
-        *_sighting_requests(recorded, passes),
-        *_mistake_requests(matched, mistakes, sources),
-    ]
+    requests = _sighting_requests(recorded, passes)
+    for method, of_method in mistakes.items():
+        for e in [e for e in of_method if e.log in sources][:MOST_MISTAKEN]:
+            wrong = f"{in_words(e, matched[e.log])}."
+            requests.append(PictureRequest(e.log, method, e.worst, "mistake", "", wrong))
     frames_held = frames.choose(recorded, _named_frames(passes, mistakes, requests))
     most_bytes = frames.MOST_BYTES // max(1, sum(map(len, frames_held.values())))  # for each frame
     pictures: dict[PictureRequest, Picture] = {}
@@ -265,16 +264,3 @@ def _nearest_to_declared(logs: Sequence[ReportedLog]) -> list[PictureRequest]:
     landmark = log.ids[log.results.landmark_index[n]]
     caption = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
     return [PictureRequest(log.results.name, log.tracker, log.frame_of(n), "surest", caption)]
-
-
-def _mistake_requests(
-    matched: Mapping[str, Matched],
-    mistakes: Mapping[str, Sequence[Episode]],
-    sources: Mapping[str, Path],
-) -> list[PictureRequest]:
-    """The worst frame of the worst mistakes, per method."""
-    return [
-        PictureRequest(e.log, method, e.worst, "mistake", "", f"{in_words(e, matched[e.log])}.")
-        for method, of_method in mistakes.items()
-        for e in [e for e in of_method if e.log in sources][:MOST_MISTAKEN]
-    ]

@@ -132,12 +132,8 @@ class Picture:
 
 def shifted(image: np.ndarray, rows: int) -> np.ndarray:
     """The image moved by this many rows to higher ones (lower if negative), filled with zeros."""
-    rows = max(-len(image), min(rows, len(image)))
-    moved = np.zeros_like(image)
-    if rows >= 0:
-        moved[rows:] = image[: len(image) - rows]
-    else:
-        moved[:rows] = image[-rows:]
+    moved, kept = np.zeros_like(image), max(len(image) - abs(rows), 0)
+    moved[max(rows, 0) :][:kept] = image[max(-rows, 0) :][:kept]
     return moved
 
 

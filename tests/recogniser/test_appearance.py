@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from sonarrec.config import Features
 from sonarrec.errors import UsageError
 from sonarrec.landmarks import load_landmarks
-from sonarrec.nouns import Groups
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage3.appearance import (
@@ -40,6 +39,7 @@ from tests.support.drawn import (
     surroundings,
     whole_disc,
 )
+from tests.support.groups import groups
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)
@@ -49,19 +49,6 @@ LINES = len(SAMPLER.radii)
 DESCRIBE = Describer(SAMPLER.bands, SAMPLER.radii, BASIN, correlation_length=0.45)
 SURE = np.full(3, 0.9)  # that the objects exist
 SHARP = np.zeros(3)  # beams that smear nothing
-
-
-def groups(*in_view, remembered=(), sight_deg=None) -> Groups:
-    n = len(in_view)
-    return Groups(
-        np.array(in_view, np.int64),
-        np.zeros((n, 2)),
-        np.zeros((n, 2)),
-        np.full(n, 0.9),
-        np.zeros(n) if sight_deg is None else np.array(sight_deg, float),
-        np.ones(n, bool),
-        np.array(remembered, np.int64),
-    )
 
 
 @settings(max_examples=30)

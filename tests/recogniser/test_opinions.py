@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sonarrec.nouns import Groups
 from sonarrec.recogniser.stage3 import Evidence
 from sonarrec.recogniser.stage3.opinions import (
     FRAME_EXPONENT,
@@ -19,24 +18,12 @@ from sonarrec.recogniser.stage3.opinions import (
     Opinions,
     TrackBelief,
 )
+from tests.support.groups import groups
 
 IDS = 4
 said = arrays(float, (6, IDS + 1), elements=st.floats(0.0, 1.0)).map(
     lambda a: (a + 1e-6) / (a + 1e-6).sum(axis=1, keepdims=True)
 )
-
-
-def groups(*numbers: int, remembered: tuple[int, ...] = ()) -> Groups:
-    n = len(numbers)
-    return Groups(
-        numbers=np.array(numbers, np.int64),
-        positions=np.zeros((n, 2)),
-        existence=np.ones(n),
-        spread=np.ones((n, 2)),
-        sight_deg=np.zeros(n),
-        in_view=np.ones(n, bool),
-        remembered=np.array(remembered, np.int64),
-    )
 
 
 def evidence(*episodes: int) -> Evidence:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.nouns import Groups
 from sonarrec.recogniser.estimates import wins
 from sonarrec.recogniser.stage3.published import (
     FeatureEstimator,
@@ -18,6 +17,7 @@ from sonarrec.recogniser.stage3.published import (
     motion_model,
     update,
 )
+from tests.support.groups import groups
 
 IDEAL = {  # shares of agreeing sectors between the four IDs, by hand
     1: (1, 0.75, 0.75, 0.5),
@@ -26,19 +26,6 @@ IDEAL = {  # shares of agreeing sectors between the four IDs, by hand
     4: (0.5, 0.75, 0.75, 1),
 }
 BASIN = load_landmarks("basin")
-
-
-def groups(numbers, positions) -> Groups:
-    n = len(numbers)
-    return Groups(
-        np.asarray(numbers, np.int64),
-        np.asarray(positions, float).reshape(n, 2),
-        np.zeros((n, 2)),
-        np.full(n, 0.9),
-        np.zeros(n),
-        np.ones(n, bool),
-        np.empty(0, np.int64),
-    )
 
 
 def ideal_q(landmark: int) -> np.ndarray:
@@ -99,10 +86,10 @@ def test_what_was_ruled_out_by_such_a_model_can_be_measured_again():
 @pytest.mark.parametrize("kind", ["association", "inverse_distance"])
 def test_one_that_returns_to_an_empty_view_brings_its_own_belief(kind):
     estimator = FeatureEstimator(Features(motion_model=kind), measurement_model(BASIN, 2.5))
-    before = estimator.step(groups([4], [[50, 50]]), ideal_q(3)[None])
-    nobody = dataclasses.replace(groups([], []), remembered=np.array([4]))
+    before = estimator.step(groups(4, positions=[[50, 50]]), ideal_q(3)[None])
+    nobody = dataclasses.replace(groups(), remembered=np.array([4]))
     estimator.step(nobody, np.empty((0, 4)))
-    back = estimator.step(groups([4], [[80, 50]]), np.full((1, 4), 0.25))
+    back = estimator.step(groups(4, positions=[[80, 50]]), np.full((1, 4), 0.25))
     expected = update(before, np.full((1, 4), 0.25), measurement_model(BASIN, 2.5))
     np.testing.assert_allclose(back, expected)
 
@@ -163,7 +150,7 @@ def three_in_a_row(kind: str, power: float, shift: float, frames: int) -> np.nda
     q = np.stack([ideal_q(1), ideal_q(3), ideal_q(4)])
     for _ in range(frames):
         place = place + np.array([shift, 0])
-        belief = estimator.step(groups([1, 2, 3], place), q)
+        belief = estimator.step(groups(1, 2, 3, positions=place), q)
         np.testing.assert_allclose(belief.sum(axis=1), 1, rtol=1e-9)
     return belief
 
@@ -192,8 +179,8 @@ def test_a_new_track_knows_nothing_and_an_old_one_remembers(kind):
     model = measurement_model(BASIN, 2.5)
     estimator = FeatureEstimator(Features(motion_model=kind, distance_power=1.0), model)
     for _ in range(30):
-        old = estimator.step(groups([4], [(50, 50)]), ideal_q(1)[None])
-    both = estimator.step(groups([4, 9], [(50, 50), (52, 50)]), np.stack([ideal_q(1)] * 2))
+        old = estimator.step(groups(4, positions=[(50, 50)]), ideal_q(1)[None])
+    both = estimator.step(groups(4, 9, positions=[(50, 50), (52, 50)]), np.stack([ideal_q(1)] * 2))
     np.testing.assert_allclose(both[0], update(old, ideal_q(1)[None], model)[0])
     np.testing.assert_allclose(both[1], update(np.full((1, 4), 0.25), ideal_q(1)[None], model)[0])
 
@@ -202,8 +189,10 @@ def test_a_new_track_may_take_its_neighbours_belief_by_eq_5():
     model = measurement_model(BASIN, 2.5)
     settings = Features(motion_model="inverse_distance", new_belief="neighbours")
     estimator = FeatureEstimator(settings, model)
-    old = estimator.step(groups([4, 5], [(50, 50), (80, 50)]), np.stack([ideal_q(1), ideal_q(4)]))
-    new = estimator.step(groups([9], [(60, 50)]), ideal_q(3)[None])
+    old = estimator.step(
+        groups(4, 5, positions=[(50, 50), (80, 50)]), np.stack([ideal_q(1), ideal_q(4)])
+    )
+    new = estimator.step(groups(9, positions=[(60, 50)]), ideal_q(3)[None])
     mixed = (2 * old[:1] + old[1:]) / 3  # 10 and 20 pixels away
     np.testing.assert_allclose(new, update(mixed, ideal_q(3)[None], model))
 
@@ -228,10 +217,10 @@ def test_an_id_goes_to_the_one_object_for_which_it_is_most_probable(beliefs):
 def test_a_track_that_came_back_under_a_new_number_starts_again():
     model = measurement_model(BASIN, 2.5)
     estimator = FeatureEstimator(Features(motion_model="association"), model)
-    estimator.step(groups([1, 2], [(0, 0), (99, 0)]), np.stack([ideal_q(1), ideal_q(4)]))
-    empty = estimator.step(groups([], []), np.empty((0, 4)))
+    estimator.step(groups(1, 2, positions=[(0, 0), (99, 0)]), np.stack([ideal_q(1), ideal_q(4)]))
+    empty = estimator.step(groups(), np.empty((0, 4)))
     assert empty.shape == (0, 4)
-    again = estimator.step(groups([2], [(99, 0)]), ideal_q(4)[None])
+    again = estimator.step(groups(2, positions=[(99, 0)]), ideal_q(4)[None])
     np.testing.assert_allclose(again, update(np.full((1, 4), 0.25), ideal_q(4)[None], model))
 
 
@@ -239,6 +228,6 @@ def test_deleting_a_track_leaves_the_others_beliefs_in_place():
     model = measurement_model(BASIN, 2.5)
     estimator = FeatureEstimator(Features(motion_model="association"), model)
     q = np.stack([ideal_q(1), ideal_q(3), ideal_q(4)])
-    first = estimator.step(groups([1, 2, 3], [(0, 0), (99, 0), (199, 0)]), q)
-    after = estimator.step(groups([1, 3], [(0, 0), (199, 0)]), q[[0, 2]])
+    first = estimator.step(groups(1, 2, 3, positions=[(0, 0), (99, 0), (199, 0)]), q)
+    after = estimator.step(groups(1, 3, positions=[(0, 0), (199, 0)]), q[[0, 2]])
     np.testing.assert_allclose(after, update(first[[0, 2]], q[[0, 2]], model))

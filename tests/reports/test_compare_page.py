@@ -6,21 +6,14 @@ import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from sonarrec.evaluation.compare import compare
 from tests.evaluation.test_evaluation import write_case
+from tests.support.command import sonarrec
 from tests.support.pages import Page
 
 FRAMES = range(400)
 PASSES = 8
-
-
-def report(*arguments: str | Path, code: int = 0) -> Result:
-    done = CliRunner().invoke(main, ["report", *map(str, arguments)])
-    assert done.exit_code == code, done.output
-    return done
 
 
 @pytest.fixture
@@ -38,7 +31,7 @@ def sides(tmp_path: Path) -> tuple[Path, Path, Path]:
 
 def test_the_page_tells_what_the_comparison_found(sides: tuple[Path, Path, Path]) -> None:
     old, new, gt = sides
-    done = report("--compare", old, new, "--ground-truth", gt)
+    done = sonarrec("report", "--compare", old, new, "--ground-truth", gt)
     path = new / "compare.html"
     assert done.stdout.startswith(f"{path}: ")
     page = Page(path)
@@ -68,7 +61,7 @@ def test_the_page_tells_what_the_comparison_found(sides: tuple[Path, Path, Path]
 
 def test_further_results_have_a_page_each(sides: tuple[Path, Path, Path]) -> None:
     old, new, gt = sides
-    done = report("--compare", old, new, old, "--ground-truth", gt)
+    done = sonarrec("report", "--compare", old, new, old, "--ground-truth", gt)
     assert [line.partition(":")[0] for line in done.stdout.splitlines()] == [
         str(new / "compare.html"), str(old / "compare.html"),
     ]  # fmt: skip
@@ -77,7 +70,7 @@ def test_further_results_have_a_page_each(sides: tuple[Path, Path, Path]) -> Non
 
 def test_the_page_needs_nothing_else(sides: tuple[Path, Path, Path]) -> None:
     old, new, gt = sides
-    report("--compare", old, new, "--ground-truth", gt, "-q")
+    sonarrec("report", "--compare", old, new, "--ground-truth", gt, "-q")
     page = Page(new / "compare.html")
     assert not any(tag in ("script", "link", "img", "iframe") for tag, _ in page.elements)
     assert "http" not in page.text
@@ -99,4 +92,4 @@ def test_options_that_do_not_go_together(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.csv").write_text("results,ground_truth\n")
-    assert says in report(*arguments, code=2).stderr
+    assert says in sonarrec("report", *arguments, code=2).stderr

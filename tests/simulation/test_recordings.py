@@ -10,10 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from mcap.reader import make_reader
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.render import render
@@ -29,6 +27,7 @@ from sonarrec.simulation.scene import (
 from sonarrec.simulation.simulate import write_recording
 from sonarrec.sonar import load_sonar
 from tests.support.bare import BARE, POLAR, power
+from tests.support.command import sonarrec
 from tests.support.rows import read_rows
 
 
@@ -150,24 +149,16 @@ def test_a_set_that_only_has_the_name_of_the_built_in_one_is_written(tmp_path, r
 
 
 def test_simulate_command(tmp_path) -> None:
-    runner = CliRunner()
-    out = tmp_path / "log"
-    done = runner.invoke(
-        main, ["simulate", "--scene", "basin", "--frames", "2", "--seed", "9", "--out", str(out)]
-    )
-    assert done.exit_code == 0, done.output
+    basin, out = ("simulate", "--scene", "basin"), tmp_path / "log"
+    sonarrec(*basin, "--frames", "2", "--seed", "9", "--out", out)
     assert len(list(out.glob("*.png"))) == 2
     assert load_scene(out / "scene.toml").seed == 9
-    again = runner.invoke(main, ["simulate", "--scene", "basin", "--out", str(out)])
-    assert again.exit_code == 1
-    assert "already exists" in again.output
+    assert "already exists" in sonarrec(*basin, "--out", out, code=1).stderr
     (tmp_path / "file").touch()
-    inside = str(tmp_path / "file" / "log")
-    fault = runner.invoke(main, ["simulate", "--scene", "basin", "--out", inside])
-    assert fault.exit_code == 1
-    assert fault.stderr == f"sonarrec: {inside}: cannot be written (Not a directory)\n"
-    wrong = runner.invoke(main, ["simulate", "--scene", "x", "--out", str(tmp_path / "new")])
-    assert wrong.exit_code == 2
+    inside = tmp_path / "file" / "log"
+    fault = sonarrec(*basin, "--out", inside, code=1).stderr
+    assert fault == f"sonarrec: {inside}: cannot be written (Not a directory)\n"
+    sonarrec("simulate", "--scene", "x", "--out", tmp_path / "new", code=2)
     assert not (tmp_path / "new").exists()
 
 

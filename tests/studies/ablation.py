@@ -107,7 +107,7 @@ ABLATIONS = {
     ),
     "offline": Ablation(preset="offline"),
     "offline, spread though most frames disagree": Ablation(
-        code={"presets.hindsight.LEAST_BORNE_OUT": 0.0}, preset="offline"
+        code={"presets.hindsight.LEAST_MEAN_BELIEF": 0.0}, preset="offline"
     ),
 }
 

@@ -60,12 +60,11 @@ class Hindsight:
         self.lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
-        self._opinions = Opinions(self._no_opinion)
+        size = len(landmarks.ids) + 1
+        self._opinions = Opinions(
+            lambda: _HindsightOpinion(np.zeros(size), beliefs_sum=np.zeros(size))
+        )
         self._frame = 0  # a count, since the numbers of a log's frames may jump
-
-    def _no_opinion(self) -> _HindsightOpinion:
-        none = np.zeros((2, len(self._ids) + 1))
-        return _HindsightOpinion(none[0], beliefs_sum=none[1])
 
     def learn(self, result: FrameResult) -> None:
         """Add a frame's estimates to the opinions of their tracks."""

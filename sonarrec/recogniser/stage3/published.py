@@ -95,9 +95,9 @@ class FeatureEstimator:
         predicted = self._predict(groups)
         beliefs = update(predicted, measured, self._model)
         remembered = set(groups.remembered.tolist())
-        away = [i for i, number in enumerate(self._numbers) if number in remembered]
-        self._numbers = [*groups.numbers.tolist(), *(self._numbers[i] for i in away)]
-        self._beliefs = np.concatenate([beliefs, self._beliefs[away]])
+        kept = [i for i, number in enumerate(self._numbers) if number in remembered]
+        self._numbers = [*groups.numbers.tolist(), *(self._numbers[i] for i in kept)]
+        self._beliefs = np.concatenate([beliefs, self._beliefs[kept]])
         self._positions = groups.positions
         return beliefs
 
