@@ -16,7 +16,6 @@ from sonarrec.config import Features
 from sonarrec.errors import UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage3.appearance import (
     AppearanceMeasurement,
 )
@@ -446,12 +445,6 @@ def test_a_blank_and_a_filled_disc_are_none_of_these(seed):
     for p in (blank, filled, floor):
         assert p.argmax() == 4
         assert p[4] > 0.5
-
-
-@pytest.mark.parametrize(("view_deg", "width_deg"), [(28.8, 0.4), (60.0, 0.6), (130.0, 1.0)])
-def test_beams_are_as_wide_as_is_usual_for_the_field_of_view(view_deg, width_deg):
-    fan = dataclasses.replace(FAN, bearing_min_deg=-view_deg / 2, bearing_max_deg=view_deg / 2)
-    assert usual_beam_width_deg(fan) == width_deg
 
 
 @pytest.mark.parametrize(("width_deg", "needed"), [(0.4, 2), (4.0, 8)])

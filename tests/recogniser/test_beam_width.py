@@ -65,8 +65,9 @@ def width_in(folder: Path) -> float:
 
 def test_the_usual_width_follows_from_the_field_of_view(tmp_path: Path) -> None:
     fan = scene_fan(Scene())
-    assert usual_beam_width_deg(fan) == 0.4
-    assert usual_beam_width_deg(replace(fan, bearing_min_deg=-65, bearing_max_deg=65)) == 1.0
+    for view_deg, width_deg in ((28.8, 0.4), (60.0, 0.6), (130.0, 1.0)):
+        edges = {"bearing_min_deg": -view_deg / 2, "bearing_max_deg": view_deg / 2}
+        assert usual_beam_width_deg(replace(fan, **edges)) == width_deg
     told = sonarrec("run", SAMPLE, "--frames", ":20", "-q", "-o", tmp_path).stderr
     assert "beam" not in told
     assert width_in(tmp_path / "pan") == 0.4

@@ -225,23 +225,6 @@ def test_a_vehicle_that_loses_the_floor_goes_on_as_it_went_and_finds_it_again() 
 
 
 @pytest.mark.slow
-def test_what_is_measured_carries_a_landmark_s_place_along() -> None:
-    """To a sixth of a disc radius, where the groups of stage 2 follow by a third."""
-    run, images = run_of(8703)
-    fan = scene_fan(run.scene)
-    plane = working_plane("floor", fan, run.scene.landmark_set.radius_m, 12.0)
-    place, poses = np.array([[plane.shape[1] / 2, plane.shape[0] / 3]]), run.poses()[:FRAMES]
-    for motion, true in zip(
-        measured(list(images), fan, run.scene.landmark_set.radius_m)[2:],
-        truth(poses)[1:],
-        strict=True,
-    ):
-        assert motion is not None
-        exact = plane.moved(place, Motion(true[2], true[0], true[1]))
-        assert np.hypot(*(plane.moved(place, motion) - exact).T) < 2  # pixels: .17 disc radii
-
-
-@pytest.mark.slow
 def test_a_motion_that_was_not_found_at_first_is_searched_for_again() -> None:
     """The first frame is noise: how little it is like the second says nothing of the third."""
     run, images = run_of(8702)
