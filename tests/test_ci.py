@@ -68,17 +68,6 @@ def test_with_a_browser_nothing_is_installed(tmp_path: Path) -> None:
     ]
 
 
-def test_where_root_and_apt_get_may_it_is_installed(tmp_path: Path) -> None:
-    install = f"""echo "$@" >> {tmp_path}/asked
-[ "$1" = update ] || for tool in chromium chromedriver; do
-  printf '' > {tmp_path}/bin/$tool; /bin/chmod +x {tmp_path}/bin/$tool; done"""
-    found = run(tmp_path, "true", {"id": "echo 0", "apt-get": install})
-    assert found.returncode == 0
-    assert found.stdout.splitlines()[-1] == "No test was skipped."
-    assert "install" in (tmp_path / "asked").read_text()
-    assert "chromium chromium-driver" in (tmp_path / "asked").read_text()
-
-
 @pytest.mark.parametrize("failing", ["test", "test-slow"])
 def test_failing_tests_fail_it(tmp_path: Path, failing: str) -> None:
     """What was skipped is told all the same."""

@@ -4,14 +4,13 @@ import dataclasses
 import tomllib
 
 import pytest
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec import config
-from sonarrec.cli import main
 from sonarrec.errors import UsageError
 from sonarrec.tables.toml import checked, types_of
+from tests.support.command import sonarrec
 
 NUMBERS = [
     f"{section}.{field.name}"
@@ -132,9 +131,7 @@ def test_texts_may_be_bare_or_quoted_and_the_last_assignment_wins():
 
 
 def printed(*arguments: str) -> dict:
-    result = CliRunner().invoke(main, ["config", *arguments])
-    assert result.exit_code == 0, result.output
-    return tomllib.loads(result.output)
+    return tomllib.loads(sonarrec("config", *arguments).output)
 
 
 def test_preset_then_file_then_set_then_seed(tmp_path):
@@ -170,8 +167,7 @@ def test_spaces_in_a_list_of_presets_count_for_nothing(tmp_path):
 
 
 def test_the_configuration_is_printed_with_units_and_meanings():
-    result = CliRunner().invoke(main, ["config"])
-    assert result.exit_code == 0
+    result = sonarrec("config")
     assert tomllib.loads(result.output) == dataclasses.asdict(config.preset("default"))
     for kind in config.SECTIONS.values():
         for field in dataclasses.fields(kind):

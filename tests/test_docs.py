@@ -102,50 +102,6 @@ def run(command: str, folder: Path) -> str:
     return printed
 
 
-class Once:
-    """As `run`, but a run of the sample that another document shows, too, is done once.
-
-    Its results are kept, and put where they were or where --out says; so all documents have the
-    same folder. What a run with -q writes, one without it has written.
-    """
-
-    def __init__(self, folder: Path, kept: Path) -> None:
-        self.folder, self.kept = folder, kept
-        self.done: dict[tuple[str, ...], tuple[str, Path]] = {}
-
-    def __call__(self, command: str) -> str:
-        words = shlex.split(command, comments=True)
-        at = words.index("-o") if "-o" in words else len(words)
-        out = self.folder / (words[at + 1] if words[at:] else "sonarrec_out")
-        files = [word for word in words if (self.folder / word).exists()]
-        sample = files and all(file.startswith("sample_data/") for file in files)
-        if words[:2] != ["sonarrec", "run"] or not sample or out.exists():
-            return run(command, self.folder)
-        asked = (*words[:at], *words[at + 2 :])
-        loud = tuple(word for word in asked if word != "-q")
-        if known := self.done.get(asked) or self.done.get(loud):
-            printed, kept = known
-            shutil.copytree(kept, out)
-            return printed.replace("OUT/", f"{out.name}/")
-        printed, kept = run(command, self.folder), self.kept / str(len(self.done))
-        shutil.copytree(out, kept)
-        self.done[asked] = printed.replace(f"{out.name}/", "OUT/"), kept
-        return printed
-
-
-@pytest.fixture(scope="module")
-def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
-    return Once(tmp_path_factory.mktemp("docs") / "work", tmp_path_factory.mktemp("kept"))
-
-
-@pytest.fixture
-def fresh(once: Once) -> Iterator[Once]:
-    """In a fresh copy of the sample data."""
-    shutil.copytree(ROOT / "sample_data", once.folder / "sample_data")
-    yield once
-    shutil.rmtree(once.folder)
-
-
 @pytest.mark.parametrize(
     "document",
     [
@@ -155,9 +111,10 @@ def fresh(once: Once) -> Iterator[Once]:
     ids=lambda path: path.stem,
 )
 def test_commands_in_order_print_what_is_shown(
-    document: Path, fresh: Once, monkeypatch: pytest.MonkeyPatch
+    document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(fresh.folder)
+    shutil.copytree(ROOT / "sample_data", tmp_path / "sample_data")
+    monkeypatch.chdir(tmp_path)
     found = examples(document)
     without = document.stem in ("changes", "develop")  # which tell no command of the program
     assert without or any("sonarrec" in command for command, _ in found)
@@ -166,7 +123,7 @@ def test_commands_in_order_print_what_is_shown(
         if words[0] == "cat" and not Path(words[1]).exists():
             Path(words[1]).write_text("\n".join(shown) + "\n", encoding="utf-8")
         elif words[0] != "make" and "://" not in command:
-            printed = fresh(command)
+            printed = run(command, tmp_path)
             pattern = ".*".join(
                 "\n" + ".*".join(re.escape(part) for part in line.split("..."))
                 for line in shown

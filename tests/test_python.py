@@ -16,10 +16,10 @@ import pytest
 
 import sonarrec
 from sonarrec.errors import SonarrecError, UsageError
+from tests.support.batch import SAMPLE, made
 from tests.support.command import sonarrec as command
 
 ROOT = Path(__file__).parents[1]
-SAMPLE = ROOT / "sample_data" / "pan"
 NAMES = {
     *("Recogniser", "compare", "evaluate", "load_landmarks", "map_landmarks", "open_log"),
     *("overlay", "preset", "read_results", "report", "run", "simulate"),
@@ -66,8 +66,8 @@ def test_the_page_s_code_runs_in_order(
     assert "results/pan 128 frames" in printed
     assert "strict framework" in printed
     assert "results/pan is as good as results/pan: TPR 0.99" in printed
-    for made in ("results/report.html", "results/compare.html", "shots/000033.png"):
-        assert Path(made).is_file()
+    for written in ("results/report.html", "results/compare.html", "shots/000033.png"):
+        assert Path(written).is_file()
     assert re.search(r"framework ID\.[13] \d\.\d\d m", printed)
     assert printed.splitlines()[-1] == "10"
     for name in NAMES:
@@ -77,10 +77,8 @@ def test_the_page_s_code_runs_in_order(
 @pytest.mark.slow
 def test_functions_give_what_commands_write(tmp_path: Path) -> None:
     """Of two logs and one that is not there, in two processes; each table against its file."""
-    for name, frames in (("a", 12), ("b", 9)):
-        (tmp_path / name).mkdir()
-        for file in (*(f"{n:06d}.png" for n in range(frames)), "sonar.toml", "gt.csv"):
-            shutil.copy(SAMPLE / file, tmp_path / name / file)
+    for log in (*made(tmp_path, "a", frames=12), *made(tmp_path, "b", frames=9)):
+        shutil.copy(SAMPLE / "gt.csv", log)
     logs, out = [tmp_path / name for name in ("a", "gone", "b")], tmp_path / "out"
     done = sonarrec.run(logs, out, jobs=2)
     assert repr(done) == f"<{out}: 2 logs, 21 frames; 1 failed>"
@@ -138,10 +136,7 @@ def _claiming_nothing() -> Any:
 
 
 def test_frame_by_frame_is_what_a_run_writes(tmp_path: Path) -> None:
-    folder = tmp_path / "pings"
-    folder.mkdir()
-    for name in (*(f"{n:06d}.png" for n in range(10)), "sonar.toml"):
-        shutil.copy(SAMPLE / name, folder / name)
+    (folder,) = made(tmp_path, "pings", frames=10)
     written = sonarrec.read_results(sonarrec.run(str(folder), str(tmp_path / "out")).folder)
     with sonarrec.open_log(folder) as log:
         frames = list(log)

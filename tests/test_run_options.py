@@ -6,32 +6,28 @@ import contextlib
 import csv
 import os
 import re
-import shutil
 import struct
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-import sonarrec
-from sonarrec.cli import main
+from sonarrec import run
 from sonarrec.results.run_file import read_run
+from tests.support.batch import made
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.locked import locked
 
-SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "pan"
+TEN = SAMPLE / "00000*.png"
 
 
-def run_line(*words: str) -> Result:
-    return CliRunner().invoke(main, words)
-
-
-def run_words(words: str, **places: Path) -> Result:
+def run_words(words: str, code: int, **places: Path) -> Result:
     """A command in which names in capitals stand for places; GT for the truth of the sample."""
     for name, place in {"GT": SAMPLE.parent / "pan.gt.csv", **places}.items():
         words = words.replace(name, str(place))
-    return run_line(*words.split())
+    return sonarrec(*words.split(), code=code)
 
 
 def numbers(folder: Path) -> list[int]:
@@ -45,40 +41,30 @@ def test_a_slice_of_the_frames_is_as_python_s(tmp_path: Path) -> None:
     for text in ("3:7", ":4", "9:", ":"):
         first, _, end = text.partition(":")
         expected = list(range(12))[int(first or 0) : int(end) if end else None]
-        done = run_line(
-            "run", "-q", str(SAMPLE / "00000*.png"), "--frames", text, "-o", str(tmp_path)
-        )
-        assert done.exit_code == 0, done.output
+        sonarrec("run", "-q", TEN, "--frames", text, "-o", tmp_path)
         [folder] = [p for p in tmp_path.iterdir() if p.is_dir()]
         assert numbers(folder) == [n for n in expected if n < 10]
-    again = run_line("run", str(SAMPLE / "00000*.png"), "--frames", ":", "-o", str(tmp_path))
-    assert "up to date" in again.stdout
-    whole = run_line("run", str(SAMPLE / "00000*.png"), "-o", str(tmp_path))
+    assert "up to date" in sonarrec("run", TEN, "--frames", ":", "-o", tmp_path).stdout
+    whole = sonarrec("run", TEN, "-o", tmp_path)
     assert "other settings" in whole.stderr
     assert "up to date" not in whole.stdout
 
 
 @pytest.mark.slow
 def test_run_toml_keeps_the_slice(tmp_path: Path) -> None:
-    log, out = tmp_path / "dive", tmp_path / "out"
-    log.mkdir()
-    for name in (*(f"{n:06d}.png" for n in range(8)), "sonar.toml"):
-        shutil.copy(SAMPLE / name, log)
-    assert run_line("run", "-q", str(log), "--frames", "2:5", "-o", str(out)).exit_code == 0
-    again = ["--config", str(out / "dive" / "run.toml"), "-o", str(tmp_path / "again")]
-    assert run_line("run", "-q", str(log), *again).exit_code == 0
-    assert numbers(tmp_path / "again" / "dive") == [2, 3, 4]
-    glob = [str(log / "*.png"), *again[:2], "-o", str(tmp_path / "glob")]
-    assert run_line("run", "-q", *glob).exit_code == 0
-    assert numbers(tmp_path / "glob" / "dive") == [2, 3, 4]
-    done = sonarrec.run(log, tmp_path / "python", frames=(6, None))
+    (log,) = made(tmp_path, "dive", frames=8)
+    sonarrec("run", "-q", log, "--frames", "2:5", "-o", tmp_path / "out")
+    again = ["--config", tmp_path / "out" / "dive" / "run.toml", "-o"]
+    for named, out in ((log, "again"), (log / "*.png", "glob")):
+        sonarrec("run", "-q", named, *again, tmp_path / out)
+        assert numbers(tmp_path / out / "dive") == [2, 3, 4]
+    done = run(log, tmp_path / "python", frames=(6, None))
     assert numbers(done.folder) == [6, 7]
 
 
 @pytest.mark.parametrize("text", ["3", "5:5", "a:b", "-3:", "1:2:3", "99999:"])
 def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
-    done = run_line("run", str(SAMPLE / "00000*.png"), "--frames", text, "-o", str(tmp_path / "o"))
-    assert done.exit_code == 2
+    done = sonarrec("run", TEN, "--frames", text, "-o", tmp_path / "o", code=2)
     assert "--frames" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
@@ -102,7 +88,7 @@ def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
     ],
 )
 def test_an_input_that_is_not_there_is_exit_code_2_everywhere(tmp_path: Path, words: str) -> None:
-    assert run_words(words, GONE=tmp_path / "gone").exit_code == 2
+    run_words(words, 2, GONE=tmp_path / "gone")
 
 
 @pytest.mark.parametrize(
@@ -116,18 +102,17 @@ def test_an_input_that_is_not_there_is_exit_code_2_everywhere(tmp_path: Path, wo
 )
 def test_an_empty_word_is_refused(words: list[str], after: str) -> None:
     """Such as that of a variable that is not set: as a path it would be the folder of now."""
-    refused = run_line(*words)
-    assert refused.exit_code == 2
-    assert refused.stderr == f"sonarrec: empty argument after {after}; is a variable unset?\n"
+    assert (
+        sonarrec(*words, code=2).stderr
+        == f"sonarrec: empty argument after {after}; is a variable unset?\n"
+    )
 
 
 def test_images_of_an_unquoted_glob_are_noted() -> None:
     images = [str(SAMPLE / f"00000{n}.png") for n in range(3)]
-    done = run_line("run", *images, "--dry-run")
-    assert done.exit_code == 0
+    done = sonarrec("run", *images, "--dry-run")
     assert f"note: {SAMPLE}: 3 of its images are each run as a log of one frame" in done.stderr
-    quoted = run_line("run", images[0], str(SAMPLE / "0*.png"), "--dry-run")
-    assert (quoted.exit_code, quoted.stderr) == (0, "")
+    assert sonarrec("run", images[0], SAMPLE / "0*.png", "--dry-run").stderr == ""
 
 
 @pytest.mark.parametrize("name", ["run", "info"])
@@ -136,9 +121,7 @@ def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPa
         raise KeyboardInterrupt
 
     monkeypatch.setattr("sonarrec.readers.open._find", stop)
-    stopped = run_line(name, str(SAMPLE))
-    assert stopped.exit_code == 130
-    assert stopped.stderr == "sonarrec: stopped\n"
+    assert sonarrec(name, SAMPLE, code=130).stderr == "sonarrec: stopped\n"
 
 
 @pytest.mark.parametrize(
@@ -157,8 +140,7 @@ def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPa
 )
 def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> None:
     with locked(tmp_path / "locked") as folder:
-        done = run_words(words, LOCKED=folder)
-    assert done.exit_code == 1
+        done = run_words(words, 1, LOCKED=folder)
     (told,) = done.stderr.splitlines()
     assert told.startswith(f"sonarrec: {folder}")
     assert "Permission denied" in told
@@ -171,16 +153,14 @@ def test_a_current_folder_that_is_gone_is_one_line(
     gone.mkdir()
     monkeypatch.chdir(gone)
     gone.rmdir()
-    done = run_line("run", str(SAMPLE))
-    assert done.exit_code == 1
     line = "sonarrec_out/pan: cannot be written (No such file or directory)"
-    assert done.stderr == f"sonarrec: {line}\n"
-    none = run_line("run", "none.mcap", "-o", str(tmp_path))
+    assert sonarrec("run", SAMPLE, code=1).stderr == f"sonarrec: {line}\n"
+    none = sonarrec("run", "none.mcap", "-o", tmp_path, code=2)
     assert none.stderr == "sonarrec: none.mcap: no such file or folder\n"
 
 
 def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:
-    done = run_line("run", "-q", "-v", str(SAMPLE / "00000*.png"), "-o", str(tmp_path))
+    done = sonarrec("run", "-q", "-v", TEN, "-o", tmp_path)
     assert re.search(r"\*\.png: done, 10 frames, \d+ candidates, 1 pass, \d+\.\d s", done.stderr)
     assert not done.stdout
     assert len(done.stderr.splitlines()) == 1
@@ -189,13 +169,9 @@ def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:
 def test_the_bar_names_the_log_and_which_of_how_many(tmp_path: Path) -> None:
     """On a terminal, which this makes one of."""
     fcntl, termios = pytest.importorskip("fcntl"), pytest.importorskip("termios")
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        for file in ("000000.png", "000001.png", "sonar.toml"):
-            shutil.copy(SAMPLE / file, tmp_path / name)
+    logs = map(str, made(tmp_path, "one", "two", frames=2))
     ours, theirs = os.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
-    logs = [str(tmp_path / name) for name in ("one", "two")]
     words = [sys.executable, "-m", "sonarrec", "run", "-j", "1", *logs, "-o", str(tmp_path / "out")]
     subprocess.run(words, stderr=theirs, stdout=subprocess.DEVNULL, check=True)
     os.set_blocking(ours, False)
@@ -213,31 +189,24 @@ def test_another_log_of_the_name_is_run_whole_though_the_first_was_run_in_part(
     tmp_path: Path,
 ) -> None:
     """Equal names in each day's folder are usual: a log is told from another by its SHA-256."""
-    for day, last in (("a", 5), ("b", 6)):
-        (tmp_path / day / "dive").mkdir(parents=True)
-        for k in range(last):
-            shutil.copy(SAMPLE / f"{k:06d}.png", tmp_path / day / "dive")
-        shutil.copy(SAMPLE / "sonar.toml", tmp_path / day / "dive")
-    part = ["--frames", "1:3", "-o", str(tmp_path / "x")]
-    assert run_line("run", "-q", str(tmp_path / "a" / "dive"), *part).exit_code == 0
-    again = ["--config", str(tmp_path / "x" / "dive" / "run.toml"), "-o"]
-    other = run_line("run", "-q", str(tmp_path / "b" / "dive"), *again, str(tmp_path / "y"))
+    (first,), (second,) = made(tmp_path, "a/dive", frames=5), made(tmp_path, "b/dive", frames=6)
+    sonarrec("run", "-q", first, "--frames", "1:3", "-o", tmp_path / "x")
+    again = ["--config", tmp_path / "x" / "dive" / "run.toml", "-o"]
+    other = sonarrec("run", "-q", second, *again, tmp_path / "y")
     assert "made from another dive; only its settings and its geometry are used" in other.stderr
     assert len(numbers(tmp_path / "y" / "dive")) == 6
-    (tmp_path / "a" / "dive").rename(tmp_path / "renamed")
-    same = run_line("run", "-q", str(tmp_path / "renamed"), *again, str(tmp_path / "z"))
-    assert same.exit_code == 0, same.stderr
+    first.rename(tmp_path / "renamed")
+    sonarrec("run", "-q", tmp_path / "renamed", *again, tmp_path / "z")
     assert numbers(tmp_path / "z" / "renamed") == [1, 2]
 
 
 def test_geometry_that_is_given_changes_what_a_run_toml_only_worked_out(tmp_path: Path) -> None:
     """Scale and apex follow from the range window and the image where nothing states them."""
-    log = str(SAMPLE / "00000*.png")
-    assert run_line("run", "-q", log, "-o", str(tmp_path / "a")).exit_code == 0
-    config = ["--config", str(tmp_path / "a" / "pan" / "run.toml")]
+    sonarrec("run", "-q", TEN, "-o", tmp_path / "a")
+    config = ["--config", tmp_path / "a" / "pan" / "run.toml"]
     wider = ["--range-max-m", "4.0"]
     for out, words in (("b", [*config, *wider]), ("c", wider)):
-        assert run_line("run", "-q", log, *words, "-o", str(tmp_path / out)).exit_code == 0
+        sonarrec("run", "-q", TEN, *words, "-o", tmp_path / out)
     with_, without = (read_run(tmp_path / out / "pan" / "run.toml").fan() for out in "bc")
     assert with_ == without
     assert with_ != read_run(tmp_path / "a" / "pan" / "run.toml").fan()
@@ -247,18 +216,14 @@ def test_geometry_that_is_given_changes_what_a_run_toml_only_worked_out(tmp_path
 def test_a_list_that_is_a_log_or_no_utf_8_is_one_line(data: bytes, tmp_path: Path) -> None:
     path = tmp_path / "list.txt"
     path.write_bytes(data)
-    done = run_line("run", "--from-file", str(path))
-    assert done.exit_code == 2
+    done = sonarrec("run", "--from-file", path, code=2)
     assert re.fullmatch(r"sonarrec: --from-file \S+list.txt: not a list of logs, .*\n", done.stderr)
 
 
 def test_a_rate_that_is_assumed_is_said(tmp_path: Path) -> None:
-    log = str(SAMPLE / "00000*.png")
     for rate, said in (([], True), (["--frame-rate-hz", "4"], False)):
         sonar = tmp_path / "sonar.toml"
         text = (SAMPLE / "sonar.toml").read_text(encoding="utf-8")
         sonar.write_text(re.sub(r"frame_rate_hz.*\n", "", text), encoding="utf-8")
-        words = ["run", log, "--sonar", str(sonar), *rate, "-o", str(tmp_path / "o"), "--overwrite"]
-        done = run_line(*words)
-        assert done.exit_code == 0
+        done = sonarrec("run", TEN, "--sonar", sonar, *rate, "-o", tmp_path / "o", "--overwrite")
         assert ("frames carry no time, so 1 Hz is assumed" in done.stderr) == said

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from sonarrec.evaluation.intervals import (
     coin_tosses,
     differences,
 )
-from sonarrec.evaluation.logs import UnreadableLog, check_logs, map_logs
+from sonarrec.evaluation.logs import UnreadableLog, check_logs, first_ids, map_logs
 from sonarrec.evaluation.match import DEFAULT, ScoringOptions
 from sonarrec.evaluation.metrics import MAIN
 from sonarrec.evaluation.pairing import CountedPair, LogPair, count_pair, pair_logs
@@ -61,7 +62,7 @@ def compare(
     options.check()
     told = Diagnostics()
     pairs = pair_logs(old, new, ground_truth, options, find_beside, told)
-    used, before, after, changed = _count_pairs(pairs, jobs, told)
+    used, before, after, changed = _count_pairs(pairs, options, jobs, told)
     methods = _compared_methods(before, after, options.methods, baseline)
     told.note(*_incomplete(used, before, after, methods))
     # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.
@@ -150,7 +151,7 @@ def _rate_changes(old: Tally, new: Tally, counts: FloatArray) -> Iterator[RateCh
 
 
 def _count_pairs(
-    pairs: Sequence[LogPair], jobs: int | None, told: Diagnostics
+    pairs: Sequence[LogPair], options: ScoringOptions, jobs: int | None, told: Diagnostics
 ) -> tuple[list[LogPair], Counts, Counts, list[ByMethod]]:
     """Read and count all pairs: those that can be compared, what was before, after and changed.
 
@@ -163,7 +164,9 @@ def _count_pairs(
     used: list[tuple[LogPair, CountedPair]] = []
     unread: list[UnreadableLog] = []
     folders = (folder for pair in pairs for folder in pair.folders)
-    for pair, log in zip(pairs, map_logs(count_pair, pairs, folders, jobs), strict=True):
+    ids = first_ids((pair.new for pair in pairs), options.landmarks)
+    work = partial(count_pair, options=options, ids=ids)
+    for pair, log in zip(pairs, map_logs(work, pairs, folders, jobs), strict=True):
         if isinstance(log, UnreadableLog):
             unread.append(log)
             continue

@@ -125,7 +125,8 @@ class LogScore:
     """One log as it was read and counted."""
 
     folder: Path
-    ground_truth: TruthOf
+    ground_truth: TruthOf | None
+    """None if it has no row about the log."""
     name: str
     recording: Recording
     check: TruthCheck
@@ -155,7 +156,7 @@ def score_log(
         counts = count_log(matched)
     return LogScore(
         folder=pair.results,
-        ground_truth=TruthOf(pair.ground_truth, log.name, len(rows), table.digest_of(rows)),
+        ground_truth=(pair.ground_truth, table.digest_of(rows)) if len(rows) else None,
         name=log.name,
         recording=recording(pair.results, log.run, len(log.frame_index)),
         check=check,

@@ -18,7 +18,6 @@ from sonarrec.evaluation.logs import (
     TruthCheck,
     UnreadableLog,
     check_fit,
-    first_ids,
     truth_table,
 )
 from sonarrec.evaluation.match import ScoringOptions, match
@@ -58,12 +57,9 @@ class LogPair:
     ground_truth: Path
     name: str
     """Name of the log, in messages and in the log column of the truth."""
-    options: ScoringOptions
-    ids: tuple[int, ...]
-    """As in `logs.LogToScore`."""
 
     @property
-    def folders(self) -> tuple[Path, ...]:
+    def folders(self) -> Folders:
         return self.old, self.new
 
 
@@ -105,9 +101,8 @@ def pair_logs(
     kept = counted_once([after for _, after in pairs], recordings, frames, "compared", told)
     counted = [pairs[i] for i in kept]
     truths = _truths(counted, len(faults), ground_truth, find_beside, told)
-    ids = first_ids((after for _, after in counted), options.landmarks)
     return [
-        LogPair(*folders, truth.ground_truth, truth.log or log_of(folders[1]), options, ids)
+        LogPair(*folders, truth.ground_truth, truth.log or log_of(folders[1]))
         for folders, truth in zip(counted, truths, strict=True)
         if truth is not None
     ]
@@ -235,9 +230,14 @@ class CountedPair:
     """Frames and IDs that are counted differently."""
 
 
-def count_pair(pair: LogPair) -> CountedPair | UnreadableLog:
-    """Read the old and the new results of one log, cut them to their common frames, count them."""
-    options, unused = pair.options, []
+def count_pair(
+    pair: LogPair, options: ScoringOptions, ids: tuple[int, ...]
+) -> CountedPair | UnreadableLog:
+    """Read the old and the new results of one log, cut them to their common frames, count them.
+
+    ids: as of `match`.
+    """
+    unused: list[str] = []
     try:
         table = truth_table(pair.ground_truth)
         old, new = (read_log(f, options.landmarks, options.sonar) for f in pair.folders)
@@ -258,8 +258,8 @@ def count_pair(pair: LogPair) -> CountedPair | UnreadableLog:
         old_truth = match_truth(table, replace(new, fan=old.fan or new.fan), options.tolerance_s)
     except SonarrecError as fault:  # the other logs can be compared
         return UnreadableLog(pair.name, fault)
-    before = match(old, old_truth, options.min_visible, pair.ids, within_m=options.within_m)
-    after = match(new, truth, options.min_visible, pair.ids, within_m=options.within_m)
+    before = match(old, old_truth, options.min_visible, ids, within_m=options.within_m)
+    after = match(new, truth, options.min_visible, ids, within_m=options.within_m)
     counted.counts = count_log(before, rates_only=True), count_log(after, rates_only=True)
     counted.changes = changed_frames(before, after)
     return counted

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from sonarrec.cli import main
 from sonarrec.evaluation.match import seconds_of_frames
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.evaluation.write import write_evaluation
 from tests.support.claims import counts, evaluate, evaluated, matched
+from tests.support.command import sonarrec
 
 
 def summary_of(frames: int, truth: list, claims: list, **options) -> Summary:
@@ -287,10 +286,7 @@ def test_a_probability_beyond_1_is_one_line(tmp_path: Path) -> None:
         "frame,method,range_m,bearing_deg,landmark,score,declared,p_1\n0,m,2,0,1,0.9,1,1.2\n"
     )
     (tmp_path / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2,0\n")
-    done = CliRunner().invoke(
-        main, ["evaluate", "--ground-truth", str(tmp_path / "gt.csv"), str(tmp_path)]
-    )
-    assert done.exit_code == 1
+    done = sonarrec("evaluate", "--ground-truth", tmp_path / "gt.csv", tmp_path, code=1)
     assert "line 2: p_1 must be 0 to 1, not '1.2'" in done.stderr
 
 
@@ -315,10 +311,7 @@ def test_files_tell_what_the_summary_holds(tmp_path: Path) -> None:
         "frame,method,object,range_m,bearing_deg,landmark,score,declared,p_1,p_2,p_3,p_4,p_none\n"
         + "\n".join(rows)
     )
-    done = CliRunner().invoke(
-        main, ["evaluate", "--ground-truth", str(tmp_path / "gt.csv"), str(tmp_path), "--details"]
-    )
-    assert done.exit_code == 0, done.output
+    done = sonarrec("evaluate", "--ground-truth", tmp_path / "gt.csv", tmp_path, "--details")
     assert "95% intervals over 8 passes" in done.output
     assert "b minus a, TPR: +0.100, p = 0.0078" in done.output
     assert re.search(r"^FPR  +0\.0000 \(0\.0000-0\.1226\)", done.output, re.MULTILINE)

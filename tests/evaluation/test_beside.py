@@ -207,7 +207,7 @@ def test_another_truth_of_the_same_results_is_told(logs: Path) -> None:
     write_csv(logs / "pairs.csv", ("results", "ground_truth", "log"), rows)
     done = command("--pairs", logs / "pairs.csv", code=3)
     (line,) = done.stderr.splitlines()
-    assert line.endswith(f"which counts once; its rows for z in {logs / 'all.csv'} are not used")
+    assert line.endswith(f"which counts once; its other truth, {logs / 'all.csv'}, is not used")
 
 
 def test_other_topics_and_other_frames_of_a_recording_all_count(logs: Path) -> None:

@@ -10,15 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
 from sonarrec.evaluation import plots
 from sonarrec.evaluation.curves import Curve, area, macro_curve, tpr_at
 from tests.evaluation.test_evaluation import paper_case
 from tests.support.claims import IDS, counts, matched
+from tests.support.command import sonarrec
 
 FRAMES = 250
 
@@ -118,10 +117,7 @@ def test_macro_curve_at_equal_fpr() -> None:
 @pytest.mark.usefixtures("pictures")
 def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
     results, truth = paper_case(tmp_path)
-    done = CliRunner().invoke(
-        main, ["evaluate", "--ground-truth", str(truth), str(results), "--det", "--details"]
-    )
-    assert done.exit_code == 0, done.output
+    sonarrec("evaluate", "--ground-truth", truth, results, "--det", "--details")
     folder = results / "evaluation"
     with (folder / "figures.csv").open() as file:
         figures = {

@@ -9,17 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
 from sonarrec.evaluation.cells import rate
 from sonarrec.evaluation.count import Scored
 from sonarrec.evaluation.tables import Evaluation
 from sonarrec.evaluation.tabulate import screen
 from sonarrec.landmarks import load_landmarks
 from tests.support.claims import evaluate
+from tests.support.command import sonarrec
 
 IDS = (1, 2, 3, 4)
 GATE_M = load_landmarks("basin").radius_m
@@ -108,8 +107,7 @@ def paper_case(folder: Path) -> tuple[Path, Path]:
 @pytest.mark.usefixtures("pictures")
 def test_tables_4_and_5_to_the_last_digit(tmp_path: Path) -> None:
     results, truth = paper_case(tmp_path)
-    done = CliRunner().invoke(main, ["evaluate", "--ground-truth", str(truth), str(results)])
-    assert done.exit_code == 0, done.output
+    done = sonarrec("evaluate", "--ground-truth", truth, results)
     lines = done.output.splitlines()
     for method, table in PUBLISHED.items():
         start = lines.index(method) + 3
@@ -370,11 +368,8 @@ def test_pixels_become_metres_by_run_toml_or_flags(tmp_path: Path) -> None:
     assert any("strict protocol is not scored" in note for note in bare.notes)
 
     (tmp_path / "my.sonar.toml").write_text(RUN_TOML)
-    flags = ["--sonar", str(tmp_path / "my.sonar.toml")]
-    done = CliRunner().invoke(
-        main, ["evaluate", "--ground-truth", str(truth), str(results), *flags]
-    )
-    assert done.exit_code == 0, done.output
+    flags = ["--sonar", tmp_path / "my.sonar.toml"]
+    sonarrec("evaluate", "--ground-truth", truth, results, *flags)
     told = json.loads((results / "evaluation" / "evaluation.json").read_text())
     assert told["methods"]["other"]["strict"]["1"] == {
         "tpr": 0.5, "fpr": 1.0, "tp": 1, "tn": 0, "fp": 1, "fn": 1, "total": 3, "tpr_once": 0.5,

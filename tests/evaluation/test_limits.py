@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.cli import main
 from sonarrec.evaluation.compare import compare
 from sonarrec.evaluation.compare_screen import MOST_ROWS, judgement_screen, markdown
 from sonarrec.evaluation.limits import EACH, Limits, judge_by
@@ -154,6 +153,4 @@ def test_names_are_no_markdown(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("rate", ["1.1", "nan", "m=", "much"])
 def test_a_limit_that_is_no_rate(rate: str) -> None:
-    from click.testing import CliRunner
-
-    assert CliRunner().invoke(main, ["evaluate", "--least-tpr", rate]).exit_code == 2
+    command("--least-tpr", rate, code=2)

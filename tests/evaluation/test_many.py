@@ -15,11 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
 from sonarrec.evaluation import compare as comparison
 from sonarrec.evaluation import histogram, logs, summary
 from sonarrec.evaluation.evaluate import evaluate_logs
@@ -30,6 +28,7 @@ from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.runs.two_cores import CAN_FORK
 from tests.evaluation.test_evaluation import write_case
+from tests.support.command import sonarrec
 from tests.support.made_up import make_logs, make_sides
 from tests.support.slow import but_first
 
@@ -112,10 +111,7 @@ def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> N
     made = {}
     for jobs in ("1", "3"):  # of 12 logs: more than the three have ahead
         out = tmp_path / "evaluation"
-        done = CliRunner().invoke(
-            main, ["evaluate", "--pairs", str(pairs), "-j", jobs, "-o", str(out), "--details"]
-        )
-        assert done.exit_code == 0, done.output
+        done = sonarrec("evaluate", "--pairs", pairs, "-j", jobs, "-o", out, "--details")
         made[jobs] = files(out), done.output
         shutil.rmtree(out)
     assert made["1"] == made["3"]
@@ -147,11 +143,7 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: 
         (folder / name).write_text(text, encoding="utf-8")
         return f"sonarrec: {folder}{os.sep}{told}"
 
-    def call(out: str) -> Result:
-        return CliRunner().invoke(main, [*map(str, words), "-o", str(tmp_path / out)])
-
-    line, done = spoil(0), call("found")
-    assert done.exit_code == 3, done.output
+    line, done = spoil(0), sonarrec(*words, "-o", tmp_path / "found", code=3)
     (error,) = [one for one in done.stderr.splitlines() if ": note: " not in one]
     assert error.startswith(line)
     assert error.endswith(f"; log0000 is not {'compared' if side else 'scored'}")
@@ -159,15 +151,14 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: 
     pairs.write_text("".join([head, *others]), encoding="utf-8")
     for folder in (old, new):
         shutil.rmtree(folder / "log0000")
-    assert call("without").exit_code == 0
+    sonarrec(*words, "-o", tmp_path / "without")
     tables = ("compare.csv", "changes.csv") if side else ("confusion.csv", "roc.csv", "figures.csv")
     for table in tables:
         assert (tmp_path / "found" / table).read_bytes() == (
             tmp_path / "without" / table
         ).read_bytes()
     line, _ = spoil(1), spoil(2)
-    done = call("none")
-    assert done.exit_code == 1
+    done = sonarrec(*words, "-o", tmp_path / "none", code=1)
     assert done.output.startswith(line)
     assert done.output.count("\n") == 1
     assert not (tmp_path / "none").exists()
@@ -176,14 +167,8 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: 
 # SHA-256 of the tables of --compare, first recorded when it held all logs at once; since
 # then of shorter logs, where the code still met what was recorded of the longer ones.
 RECORDED = {
-    4: {
-        "changes.csv": "c1d11868d335fb2a",
-        "compare.csv": "7adf97591fa1498e",
-    },
-    12: {
-        "changes.csv": "c62e8bb554426a0a",
-        "compare.csv": "259edaa2f50df435",
-    },
+    4: {"changes.csv": "c1d11868d335fb2a", "compare.csv": "7adf97591fa1498e"},
+    12: {"changes.csv": "c62e8bb554426a0a", "compare.csv": "259edaa2f50df435"},
 }
 
 
@@ -203,10 +188,9 @@ def test_compared_one_at_a_time_as_all_at_once(
     (odd / "run.toml").write_text(run.replace('"smi"', '"another"'))
     sides = ["--pairs", "made/pairs.csv", "--compare", "made/out", "made/new"]
     sides += ["--method", "smi", "--method", "framework"]
-    done = CliRunner().invoke(main, ["evaluate", *sides, "-o", "found", "-j", jobs])
-    assert done.exit_code == (3 if logs > 4 else 0), done.output
-    page = CliRunner().invoke(main, ["report", *sides, "-o", "found/compare.html"])
-    assert page.exit_code == done.exit_code
+    code = 3 if logs > 4 else 0
+    sonarrec("evaluate", *sides, "-o", "found", "-j", jobs, code=code)
+    sonarrec("report", *sides, "-o", "found/compare.html", code=code)
     made = files(Path("found"))
     assert made.pop("compare.html")  # its content is the report's tests'
     assert made.pop("compare.json")

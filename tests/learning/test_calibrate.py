@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import csv
-from collections import deque
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sonarrec.config import Config, preset
+from sonarrec.config import preset
 from sonarrec.errors import Diagnostics
-from sonarrec.landmarks import BUILT_IN, LandmarkSet, load_landmarks
-from sonarrec.learning import calibrate
+from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.learning.calibrate import FOLDS, LearningReport, _not_taught, learn
-from sonarrec.learning.samples import Tracks, describe
-from sonarrec.nouns import Frame
 from sonarrec.recogniser.stage3.model import built_in_model, parse_model
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.simulate import write_recording
@@ -51,25 +46,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def seen() -> dict[object, Tracks]:
-    """The tracks of logs of the site, described once."""
-    return {}
-
-
-@pytest.fixture
-def described_once(seen: dict[object, Tracks], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the logs show is the same whatever is learned from it, and takes longest."""
-
-    def once(frames: Iterable[Frame], config: Config, ids: LandmarkSet, *, name: str) -> Tracks:
-        if (name, config, ids) not in seen:
-            seen[name, config, ids] = describe(frames, config, ids, name=name)
-        deque(frames, maxlen=0)  # as they are counted
-        return seen[name, config, ids]
-
-    monkeypatch.setattr(calibrate, "describe", once)
-
-
 def strict(results: Path, truth: Path) -> tuple[float, float]:
     """TPR and FPR of the framework in total."""
     sonarrec("evaluate", "--ground-truth", truth, results, "-q")
@@ -83,7 +59,6 @@ def strict(results: Path, truth: Path) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("described_once")
 def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     told = sonarrec(
@@ -108,7 +83,6 @@ def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeyp
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("described_once")
 def test_what_was_learned_from_is_told(site):
     logs = [site / "one", site / "two"]
     report = learn(logs, site / "gt.csv", preset("default"), BASIN, LogOptions())
@@ -199,7 +173,6 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkey
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("described_once")
 def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
     """Its landmarks would be learned as "none of these"."""
     head, *rows = (site / "gt.csv").read_text().splitlines()

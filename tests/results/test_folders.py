@@ -23,36 +23,26 @@ from sonarrec.results.folders import (
     restore,
 )
 from sonarrec.results.read import find_logs
-from tests.support.batch import environment, until
+from tests.support.batch import SAMPLE, command, environment, made, until
 from tests.support.command import sonarrec
-from tests.support.kills import command, finished, frames, stop_at_random
+from tests.support.kills import finished, frames, stop_at_random
 from tests.support.locked import locked
 from tests.support.logs import cdr_image, mcap_file
 from tests.support.logs import frames as images
 from tests.support.slow import but_first
 
-SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 40
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first frames of the sample log."""
-    folder = tmp_path_factory.mktemp("logs") / "dive"
-    folder.mkdir()
-    shutil.copy(SAMPLE / "sonar.toml", folder)
-    for i in range(FRAMES):
-        shutil.copy(SAMPLE / f"{i:06d}.png", folder)
-    return folder
+    return made(tmp_path_factory.mktemp("logs"), "dive", frames=FRAMES)[0]
 
 
-def shorter(log: Path, to: Path, frames: int = 3) -> Path:
-    """A log of fewer frames, at another place."""
-    to.mkdir(parents=True)
-    shutil.copy(log / "sonar.toml", to)
-    for i in range(frames):
-        shutil.copy(log / f"{i:06d}.png", to)
-    return to
+def short(place: Path, name: str = "short", frames: int = 3) -> Path:
+    """A log of few frames."""
+    return made(place, name, frames=frames)[0]
 
 
 paths = st.lists(
@@ -82,22 +72,20 @@ def test_what_nothing_tells_apart_is_refused() -> None:
         folder_names([("pan", Path("/x/pan")), ("a", Path("/x/a")), ("pan", Path("/x/pan"))])
 
 
-def test_equal_stems_of_one_call_get_folders_of_their_own(log: Path, tmp_path: Path) -> None:
-    one = shorter(log, tmp_path / "day1" / "dive", 3)
-    two = shorter(log, tmp_path / "day2" / "dive", 5)
+def test_equal_stems_of_one_call_get_folders_of_their_own(tmp_path: Path) -> None:
+    one, two = short(tmp_path, "day1/dive"), short(tmp_path, "day2/dive", 5)
     sonarrec("run", "-q", one, two, "--out", tmp_path / "out")
     assert frames(tmp_path / "out" / "day1-dive") == list(range(3))
     assert frames(tmp_path / "out" / "day2-dive") == list(range(5))
 
 
-def test_the_same_results_are_not_made_again(log: Path, tmp_path: Path) -> None:
-    short = shorter(log, tmp_path / "short")
-    out = tmp_path / "out"
-    sonarrec("run", "-q", short, "-o", out)
+def test_the_same_results_are_not_made_again(tmp_path: Path) -> None:
+    log, out = short(tmp_path), tmp_path / "out"
+    sonarrec("run", "-q", log, "-o", out)
     before = (out / "short" / "frames.csv").stat().st_mtime_ns
-    assert "up to date, 3 frames" in sonarrec("run", short, "-o", out).stdout
+    assert "up to date, 3 frames" in sonarrec("run", log, "-o", out).stdout
     assert (out / "short" / "frames.csv").stat().st_mtime_ns == before
-    sonarrec("run", "-q", short, "-o", out, "--overwrite")
+    sonarrec("run", "-q", log, "-o", out, "--overwrite")
     assert (out / "short" / "frames.csv").stat().st_mtime_ns > before
 
 
@@ -111,9 +99,9 @@ def test_the_other_sonar_of_a_bag_does_not_replace_the_results_of_the_first(tmp_
     sonarrec("run", "-q", log, "--topic", "/b", "-o", out, "--overwrite")
 
 
-def test_files_of_the_user_stay_also_where_ours_are_made(log: Path, tmp_path: Path) -> None:
+def test_files_of_the_user_stay_also_where_ours_are_made(tmp_path: Path) -> None:
     """In folders named as ours there may be notes, or nothing of ours at all."""
-    short, out = shorter(log, tmp_path / "short"), tmp_path / "out"
+    log, out = short(tmp_path), tmp_path / "out"
     mine = {
         out / "short" / name
         for name in ("notes.txt", "evaluation/notes.txt", "map/old/chart.png", "report.html")
@@ -121,12 +109,12 @@ def test_files_of_the_user_stay_also_where_ours_are_made(log: Path, tmp_path: Pa
     for path in mine:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("mine")
-    sonarrec("run", "-q", short, "-o", out)
+    sonarrec("run", "-q", log, "-o", out)
     (out / "short" / "map" / "map.csv").write_text("ours")
     (out / "short" / "compare.html").write_text(
         "<!doctype html><title>a - sonarrec comparison</title>"
     )
-    sonarrec("run", "-q", short, "-o", out, "--overwrite")
+    sonarrec("run", "-q", log, "-o", out, "--overwrite")
     assert all(path.read_text() == "mine" for path in mine)
     there = {path for path in (out / "short").rglob("*") if path.is_file()}
     ours = {"frames.csv", "estimates.csv", "sightings.csv", "run.toml"}
@@ -158,7 +146,7 @@ def test_a_path_may_be_of_another_log_in_another_folder(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for day, n in (("day1", 3), ("day2", 4)):
-        shorter(log, tmp_path / day / "dive", n)
+        short(tmp_path, f"{day}/dive", n)
     monkeypatch.chdir(tmp_path / "day1")
     sonarrec("run", "-q", "dive", "-o", "../out")
     monkeypatch.chdir(tmp_path / "day2")
@@ -180,7 +168,7 @@ def test_a_stopped_run_leaves_its_part_and_the_old_results(
     log: Path, tmp_path: Path, number: int, code: int
 ) -> None:
     out = tmp_path / "out"
-    sonarrec("run", "-q", shorter(log, tmp_path / "dive"), "-o", out)
+    sonarrec("run", "-q", short(tmp_path, "dive"), "-o", out)
     old = (out / "dive" / "estimates.csv").read_bytes()
     process = subprocess.Popen(
         command("run", "-q", log, "-o", out, "--overwrite"), stderr=subprocess.PIPE, text=True
@@ -230,7 +218,7 @@ def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) ->
 def test_a_full_disk_is_one_line_and_costs_no_frame(log: Path, tmp_path: Path, size: int) -> None:
     """No file may grow beyond a size, as on a disk that has no more room."""
     out = tmp_path / "out"
-    sonarrec("run", "-q", shorter(log, tmp_path / "dive"), "-o", out)
+    sonarrec("run", "-q", short(tmp_path, "dive"), "-o", out)
     old = (out / "dive" / "estimates.csv").read_bytes()
 
     def full() -> None:
@@ -300,10 +288,10 @@ def test_results_that_a_run_laid_aside_are_not_counted_with_the_new_ones(tmp_pat
 
 
 def test_results_that_may_not_be_read_are_told(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    out = run(shorter(log, tmp_path / "dive", 3), tmp_path / "out").folder.parent
+    out = run(short(tmp_path, "dive"), tmp_path / "out").folder.parent
     truth = tmp_path / "gt.csv"
     truth.write_text("log,frame,landmark\ndive,1,1\n")
     other = out / "of_another"
@@ -354,19 +342,17 @@ def test_files_of_the_user_that_cannot_be_moved_are_kept_and_told(tmp_path: Path
     assert not list(tmp_path.glob(".*"))
 
 
-def test_nothing_is_written_through_a_link_in_the_place_of_the_results(
-    log: Path, tmp_path: Path
-) -> None:
+def test_nothing_is_written_through_a_link_in_the_place_of_the_results(tmp_path: Path) -> None:
     """It led to any folder of who planted it there; OUT itself may be a link."""
-    short, out, disk = shorter(log, tmp_path / "short"), tmp_path / "out", tmp_path / "disk"
+    log, out, disk = short(tmp_path), tmp_path / "out", tmp_path / "disk"
     disk.mkdir()
     out.symlink_to(disk)
-    assert run(short, out).folder == out / "short"
+    assert run(log, out).folder == out / "short"
     assert finished(disk / "short")
     (disk / "short").rename(disk / "elsewhere")
     (disk / "elsewhere" / "run.toml").unlink()
     (out / "short").symlink_to(disk / "elsewhere")
     before = sorted(p.name for p in disk.rglob("*"))
     with pytest.raises(SonarrecError, match=r"out/short: a link, through which no results"):
-        run(short, out, overwrite=True)
+        run(log, out, overwrite=True)
     assert sorted(p.name for p in disk.rglob("*")) == before

@@ -13,9 +13,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import FrameResult
@@ -26,10 +24,6 @@ from sonarrec.tables import parquet
 from tests.support.command import SAMPLE, sonarrec
 
 TRUTH = SAMPLE / "gt.csv"
-
-
-def call(*words: str | Path) -> Result:
-    return CliRunner().invoke(main, list(map(str, words)))
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +73,7 @@ def test_whoever_reads_results_reads_both(both: dict[str, Path], tmp_path: Path)
             ("map", place / "pan", "--odometry", poses(tmp_path), "-o", out / "map"),
             ("evaluate", "--ground-truth", TRUTH, "--compare", place / "pan", both["csv"]),
         ):
-            done = call(*words, *(("-o", out / "compare") if "--compare" in words else ()))
-            assert done.exit_code == 0, (words, done.output)
+            sonarrec(*words, *(("-o", out / "compare") if "--compare" in words else ()))
         made[form] = {
             path.relative_to(out).as_posix(): path.read_bytes()
             for path in sorted(out.rglob("*"))
@@ -177,8 +170,7 @@ def test_damaged_parquet_is_one_line(both: dict[str, Path], tmp_path: Path) -> N
     table = tmp_path / "pan" / "estimates.parquet"
     for data in (table.read_bytes()[:-200], b"", b"PAR1" * 10):
         table.write_bytes(data)
-        told = call("evaluate", tmp_path / "pan", "--ground-truth", TRUTH)
-        assert told.exit_code == 1
+        told = sonarrec("evaluate", tmp_path / "pan", "--ground-truth", TRUTH, code=1)
         assert told.stderr.startswith(f"sonarrec: {table}: not a readable Parquet table (")
         assert told.stderr.count("\n") == 1
 
@@ -190,8 +182,7 @@ def test_without_pyarrow(
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     with pytest.raises(SonarrecError, match=r"pip install 'sonarrec\[parquet\]'"):
         read_log(both["parquet"])
-    told = call("run", SAMPLE, "--tables", "parquet", "-o", tmp_path)
-    assert told.exit_code == 1
+    told = sonarrec("run", SAMPLE, "--tables", "parquet", "-o", tmp_path, code=1)
     assert "pip install 'sonarrec[parquet]'" in told.stderr
     assert not list(tmp_path.iterdir())
     assert len(read_log(both["csv"]).score)

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import in_image, pixel_from_polar
 from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar
+from tests.support.command import sonarrec
 from tests.support.logs import frames, image_folder
 
 RUN = """\
@@ -144,12 +143,6 @@ def test_of_the_same_log_the_topic_of_poses_serves_again(tmp_path: Path) -> None
 
 def test_rows_that_were_cut_since_are_told_and_run_anew(tmp_path: Path) -> None:
     """Whole lines off the end of a table, or all of them, were taken for what the run wrote."""
-
-    def sonarrec(*words: str | Path, code: int = 0) -> str:
-        done = CliRunner().invoke(main, [*map(str, words)])
-        assert done.exit_code == code, done.output
-        return done.stderr
-
     log = image_folder(tmp_path / "log", frames(4, 80, 100))
     run, folder = ("run", log, "-o", tmp_path / "out", "-q"), tmp_path / "out" / "log"
     truth = tmp_path / "gt.csv"
@@ -157,18 +150,18 @@ def test_rows_that_were_cut_since_are_told_and_run_anew(tmp_path: Path) -> None:
     score = ("evaluate", folder, "--ground-truth", truth, "-q")
     sonarrec(*run)
     whole = {name: (folder / name).read_bytes() for name in ("frames.csv", "estimates.csv")}
-    before = sonarrec(*score)
+    before = sonarrec(*score).stderr
     for name, key in (("frames.csv", "frames_processed"), ("estimates.csv", "estimates")):
         lines = whole[name].splitlines(keepends=True)
         table = tomllib.loads((folder / "run.toml").read_text())
         assert table["input"][key] == len(lines) - 1 > 0
         (folder / name).write_bytes(b"".join(lines[:-1]).rstrip(b"\n"))
         lost = f"{name} holds {len(lines) - 2} of the {len(lines) - 1} rows that the run wrote"
-        assert f"log: {lost}; only these are scored" in sonarrec(*score, code=3)
+        assert f"log: {lost}; only these are scored" in sonarrec(*score, code=3).stderr
         (folder / name).write_bytes(lines[0])
-        assert f"replaced ({name} holds 0 of the" in sonarrec(*run)
+        assert f"replaced ({name} holds 0 of the" in sonarrec(*run).stderr
         assert {name: (folder / name).read_bytes() for name in whole} == whole
-    assert sonarrec(*score) == before
+    assert sonarrec(*score).stderr == before
     run_toml = folder / "run.toml"
     run_toml.write_text(run_toml.read_text().replace("estimates = ", 'estimates = "x" # '))
-    assert "input.estimates" in sonarrec(*score, code=1)
+    assert "input.estimates" in sonarrec(*score, code=1).stderr

@@ -11,11 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.functions import run
 from sonarrec.landmarks import load_landmarks
@@ -26,6 +24,7 @@ from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sigh
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import MOST_SIGHTINGS
 from tests.results.test_write import tables
+from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 
 BASIN = load_landmarks("basin")
@@ -243,10 +242,9 @@ def test_a_wrong_cell_is_told_with_its_line(results: Path, tmp_path: Path, cell:
 
 
 def test_json_is_the_one_thing_on_stdout(results: Path, tmp_path: Path) -> None:
-    log, gone = str(SAMPLE / "pan.mcap"), str(tmp_path / "gone.mcap")
-    words = ["run", log, gone, "-o", str(results.parent), "--preset", "default,offline", "--json"]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 3
+    log, gone = SAMPLE / "pan.mcap", tmp_path / "gone.mcap"
+    words = ["run", log, gone, "-o", results.parent, "--preset", "default,offline", "--json"]
+    done = sonarrec(*words, code=3)
     first, second = json.loads(done.stdout)["logs"]
     assert (first["name"], first["status"], first["frames"]) == ("pan", "done", 128)
     with (results / "frames.csv").open(newline="") as file:
@@ -256,8 +254,8 @@ def test_json_is_the_one_thing_on_stdout(results: Path, tmp_path: Path) -> None:
     assert [s["method"] for s in first["sightings"]] == [row["method"] for row in rows]
     assert set(first["sightings"][0]) == set(CONTRACT.split(","))
     assert (second["name"], second["status"]) == ("gone", "failed")
-    assert gone in second["message"]
-    alone = CliRunner().invoke(main, ["run", gone, "--json", "-o", str(tmp_path)])
+    assert str(gone) in second["message"]
+    alone = sonarrec("run", gone, "--json", "-o", tmp_path, code=2)
     assert json.loads(alone.stdout)["logs"][0]["status"] == "failed"
 
 

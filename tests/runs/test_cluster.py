@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from click.testing import CliRunner
 
-from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import cluster as cluster_module
@@ -148,10 +146,8 @@ def test_a_worker_in_another_folder_finds_the_geometry_above_the_log(
 def test_no_scheduler_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sonarrec.runs.cluster.PATIENCE", "1s")
     (log,) = made(tmp_path, "a", frames=2)
-    words = ["run", str(log), "--scheduler", "tcp://127.0.0.1:1", "-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 2
-    assert "no scheduler answers" in done.stderr
+    words = ["run", log, "--scheduler", "tcp://127.0.0.1:1", "-o", tmp_path / "out"]
+    assert "no scheduler answers" in sonarrec(*words, code=2).stderr
 
 
 @pytest.mark.parametrize("address", ["foo", "foo:bar", "xx://foo:8786"])
@@ -160,11 +156,8 @@ def test_what_is_no_address_is_refused_at_once(
 ) -> None:
     """A client begun in vain prints a traceback when it is let go."""
     monkeypatch.setattr("distributed.Client", None)
-    words = ["run", str(SAMPLE), "--scheduler", address, "-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 2
-    line = f"sonarrec: --scheduler {address}: expected an address such as tcp://host:8786\n"
-    assert done.stderr == line
+    told = sonarrec("run", SAMPLE, "--scheduler", address, "-o", tmp_path / "out", code=2).stderr
+    assert told == f"sonarrec: --scheduler {address}: expected an address such as tcp://host:8786\n"
 
 
 @pytest.mark.parametrize(
@@ -190,9 +183,8 @@ def test_what_lacks_its_certificates_is_refused_at_once(
     import dask
 
     monkeypatch.setattr("distributed.Client", None)
-    words = ["run", str(SAMPLE), "--scheduler", address, "-o", str(tmp_path / "out")]
+    words = ["run", SAMPLE, "--scheduler", address, "-o", tmp_path / "out"]
     with dask.config.set({f"distributed.comm.{k}": v for k, v in variables.items()}):
-        done = CliRunner().invoke(main, words)
-    assert done.exit_code == 2
+        done = sonarrec(*words, code=2)
     assert done.stderr.startswith(f"sonarrec: --scheduler {address}: {line}")
     assert done.stderr.count("\n") == 1

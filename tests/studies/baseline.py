@@ -6,7 +6,6 @@ majority vote. Nothing of sonarrec's own recogniser is used.
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.geometry import fan_for_image, fan_mask, polar_from_pixel
+from sonarrec.geometry import fan_for_image, fan_mask
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
 from sonarrec.sonar import load_sonar
@@ -170,33 +169,6 @@ class MajorityTracks:
             told.append((track.number, sight, winner, score, claim))
         self._tracks = [t for t in self._tracks if t.missed <= self.PATIENCE]
         return told
-
-
-def write_estimates(
-    path: Path,
-    sights: Iterable[tuple[int, list[Sight]]],
-    loop: HoughSmi,
-    fan: Fan,
-    landmarks: LandmarkSet,
-) -> int:
-    """Write the baseline's estimates.csv from (frame number, what `loop` saw); returns its rows."""
-    tracks = MajorityTracks(loop.settings, loop.radius)
-    rows = 0
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(
-            ["frame", "method", "object", "range_m", "bearing_deg", "landmark", "score", "declared"]
-        )
-        for number, seen in sights:
-            for track, sight, winner, score, claim in tracks.step(seen):
-                rows += 1
-                range_m, bearing = (float(v) for v in polar_from_pixel(fan, sight.x, sight.y))
-                place = (f"{range_m:.4f}", f"{bearing:.3f}")
-                landmark = landmarks.ids[winner]
-                table.writerow(
-                    [number, METHOD, track, *place, landmark, f"{score:.6f}", int(claim)]
-                )
-    return rows
 
 
 def fan_of(folder: Path, image: np.ndarray) -> Fan:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +10,10 @@ import pytest
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
 from tests.studies.baseline import (
-    METHOD,
     HoughSmi,
     MajorityTracks,
     Settings,
     Sight,
-    write_estimates,
 )
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 
@@ -66,19 +62,3 @@ def test_tracks_end_and_begin() -> None:
     for _ in range(MajorityTracks.PATIENCE):
         tracks.step([])
     assert [t[0] for t in tracks.step([near])] == [2]
-
-
-def test_estimates_carry_the_contract(tmp_path: Path) -> None:
-    rng = np.random.default_rng(7)
-    frames = [(n, drawn_landmark(1, 30, rng)) for n in range(8)]
-    path = tmp_path / "estimates.csv"
-    loop = HoughSmi(FAN, load_landmarks("basin"))
-    sights = [(n, loop(image)) for n, image in frames]
-    rows = write_estimates(path, sights, loop, FAN, load_landmarks("basin"))
-    with path.open(newline="") as file:
-        table = list(csv.DictReader(file))
-    assert len(table) == rows > 0
-    assert {row["method"] for row in table} == {METHOD}
-    near = [r for r in table if abs(float(r["range_m"]) - RANGE_M) < 0.08]
-    assert near
-    assert abs(float(near[-1]["bearing_deg"]) - BEARING_DEG) < 2

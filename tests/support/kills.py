@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import signal
 import subprocess
-import sys
 import time
 import tomllib
 from contextlib import suppress
@@ -15,34 +14,26 @@ import numpy as np
 
 from sonarrec.results.folders import part_of, restore
 from sonarrec.results.sightings import read_sightings, sightings_in
+from tests.support.batch import command, tables
 
-TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-
-
-def command(*words: str | Path) -> list[str]:
-    return [sys.executable, "-m", "sonarrec", *map(str, words)]
 
 
 def frames(folder: Path) -> list[int]:
     """The frames of both tables, whole ones only; fails where a row is torn."""
-    tables = {}
+    found = {}
     for name in ("frames.csv", "estimates.csv"):
         text = (folder / name).read_text()
         assert text.endswith("\n"), f"{name} is torn"
         rows = list(csv.reader(text.splitlines()))
         assert {len(r) for r in rows} == {len(rows[0])}, f"{name} has rows of unequal length"
-        tables[name] = [int(r[0]) for r in rows[1:]]
-    assert set(tables["estimates.csv"]) <= {*tables["frames.csv"], len(tables["frames.csv"])}
-    return tables["frames.csv"]
+        found[name] = [int(r[0]) for r in rows[1:]]
+    assert set(found["estimates.csv"]) <= {*found["frames.csv"], len(found["frames.csv"])}
+    return found["frames.csv"]
 
 
 def finished(folder: Path) -> bool:
     return bool(tomllib.loads((folder / "run.toml").read_text())["finished"])
-
-
-def held(folder: Path) -> list[bytes]:
-    return [(folder / name).read_bytes() for name in TABLES]
 
 
 def assert_readable(part: Path) -> None:
@@ -69,14 +60,14 @@ def stop_at_random(log: Path, out: Path, moments: int) -> tuple[int, int]:
         begun = time.monotonic()
         subprocess.run(one, check=True)
         seconds = time.monotonic() - begun
-        whole.append(held(folder))
+        whole.append(tables(folder))
     assert whole[0] != whole[1]
     rng = np.random.default_rng(0)
     parts = done = 0
     for i, (share, number) in enumerate(
         zip(rng.uniform(0, 1, moments), rng.choice(SIGNALS, moments), strict=True)
     ):
-        before, started = whole.index(held(folder)), time.time_ns()
+        before, started = whole.index(tables(folder)), time.time_ns()
         process = subprocess.Popen(words[1 - before], stderr=subprocess.DEVNULL)
         while i % 2 and process.poll() is None and not _writes(part_of(folder), started):
             time.sleep(0.002)
@@ -86,7 +77,7 @@ def stop_at_random(log: Path, out: Path, moments: int) -> tuple[int, int]:
         process.wait()
         restore(folder)  # as the next run does
         assert finished(folder)
-        done += whole.index(held(folder)) != before  # raises where it is neither
+        done += whole.index(tables(folder)) != before  # raises where it is neither
         if (part_of(folder) / "sightings.csv").is_file():
             parts += 1
             assert_readable(part_of(folder))
