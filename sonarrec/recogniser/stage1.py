@@ -285,14 +285,18 @@ class Correlation:
         reach = kernel.shape[0] // 2
         # So large that the kernel does not wrap round from one side of an image to the other.
         size = [cv2.getOptimalDFTSize(max(side, reach + 1) + reach) for side in shape]
-        whole = np.zeros(size)
-        whole[: len(kernel), : len(kernel)] = kernel
-        whole = np.roll(whole, (-reach, -reach), axis=(0, 1))
-        # (half the columns, rows), times the factor by which an image's transforms are divided. Its
-        # imaginary part is 0, since the kernel is symmetric.
-        spectrum = np.fft.rfft2(whole).real.T * whole.size
-        self._kernel = np.ascontiguousarray(spectrum, np.float32)
-        self._size = shape[0], whole.shape[1]
+        # Its spectrum (half the columns, rows) is real, since it is symmetric: a sum of cosines of
+        # its few pixels, without an array of the images' size in double precision.
+        offset = np.arange(-reach, reach + 1)
+        rows, columns = (2 * np.pi / side * np.outer(offset, np.arange(side)) for side in size)
+        columns = columns[:, : size[1] // 2 + 1]
+        spectrum = np.zeros((columns.shape[1], rows.shape[1]))
+        for wave, sign in ((np.cos, 1), (np.sin, -1)):
+            along = np.einsum("yx,yr->xr", kernel, wave(rows))  # not by BLAS, as in `pan`
+            spectrum += sign * np.einsum("xc,xr->cr", wave(columns), along)
+        # Times the factor by which an image's transforms are divided.
+        self._kernel = np.asarray(spectrum * (size[0] * size[1]), np.float32)
+        self._size = shape[0], size[1]
         self._free: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = []
 
     def __call__(self, image: FloatImage) -> FloatImage:
