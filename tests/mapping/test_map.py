@@ -148,10 +148,15 @@ def write_poses(path: Path, poses: FloatArray) -> Path:
 
 
 @pytest.fixture
-def mapped(tmp_path: Path) -> Path:
-    folder = results(tmp_path / "dive", there_and_back(), there_and_back())
-    sonarrec("map", folder, "--origin", "54.3233,10.1394,87")
-    return folder / "map"
+def dive(tmp_path: Path) -> Path:
+    """Results with the exact poses."""
+    return results(tmp_path / "dive", there_and_back(), there_and_back())
+
+
+@pytest.fixture
+def mapped(dive: Path) -> Path:
+    sonarrec("map", dive, "--origin", "54.3233,10.1394,87")
+    return dive / "map"
 
 
 # Where they lie
@@ -165,20 +170,19 @@ def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
     assert f"{folder}: the run was cut short (run.toml says finished = false); only 20 " in said
 
 
-def test_estimates_on_frames_that_are_not_listed_are_told(tmp_path: Path) -> None:
-    folder = results(tmp_path / "dive", there_and_back(), there_and_back())
-    rows = read_rows(folder / "estimates.csv")
+def test_estimates_on_frames_that_are_not_listed_are_told(dive: Path) -> None:
+    rows = read_rows(dive / "estimates.csv")
     strays = [row | {"frame": str(int(row["frame"]) + 1000)} for row in rows[:5]]
     strays[0]["declared"] = "0"
     strays[1]["method"] = "smi"
-    alone = map_rows(folder)
-    write_rows(folder / "estimates.csv", [*rows, *strays])
-    done = sonarrec("map", folder, code=3)
+    alone = map_rows(dive)
+    write_rows(dive / "estimates.csv", [*rows, *strays])
+    done = sonarrec("map", dive, code=3)
     assert done.stderr == (
-        f"sonarrec: {folder}: 3 of {len(rows) + 3} declared estimates left out: frames.csv does "
+        f"sonarrec: {dive}: 3 of {len(rows) + 3} declared estimates left out: frames.csv does "
         "not list their frames\n"
     )
-    assert read_rows(folder / "map" / "map.csv") == alone
+    assert read_rows(dive / "map" / "map.csv") == alone
 
 
 def test_each_landmark_once_where_it_lies(mapped: Path) -> None:
@@ -198,16 +202,15 @@ def test_each_landmark_once_where_it_lies(mapped: Path) -> None:
     assert len({(row["x_m"], row["y_m"]) for row in rows}) == 3
 
 
-def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(tmp_path: Path) -> None:
+def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(dive: Path) -> None:
     """It is all bright; its mean of arbitrary turns was written, within the width of a sector."""
-    given = tmp_path / "set.toml"
+    given = dive.parent / "set.toml"
     rows = [f"[[landmark]]\nid = {i}\nsectors = {s}\n" for i, s in ((1, [1, 0]), (2, [1, 1]))]
     head = 'name = "s"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
     given.write_text(head + "".join(rows))
-    folder = results(tmp_path / "dive", there_and_back(), there_and_back())
-    told = sonarrec("map", folder, "--landmarks", given, "--origin", "54,10,0").stdout
+    told = sonarrec("map", dive, "--landmarks", given, "--origin", "54,10,0").stdout
     for name, count in (("map", 3), ("passes", 6), ("factors", 30)):
-        found = read_rows(folder / "map" / f"{name}.csv")
+        found = read_rows(dive / "map" / f"{name}.csv")
         assert len(found) == count
         for row in found:
             cells = row["orientation_deg"], row["orientation_sigma_deg"]
@@ -311,19 +314,17 @@ def test_each_pass_asks_the_paths_the_same_number_of_times_however_many_logs(
     assert len(asked) - of_four < 2.1 * of_four
 
 
-def test_what_lies_on_another_is_the_one_claimed_more(tmp_path: Path) -> None:
+def test_what_lies_on_another_is_the_one_claimed_more(dive: Path) -> None:
     """A few frames of a disc under a wrong ID make no second landmark."""
-    path = there_and_back()
-    folder = results(tmp_path / "dive", path, path)
-    estimates = folder / "estimates.csv"
+    estimates = dive / "estimates.csv"
     rows = read_rows(estimates)
     wrong = 0
     for row in rows:
         if row["landmark"] == "2" and wrong < 5:
             row["landmark"], wrong = "3", wrong + 1
     write_rows(estimates, rows)
-    sonarrec("map", folder)
-    rows = read_rows(folder / "map" / "map.csv")
+    sonarrec("map", dive)
+    rows = read_rows(dive / "map" / "map.csv")
     assert [(row["landmark"], row["other_frames"]) for row in rows] == [
         ("1", "0"),
         ("1", "0"),
@@ -332,55 +333,49 @@ def test_what_lies_on_another_is_the_one_claimed_more(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("told", ["no column", "one cell empty"])
-def test_tracks_are_needed(tmp_path: Path, told: str) -> None:
+def test_tracks_are_needed(dive: Path, told: str) -> None:
     """Without them two landmarks of one ID that are seen at once were one, between the two."""
-    path = there_and_back()
-    folder = results(tmp_path / "dive", path, path)
-    rows = read_rows(folder / "estimates.csv")
+    rows = read_rows(dive / "estimates.csv")
     if told == "no column":
         for row in rows:
             del row["object"]
     else:
         rows[-1]["object"] = ""
-    write_rows(folder / "estimates.csv", rows)
-    done = sonarrec("map", folder, code=1)
+    write_rows(dive / "estimates.csv", rows)
+    done = sonarrec("map", dive, code=1)
     assert done.stderr == (
-        f"sonarrec: {folder / 'estimates.csv'}: a track needs object; not every declared row of "
+        f"sonarrec: {dive / 'estimates.csv'}: a track needs object; not every declared row of "
         "framework has it\n"
     )
     rows[-1] |= {"declared": "0"}  # a row that is in no pass needs none
-    write_rows(folder / "estimates.csv", rows)
-    sonarrec("map", folder, code=1 if told == "no column" else 0)
+    write_rows(dive / "estimates.csv", rows)
+    sonarrec("map", dive, code=1 if told == "no column" else 0)
 
 
-def test_landmarks_of_few_frames_are_left_out(tmp_path: Path) -> None:
-    path = there_and_back()
-    folder = results(tmp_path / "dive", path, path)
-    most = max(int(row["frames"]) for row in map_rows(folder))
-    assert map_rows(folder, "--min-frames", most + 1) == []
-    told = sonarrec("map", folder, "--min-frames", 10_000).stdout.splitlines()[1:]
+def test_landmarks_of_few_frames_are_left_out(dive: Path) -> None:
+    most = max(int(row["frames"]) for row in map_rows(dive))
+    assert map_rows(dive, "--min-frames", most + 1) == []
+    told = sonarrec("map", dive, "--min-frames", 10_000).stdout.splitlines()[1:]
     assert told == ["  3 landmarks left out by --min-frames"]
-    assert "left out" not in sonarrec("map", folder).stdout
-    told = sonarrec("map", folder, "--min-frames", most).stdout.splitlines()[-1:]
+    assert "left out" not in sonarrec("map", dive).stdout
+    told = sonarrec("map", dive, "--min-frames", most).stdout.splitlines()[-1:]
     assert told == ["  2 landmarks left out by --min-frames"]
-    nothing = results(tmp_path / "empty", path, path, site=())
+    nothing = results(dive.parent / "empty", there_and_back(), there_and_back(), site=())
     assert "no landmark declared" in sonarrec("map", nothing, "--min-frames", 10_000).stdout
 
 
-def test_a_frame_with_two_tracks_on_a_landmark_is_one_frame(tmp_path: Path) -> None:
+def test_a_frame_with_two_tracks_on_a_landmark_is_one_frame(dive: Path) -> None:
     """The frames of all passes were added up, and could be more than the log has."""
-    path = there_and_back()
-    folder = results(tmp_path / "dive", path, path)
-    rows = read_rows(folder / "estimates.csv")
-    alone = map_rows(folder)
+    rows = read_rows(dive / "estimates.csv")
+    alone = map_rows(dive)
     again = [row | {"object": str(int(row["object"]) + 5000)} for row in rows]
-    write_rows(folder / "estimates.csv", [*rows, *again, *rows[:3]])
-    doubled = map_rows(folder)
+    write_rows(dive / "estimates.csv", [*rows, *again, *rows[:3]])
+    doubled = map_rows(dive)
     assert sum(int(row["frames"]) for row in alone) == len(rows)
     for row, other in zip(alone, doubled, strict=True):
         assert row["frames"] == other["frames"]
         assert 2 * int(row["passes"]) == int(other["passes"])
-    passes = read_rows(folder / "map" / "passes.csv")
+    passes = read_rows(dive / "map" / "passes.csv")
     for row in passes:
         frames = {
             int(one["frame"])
@@ -706,21 +701,22 @@ def test_measurements_lead_from_the_poses_to_the_landmarks(mapped: Path) -> None
     assert int(row["timestamp_ns"]) == round(int(row["frame"]) * 1e9 / RATE)
 
 
+def earth(longitude: float, latitude: float) -> FloatArray:
+    """(3,) Earth-centred coordinates on the ellipsoid of WGS 84, m."""
+    lon, lat = math.radians(longitude), math.radians(latitude)
+    n = 6378137 / math.sqrt(1 - 0.00669437999014 * math.sin(lat) ** 2)
+    flat = n * math.cos(lat)
+    return np.array(
+        [flat * math.cos(lon), flat * math.sin(lon), n * (1 - 0.00669437999014) * math.sin(lat)]
+    )
+
+
 def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
     """By way of Earth-centred coordinates: distances and directions from the origin."""
     features = json.loads((mapped / "map.geojson").read_text())["features"]
     points = [f for f in features if f["geometry"]["type"] == "Point"]
     rows = read_rows(mapped / "map.csv")
     assert [f["properties"]["landmark"] for f in points] == [int(r["landmark"]) for r in rows]
-
-    def earth(longitude: float, latitude: float) -> FloatArray:
-        lon, lat = math.radians(longitude), math.radians(latitude)
-        n = 6378137 / math.sqrt(1 - 0.00669437999014 * math.sin(lat) ** 2)
-        flat = n * math.cos(lat)
-        return np.array(
-            [flat * math.cos(lon), flat * math.sin(lon), n * (1 - 0.00669437999014) * math.sin(lat)]
-        )
-
     lat, lon = math.radians(54.3233), math.radians(10.1394)
     east = np.array([-math.sin(lon), math.cos(lon), 0])
     north = np.array(
@@ -734,19 +730,8 @@ def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
         assert heading == pytest.approx(87 + math.degrees(math.atan2(x, y)), abs=0.01)
         turn = (90 + 87 - float(row["orientation_deg"])) % 360
         assert feature["properties"]["heading_deg"] == pytest.approx(turn, abs=0.02)
-    rings = [
-        f["geometry"]["coordinates"][0] for f in features if f["geometry"]["type"] == "Polygon"
-    ]
-    assert len(rings) == len(rows)
-    assert all(ring[0] == ring[-1] for ring in rings)
-    assert sum(f["geometry"]["type"] == "LineString" for f in features) == 1
-
-
-def lies(longitude: float, latitude: float) -> FloatArray:
-    """From the middle of the Earth, here a sphere, m."""
-    lon, lat = math.radians(longitude), math.radians(latitude)
-    flat = math.cos(lat)
-    return np.array([flat * math.cos(lon), flat * math.sin(lon), math.sin(lat)]) * 6371e3
+    others = [f["geometry"]["type"] for f in features if f not in points]
+    assert sorted(others) == ["LineString", *["Polygon"] * len(rows)]
 
 
 @pytest.mark.parametrize("latitude", [-17.0, 89.9])
@@ -772,7 +757,7 @@ def test_geojson_keeps_to_its_side_of_the_180th_meridian(mapped: Path, latitude:
                 assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0
     points = [f["geometry"]["coordinates"] for f in features if f["geometry"]["type"] == "Point"]
     for (a, here), (b, there) in pairwise(zip(points, rows, strict=True)):
-        apart = np.linalg.norm(lies(*a) - lies(*b))
+        apart = np.linalg.norm(earth(*a) - earth(*b))
         assert apart == pytest.approx(math.dist(here, there), rel=0.01)
 
 
@@ -925,30 +910,29 @@ def test_poses_are_found_from_wherever_the_results_are_named(
     assert read_rows(folder / "map" / "map.csv")
 
 
-def test_what_is_left_out_is_told_with_its_reason(tmp_path: Path) -> None:
+def test_what_is_left_out_is_told_with_its_reason(dive: Path) -> None:
     """Poses end early; ten estimates are nearer than the floor, one of these without a pose."""
-    folder = results(tmp_path / "dive", there_and_back(), there_and_back())
-    poses = tmp_path / "dive.poses.csv"
-    estimates = folder / "estimates.csv"
+    poses = dive.parent / "dive.poses.csv"
+    estimates = dive / "estimates.csv"
     rows = read_rows(estimates)
     end = int(rows[-1]["frame"]) - 5
     late = [row for row in rows if int(row["frame"]) >= end]
     for row in [late[0], *rows[:9]]:
         row["range_m"] = "0.6"
     write_rows(estimates, rows)
-    early = tmp_path / "early.csv"
+    early = dive.parent / "early.csv"
     early.write_text("\n".join(poses.read_text().splitlines()[: end + 1]) + "\n")
-    run = folder / "run.toml"
+    run = dive / "run.toml"
     stated = dict(read_poses(early).source)
     run.write_text(
         run.read_text()
         .replace(str(read_poses(poses).source["sha256"]), str(stated["sha256"]))
         .replace("dive.poses.csv", "early.csv")
     )
-    said = sonarrec("map", folder, code=3).stderr
+    said = sonarrec("map", dive, code=3).stderr
     whole = f"of {len(rows)} declared estimates left out"
-    assert f"{folder}: {len(late)} {whole}: no pose is known in their frames" in said
-    assert f"{folder}: 9 {whole}: their slant range is no more than the sonar's height" in said
+    assert f"{dive}: {len(late)} {whole}: no pose is known in their frames" in said
+    assert f"{dive}: 9 {whole}: their slant range is no more than the sonar's height" in said
 
 
 def test_poses_that_changed_are_refused(tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ def rows_of(path: Path) -> list[Row]:
 
 
 def converted(tmp_path: Path, source: Path, *more: str | Path, code: int = 0) -> list[Row]:
+    (tmp_path / "gt.csv").unlink(missing_ok=True)
     run(source, "--out", tmp_path / "gt.csv", *more, code=code)
     return rows_of(tmp_path / "gt.csv")
 
@@ -155,8 +156,7 @@ def test_cvat_shapes_without_one_centre_are_counted_and_the_others_used(tmp_path
     tracks = (track(s.format(0, 0), s.format(1, 0), s.format(2, 1)) for s in shapes)
     source = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20)) + "".join(tracks))
     assert [row[:4] for row in converted(tmp_path, source, code=3)] == [(0, 1, 14.5, 14.5)]
-    (tmp_path / "gt.csv").unlink()
-    report = convert(source, tmp_path / "gt.csv", BASIN)
+    report = convert(source, tmp_path / "again.csv", BASIN)
     assert report.diagnostics.problems == [
         f"{kind}: 2 shapes passed over"
         for kind in ("several points", "polyline", "cuboid", "skeleton")
@@ -224,10 +224,8 @@ def coco(
         {"id": 7 + n, "file_name": name, "width": w, "height": h}
         for n, (name, (w, h)) in enumerate(zip(names, each, strict=True))
     ]
-    categories = [
-        {"id": 1, "name": "ID.1"},
-        {"id": 2, "name": "disc north", "keypoints": ["centre", "rim"]},
-    ]
+    categories: list[dict[str, object]] = [{"id": n, "name": f"ID.{n}"} for n in (1, 2, 3, 4)]
+    categories += [{"id": 5, "name": "disc north", "keypoints": ["centre", "rim"]}]
     path = tmp_path / "coco.json"
     document = {"annotations": annotations, "images": images, "categories": categories}
     path.write_text(json.dumps(document))
@@ -239,8 +237,8 @@ def test_coco(tmp_path: Path) -> None:
     annotations = [
         {"image_id": 7, "category_id": 1, "bbox": [10, 20, 4, 6], "iscrowd": 0},
         {"image_id": 8, "category_id": 1, "bbox": [0, 0, 1, 1], "segmentation": [square]},
-        {"image_id": 8, "category_id": 2, "bbox": [0, 0, 9, 9], "keypoints": [5, 6, 1, 0, 0, 0]},
-        {"image_id": 8, "category_id": 2, "bbox": [0, 0, 9, 9], "attributes": {"occluded": True}},
+        {"image_id": 8, "category_id": 5, "bbox": [0, 0, 9, 9], "keypoints": [5, 6, 1, 0, 0, 0]},
+        {"image_id": 8, "category_id": 5, "bbox": [0, 0, 9, 9], "attributes": {"occluded": True}},
         {"image_id": 7, "category_id": 1, "bbox": [0, 0, 9, 9], "iscrowd": 1},
     ]
     source = coco(tmp_path, annotations, ["a_0.png", "a_5.png"])
@@ -513,9 +511,7 @@ def test_other_labels_are_told_of(tmp_path: Path, label: str) -> None:
     done = run(source, "--out", tmp_path / "gt.csv", code=3)
     assert f"label {label!r} (1 time)" in done.stderr
     assert len(rows_of(tmp_path / "gt.csv")) == 1
-    (tmp_path / "gt.csv").unlink()
     assert len(converted(tmp_path, source, "--map", f"{label}=none")) == 1
-    (tmp_path / "gt.csv").unlink()
     assert [row[1] for row in converted(tmp_path, source, "--map", f"{label}=2")] == [1, 2]
 
 
@@ -549,7 +545,9 @@ def frames_of(tmp_path: Path, names: list[str], *more: str | Path) -> list[int]:
 
 
 def test_frames_by_the_number_that_ends_the_name(tmp_path: Path) -> None:
-    assert frames_of(tmp_path, ["x1_0012.png", "x1_0003.jpg"]) == [3, 12]
+    names = ["x1_0012.png", "x1_0003.jpg"]
+    assert frames_of(tmp_path, names) == [3, 12]
+    assert frames_of(tmp_path, names, "--first-frame", "1") == [2, 11]
 
 
 HASHES = ("bee0e8fc28627c80a1ab1e7389701a07", "ca782d9ec0835cb56a667163a7be9435")
@@ -559,11 +557,9 @@ HASHES = ("bee0e8fc28627c80a1ab1e7389701a07", "ca782d9ec0835cb56a667163a7be9435"
 def test_the_hashes_of_other_tools_are_no_numbers(tmp_path: Path, form: str) -> None:
     """Roboflow's at the end, Label Studio's at the beginning; with the log and without it."""
     names = [form.format(f"frame{k}", text) for k, text in zip((3, 5), HASHES, strict=True)]
-    source = coco(tmp_path, [BBOX | {"image_id": 7}, BBOX | {"image_id": 8}], names)
-    assert [row[0] for row in converted(tmp_path, source)] == [3, 5]
+    assert frames_of(tmp_path, names) == [3, 5]
     log = image_folder(tmp_path / "log", frames(6, 80, 100))
-    (tmp_path / "gt.csv").unlink()
-    assert [row[0] for row in converted(tmp_path, source, "--log", log)] == [3, 5]
+    assert frames_of(tmp_path, names, "--log", log) == [3, 5]
 
 
 def test_the_end_of_a_hash_is_not_taken_for_a_frame(tmp_path: Path) -> None:
@@ -575,17 +571,11 @@ def test_digits_that_are_no_number_of_a_frame(tmp_path: Path) -> None:
     """Of a space and a query as web tools write them, and of a fraction of a second."""
     names = ["img%2012.png", "a/img%203.jpg", "../b%2F7.png?c=%2F5", "/files/?d=a%2F9.png"]
     assert frames_of(tmp_path, names) == [3, 7, 9, 12]
-    (tmp_path / "gt.csv").unlink()
     assert frames_of(tmp_path, ["a_1714564801.125.png", "b_1714564800.375.png"]) == [0, 1]
-    (tmp_path / "gt.csv").unlink()
     log = image_folder(tmp_path / "log", frames(3, 80, 100))
     (log / "frame0.png").rename(log / "b%2034.png")  # that very name
     (log / "frame1.png").rename(log / "b 5.png")
     assert frames_of(tmp_path, ["b%2034.png", "b%205.png"], "--log", log) == [0, 1]
-
-
-def test_first_frame_shifts_numbers(tmp_path: Path) -> None:
-    assert frames_of(tmp_path, ["img1.png", "img3.png"], "--first-frame", "1") == [0, 2]
 
 
 def test_frames_by_natural_order_of_all_images(tmp_path: Path) -> None:
@@ -768,7 +758,6 @@ def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[
         polar = np.zeros((200, beams), np.uint8)
         polar[row, column] = 255
         cv2.imwrite(str(log / "0.png"), polar.T if turned else polar)
-        (tmp_path / "gt.csv").unlink(missing_ok=True)
         ((_, _, x, y, _),) = converted(tmp_path, source, "--log", log)
         with open_log(log) as opened:
             fan = next(iter(opened)).image.astype(float)
@@ -860,17 +849,11 @@ def as_cvat_images(rows: list[Row], folder: Path) -> Path:
 
 
 def as_coco(rows: list[Row], folder: Path) -> Path:
-    path = folder / "coco.json"
-    document = {
-        "images": [{"id": n, "file_name": f"{n}.png"} for n in range(31)],
-        "categories": [{"id": n, "name": f"landmark {n}"} for n in (1, 2, 3, 4)],
-        "annotations": [
-            {"image_id": frame, "category_id": i, "bbox": [x - 4, y - 3, 9, 7]}
-            for frame, i, x, y, _ in rows
-        ],
-    }
-    path.write_text(json.dumps(document))
-    return path
+    annotations: list[dict[str, object]] = [
+        {"image_id": 7 + frame, "category_id": i, "bbox": [x - 4, y - 3, 9, 7]}
+        for frame, i, x, y, _ in rows
+    ]
+    return coco(folder, annotations, [f"{frame}.png" for frame in range(31)])
 
 
 def as_mot(rows: list[Row], folder: Path) -> Path:
