@@ -20,11 +20,9 @@ from sonarrec.simulation.scene import (
     SonarSection,
     scene_bearings,
 )
-from tests.support.bare import POLAR, mean_power, power
+from tests.support.bare import BIN_M, POLAR, RANGE_M, mean_power, power
 from tests.support.slow import but_first
 
-BIN_M = 2.5 / 512
-RANGE_M = 1.25 + (np.arange(512) + 0.5) * BIN_M
 AREA = np.array([-1.5, 0.5]), np.array([1.5, 3.5])
 SEEN = (5, 17, 27)  # seeds whose fish swims through the fan
 AZIMUTHS = np.arange(-18.0, 18.05, 0.1)

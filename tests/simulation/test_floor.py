@@ -14,10 +14,8 @@ from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.plane import Plane
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import FloorSection, PlacedLandmark, PlacedObject, Scene, scene_sonar
-from tests.support.bare import POLAR, even_power, power
+from tests.support.bare import BIN_M, POLAR, RANGE_M, even_power, power
 
-BIN_M = 2.5 / 512
-RANGE_M = 1.25 + (np.arange(512) + 0.5) * BIN_M
 HEIGHT, GROUND, RADIUS, LEAN = 0.68, 1.9, 0.15, 12.0
 SINE, COSINE = math.sin(math.radians(LEAN)), math.cos(math.radians(LEAN))
 
@@ -61,7 +59,7 @@ def test_truth_and_echo_lie_where_the_slope_puts_them(towards: float) -> None:
     bright = even_power(scene) > 100
     bin_, beam = (v.mean() for v in np.nonzero(bright))
     seen = frame.distractors[0]
-    assert 1.25 + (bin_ + 0.5) * 2.5 / 512 == pytest.approx(seen.range_m, abs=0.008)
+    assert 1.25 + (bin_ + 0.5) * BIN_M == pytest.approx(seen.range_m, abs=0.008)
     assert (beam - 47.5) * 0.3 == pytest.approx(seen.bearing_deg, abs=0.15)
     # What is stated is the height and the tilt, over a floor that nobody says slopes.
     assert scene_sonar(scene) == scene_sonar(POLAR)
@@ -75,11 +73,10 @@ def test_the_axis_meets_the_slope_where_a_triangle_says(towards: float, slope: f
     sine = math.sin(math.radians(20 + (slope if towards == 0 else -slope)))
     expected = 0.68 * math.cos(math.radians(slope)) / sine
     seen = even_power(scene)[:, 40:56].mean(axis=1)
-    range_m = 1.25 + (np.arange(512) + 0.5) * 2.5 / 512
     log = 10 * np.log10(np.maximum(seen, 1e-6))
-    near = np.abs(range_m - expected) < 0.25
+    near = np.abs(RANGE_M - expected) < 0.25
     # Decibels of a Gaussian beam are a parabola of the depression.
-    depression = np.degrees(np.arcsin(expected * sine / range_m[near]))
+    depression = np.degrees(np.arcsin(expected * sine / RANGE_M[near]))
     curve = np.polyfit(depression, log[near], 2)
     top = -curve[1] / (2 * curve[0])
     assert expected * sine / math.sin(math.radians(top)) == pytest.approx(expected, abs=0.06)

@@ -20,7 +20,7 @@ from sonarrec.simulation.scene import (
 )
 from sonarrec.simulation.truth import DistractorTruth
 from sonarrec.truth.match import share_in_image
-from tests.support.bare import BARE, POLAR, mean_power, power
+from tests.support.bare import BARE, BIN_M, POLAR, mean_power, power
 from tests.support.command import sonarrec
 
 
@@ -31,12 +31,11 @@ def test_truth_pixel_is_the_contract_formula() -> None:
     )
     (row,) = next(render(scene)).truth
     slant = math.hypot(1.9, 0.68)
-    scale = 2.5 / 512
     assert row.range_m == pytest.approx(slant, abs=1e-5)
     assert row.bearing_deg == pytest.approx(4.0, abs=1e-4)
-    assert row.x_px == pytest.approx(190 + slant * math.sin(math.radians(4)) / scale, abs=2e-3)
+    assert row.x_px == pytest.approx(190 + slant * math.sin(math.radians(4)) / BIN_M, abs=2e-3)
     assert row.y_px == pytest.approx(
-        511.5 + 1.25 / scale - slant * math.cos(math.radians(4)) / scale, abs=2e-3
+        511.5 + 1.25 / BIN_M - slant * math.cos(math.radians(4)) / BIN_M, abs=2e-3
     )
     assert row.orientation_deg == pytest.approx(32.0)
     assert row.visible == 1.0
@@ -49,15 +48,14 @@ def test_disc_extents_follow_the_grazing_angle(ground: float) -> None:
     )
     seen = mean_power(scene, 30)
     inside = seen > 50  # half of the disc's 20 dB
-    rows, columns = np.flatnonzero(inside[:, 46:50].any(axis=1)), None
+    rows = np.flatnonzero(inside[:, 46:50].any(axis=1))
     low = math.hypot(ground - 0.15, 0.68)
     high = math.hypot(ground + 0.15, 0.68)
-    bin_m = 2.5 / 512
-    assert 1.25 + rows[0] * bin_m == pytest.approx(low, abs=2 * bin_m)
-    assert 1.25 + (rows[-1] + 1) * bin_m == pytest.approx(high, abs=2 * bin_m)
+    assert 1.25 + rows[0] * BIN_M == pytest.approx(low, abs=2 * BIN_M)
+    assert 1.25 + (rows[-1] + 1) * BIN_M == pytest.approx(high, abs=2 * BIN_M)
     # Radially the disc shrinks by about cos(grazing angle).
     grazing = math.asin(0.68 / math.hypot(ground, 0.68))
-    assert len(rows) * bin_m == pytest.approx(0.3 * math.cos(grazing), rel=0.06)
+    assert len(rows) * BIN_M == pytest.approx(0.3 * math.cos(grazing), rel=0.06)
     columns = np.flatnonzero(inside.any(axis=0))
     half = math.degrees(math.asin(0.15 / ground))
     assert len(columns) * 0.3 == pytest.approx(2 * half, abs=0.6)
@@ -81,8 +79,8 @@ def test_sectors_lie_where_the_truth_says() -> None:
     x = ground * math.sin(bearing) + 0.4 * 0.15 * np.cos(turn)
     y = ground * math.cos(bearing) + 0.4 * 0.15 * np.sin(turn)
     slant = np.sqrt(x**2 + y**2 + 0.68**2)
-    column = np.rint(190 + slant * np.sin(np.arctan2(x, y)) / (2.5 / 512)).astype(int)
-    line = np.rint(767.5 - slant * np.cos(np.arctan2(x, y)) / (2.5 / 512)).astype(int)
+    column = np.rint(190 + slant * np.sin(np.arctan2(x, y)) / BIN_M).astype(int)
+    line = np.rint(767.5 - slant * np.cos(np.arctan2(x, y)) / BIN_M).astype(int)
     bright = cv2.blur(seen, (3, 3))[line, column] > 3
     np.testing.assert_array_equal(bright[(angle > 15) & (angle < 75)], True)
     np.testing.assert_array_equal(bright[(angle > 105) & (angle < 345)], False)
@@ -269,7 +267,7 @@ def test_tall_things_cast_shadows() -> None:
     seen = mean_power(replace(POLAR, objects=(beam,)), 10)[:, 40:56].mean(axis=1)
     dark = np.flatnonzero(seen < 0.3)
     hidden_to = math.hypot(2.03 * 0.68 / (0.68 - 0.03), 0.68)
-    assert 1.25 + (dark[-1] + 1) * 2.5 / 512 == pytest.approx(hidden_to, abs=0.02)
+    assert 1.25 + (dark[-1] + 1) * BIN_M == pytest.approx(hidden_to, abs=0.02)
 
 
 def test_noise_level_is_the_stated_snr() -> None:

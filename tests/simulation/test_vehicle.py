@@ -13,9 +13,7 @@ from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
-from tests.support.bare import POLAR, power
-
-BIN_M = 2.5 / 512
+from tests.support.bare import BIN_M, POLAR, power
 
 
 def on_vehicle(frames: int = 40, **motion: float) -> Scene:

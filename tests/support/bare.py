@@ -37,6 +37,8 @@ BARE = Scene(
     picture=PictureSection(black_db=-50, dynamic_range_db=80),
 )
 POLAR = replace(BARE, sonar=replace(BARE.sonar, layout="polar"))
+BIN_M = 2.5 / 512
+RANGE_M = 1.25 + (np.arange(512) + 0.5) * BIN_M  # of their samples
 
 
 def power(image: np.ndarray, scene: Scene) -> np.ndarray:
