@@ -11,18 +11,14 @@ path is held against dead reckoning alone.
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import cv2
 import gtsam
 import numpy as np
-from tqdm import tqdm
 
 from sonarrec.arrays import FloatArray
 from sonarrec.mapping.axes import CHI2_95
@@ -31,6 +27,7 @@ from sonarrec.mapping.factors import factors, pose_vertices
 from sonarrec.mapping.path import Drift
 from sonarrec.mapping.write import write_all
 from tests.studies.results.record import judge, options, save, show
+from tests.support.simulated import in_processes
 from tests.support.vehicle import (
     VehicleRun,
     drifting,
@@ -52,7 +49,6 @@ NEAR_DRIFTED_M = 0.6
 """Where the path is measured, and strays by some part of its length."""
 CAUCHY = 2.0
 """Standard errors from which on a measurement weighs less; chosen on tuning seeds."""
-PROCESSES = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +87,6 @@ class PathError:
 
 def recognise_seed(folder: Path, seed: int) -> None:
     """Write the results of a run, told true poses, told dead reckoning and told none."""
-    cv2.setNumThreads(1)
     run = vehicle_run(seed)
     rng = np.random.default_rng([seed, 9])
     dead_reckoning = drifting(run.path, rng, DRIFT.position_m, DRIFT.yaw_deg)
@@ -262,15 +257,9 @@ def _factor(told: FloatArray, found: FloatArray) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, map, optimise and tell."""
-    parser = options("maps", __doc__, REPORTED)
-    parser.add_argument("--again", action="store_true", help="map results that are there already")
-    asked = parser.parse_args(arguments)
+    asked = options("maps", __doc__, REPORTED).parse_args(arguments)
     begun = time.monotonic()
-    if not asked.again:
-        with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as workers:
-            done = workers.map(partial(recognise_seed, asked.out), asked.seeds)
-            for _ in tqdm(done, total=len(asked.seeds), unit="run", leave=False, disable=None):
-                pass
+    in_processes(partial(recognise_seed, asked.out), asked.seeds)
     maps, alone, errors = [], [], []
     for seed in asked.seeds:
         run = vehicle_run(seed)

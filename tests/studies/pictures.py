@@ -6,9 +6,8 @@ Every recording is rendered once, and recognised as it is and after each change 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from unittest.mock import patch
 
 import cv2
@@ -26,7 +25,7 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, random_scene
 from tests.studies.results.record import options, save, show
-from tests.studies.scenes import strict_count, told
+from tests.studies.scenes import Recording, rates, strict_count
 from tests.support.simulated import Job, in_processes, recognise
 
 REPORTED = range(3001, 3004)  # 3000 was looked at while the rules were made
@@ -176,18 +175,6 @@ BY_LUMINANCE = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """A scene to render, and the folder under which each change to it has its own."""
-
-    kind: str
-    seed: int
-    folder: Path
-
-    def place(self, change: str, part: str) -> Path:
-        return self.folder / part / change.replace(" ", "_") / f"{self.kind}_{self.seed}"
-
-
 def recognise_all(recording: Recording) -> None:
     """Every change to one recording, with and without what is done against it."""
     scene = random_scene(recording.seed, recording.kind, frames=FRAMES)
@@ -196,7 +183,7 @@ def recognise_all(recording: Recording) -> None:
     def recognise_changed(name: str, change: Change, part: str) -> None:
         pictures = change([f.image for f in frames], fan)
         seen = (replace(f, image=p) for f, p in zip(frames, pictures, strict=True))
-        recognise(Job(scene, recording.place(name, part), [preset("default")]), seen)
+        recognise(Job(scene, recording.place(f"{part}/{name}"), [preset("default")]), seen)
 
     for name, change in CHANGES.items():
         recognise_changed(name, change, "with")
@@ -210,25 +197,23 @@ def recognise_all(recording: Recording) -> None:
             recognise_changed(name, CHANGES[name], "without")
 
 
-def rates(recordings: Sequence[Recording], change: str, part: str) -> str:
-    """TPR / FPR, strict, and how many false claims."""
-    count = strict_count([r.place(change, part) for r in recordings])
-    return f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}, {count.fp:g}"
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, change, recognise, score and tell."""
     given = options("pictures", __doc__, REPORTED).parse_args(arguments)
     recordings = [Recording(k, s, given.out) for k, s in product(KINDS, given.seeds)]
     in_processes(recognise_all, recordings)
+
+    def figures(change: str, part: str) -> str:
+        """TPR / FPR, strict, and how many false claims."""
+        count = strict_count([r.place(f"{part}/{change}") for r in recordings])
+        return f"{rates(count)}, {count.fp:g}"
+
     bare = {*NOT_RESTORED, *BY_LUMINANCE}
     lines = [
         {
             "pictures": name,
-            "default": rates(recordings, name, "with"),
-            "not restored, by luminance": rates(recordings, name, "without")
-            if name in bare
-            else "",
+            "default": figures(name, "with"),
+            "not restored, by luminance": figures(name, "without") if name in bare else "",
         }
         for name in CHANGES
     ]

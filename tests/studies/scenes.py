@@ -63,11 +63,15 @@ RATE_GOALS = (
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """One random scene. folder: of its results and its truth."""
+    """One random scene. folder: of its results and its truth, or of several."""
 
     kind: str
     seed: int
     folder: Path
+
+    def place(self, part: str) -> Path:
+        """The folder for one of several."""
+        return self.folder / part.replace(" ", "_") / f"{self.kind}_{self.seed}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +168,11 @@ def told(value: float, form: str) -> str:
     return "-" if math.isnan(value) else format(value, form)
 
 
+def rates(count: Count) -> str:
+    """TPR / FPR."""
+    return f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}"
+
+
 def show_rates(rows: Sequence[Row], keep: bool) -> None:
     """Per kind of scene, pooled, and those beside the pool."""
     of_kind = {kind: [r for r in rows if r.kind == kind] for kind in ALL_KINDS}
@@ -176,8 +185,7 @@ def show_rates(rows: Sequence[Row], keep: bool) -> None:
         if some:
             line = {"scene": label, "passes": str(sum(r.passes for r in some))}
             for name in methods(some):
-                count = pooled(some, name, protocol)
-                line[name] = f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}"
+                line[name] = rates(pooled(some, name, protocol))
             lines.append(line)
     show("TPR / FPR at the operating point, protocol strict", lines, keep=keep)
 
@@ -263,7 +271,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = options("scenes", __doc__, REPORTED, FRAMES)
     parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, default=ALL_KINDS)
     parser.add_argument("--ours", action="store_true", help="without `paper` and `hough`")
-    parser.add_argument("--again", action="store_true", help="score results that are there already")
     asked = parser.parse_args(arguments)
     begun = time.monotonic()
     recordings = [
@@ -273,14 +280,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     configs = [preset(name) for name in PRESETS if name in OURS or not asked.ours]
     rivals = () if asked.ours else (HoughRival,)
-    if not asked.again:
-        in_processes(
-            recognise,
-            [
-                Job(random_scene(r.seed, r.kind, frames=asked.frames), r.folder, configs, rivals)
-                for r in recordings
-            ],
-        )
+    in_processes(
+        recognise,
+        [
+            Job(random_scene(r.seed, r.kind, frames=asked.frames), r.folder, configs, rivals)
+            for r in recordings
+        ],
+    )
     rows = scored_rows(recordings)
     print(
         f"{len(recordings)} recordings of {asked.frames} frames: seeds {asked.seeds.start} to "

@@ -19,7 +19,7 @@ from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import Scene
 from tests.studies.learning.random_scenes import random_scene
 from tests.studies.results.record import options, save, show
-from tests.studies.scenes import told
+from tests.studies.scenes import rates
 from tests.support.simulated import METHODS, Job, in_processes, recognise, score
 
 REPORTED = range(3000, 3004)
@@ -123,8 +123,7 @@ def row(run: tuple[float, float, float], scenes: Sequence[Scene], out: Path) -> 
     found = score([out / scene.name for scene in scenes]).scored
     scored = {s.method: s for s in found if s.protocol == "strict"}
     for name in NAMES:
-        count = scored[METHODS[name]].count()
-        line[name] = f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}"
+        line[name] = rates(scored[METHODS[name]].count())
     return line
 
 

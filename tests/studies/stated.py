@@ -6,9 +6,8 @@ Every recording is rendered once, and recognised with each wrong statement in tu
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import pandas as pd
 
@@ -20,7 +19,7 @@ from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, random_scene
 from tests.studies.results.record import options, save, show
-from tests.studies.scenes import strict_count, told
+from tests.studies.scenes import Recording, rates, strict_count
 from tests.support.simulated import Job, in_processes, recognise
 
 REPORTED = range(3004, 3007)
@@ -107,18 +106,6 @@ STATEMENTS: dict[str, Statement] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """A scene to render, and the folder under which each statement has its own."""
-
-    kind: str
-    seed: int
-    folder: Path
-
-    def place(self, statement: str) -> Path:
-        return self.folder / statement.replace(" ", "_") / f"{self.kind}_{self.seed}"
-
-
 def recognise_all(recording: Recording) -> None:
     """One recording, with every statement of it."""
     scene = random_scene(recording.seed, recording.kind, frames=FRAMES)
@@ -131,15 +118,6 @@ def recognise_all(recording: Recording) -> None:
         truth.drop(columns=["range_m", "bearing_deg"]).to_csv(place / "gt.csv", index=False)
 
 
-def rates(places: Sequence[Path]) -> dict[str, object]:
-    """TPR / FPR, strict, and how many false claims."""
-    count = strict_count(places)
-    return {
-        "default": f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}",
-        "false claims": f"{count.fp:g}",
-    }
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and print."""
     given = options("stated", __doc__, REPORTED).parse_args(arguments)
@@ -147,7 +125,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     in_processes(recognise_all, recordings)
     show(
         f"TPR / FPR, protocol strict: {len(recordings)} recordings",
-        [{"stated": n} | rates([r.place(n) for r in recordings]) for n in STATEMENTS],
+        [
+            {"stated": name, "default": rates(count), "false claims": f"{count.fp:g}"}
+            for name in STATEMENTS
+            for count in [strict_count([r.place(name) for r in recordings])]
+        ],
     )
     save(given.record)
 

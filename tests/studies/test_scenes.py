@@ -226,19 +226,3 @@ def test_intervals_over_recordings_are_those_of_all_that_may_be_drawn() -> None:
     tpr, fpr = scenes.intervals([none, none], "default")
     assert np.isnan(tpr).all()
     assert fpr == (0.1, 0.1)
-
-
-def test_results_that_are_there_are_scored_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Two recordings, so that there is an interval; nothing is rendered the second time."""
-    out = str(tmp_path / "out")
-    asked = ["--kinds", "plain", "--seeds", "2000:2002", "--frames", "4", "--ours", "--out", out]
-    monkeypatch.setattr(scenes, "in_processes", lambda work, items: list(map(work, items)))
-    scenes.main(asked)
-    first = capsys.readouterr().out
-    monkeypatch.setattr(scenes, "in_processes", None)
-    scenes.main([*asked, "--again"])
-    again = capsys.readouterr().out
-    assert "95 % intervals over recordings" in first
-    assert first.splitlines()[:-1] == again.splitlines()[:-1]  # the last tells the time it took

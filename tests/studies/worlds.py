@@ -18,7 +18,7 @@ import pandas as pd
 from sonarrec.evaluation.curves import Count
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.results.record import options, save, show
-from tests.studies.scenes import told
+from tests.studies.scenes import rates
 from tests.support.claims import evaluate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,7 +70,7 @@ def world(name: str, logs: Sequence[Path], out: Path) -> dict[str, str]:
     line = {"recordings": name, "frames": str(frames)}
     for preset, numbers in total.items():
         count = Count(*numbers.tolist())
-        line[preset] = f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}"
+        line[preset] = rates(count)
         line[f"{preset}, false per 100 frames"] = f"{100 * count.fp / frames:.2f}"
     return line
 

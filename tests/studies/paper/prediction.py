@@ -286,7 +286,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
     parser = options("paper.prediction", __doc__)
     parser.add_argument("--recordings", type=int, default=MOST, help="of each world")
-    parser.add_argument("--made", action="store_true", help="the recordings are in --out already")
     asked = parser.parse_args(arguments)
     worlds, each = kept_worlds("report"), asked.recordings
     jobs = [
@@ -294,8 +293,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for n in range(each)
         for w, world in enumerate(worlds)
     ]
-    if not asked.made:
-        in_processes(record, jobs)
+    in_processes(record, jobs)
     by_world = [
         [j.folder for j in jobs if j.folder.name.startswith(f"{w}_")] for w in range(len(worlds))
     ]
