@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tomllib
 import tracemalloc
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -274,9 +273,6 @@ def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) 
     ("options", "word"),
     [
         (("--set", "candidates.treshold=0.5"), "treshold"),
-        (("--set", "candidate.threshold=0.5"), "candidate"),
-        (("--set", "candidates.threshold=high"), "threshold"),
-        (("--set", "candidates.threshold"), "stage.key=value"),
         (("--preset", "best"), "best"),
         (("--config", "bad.toml"), "particle_count"),
         (("--landmarks", "besin"), "no landmark set 'besin'"),
@@ -292,28 +288,6 @@ def test_settings_that_cannot_be_meant(pings: Path, options: tuple[str, ...], wo
     assert word in message
     assert message.count("\n") == 1
     assert not Path("sonarrec_out").exists()
-
-
-@pytest.fixture
-def processed(pings: Path) -> Path:
-    sonarrec("run", pings)
-    return pings
-
-
-def write_truth(change: Callable[[str], str]) -> None:
-    lines = (SAMPLE / "gt.csv").read_text().splitlines()
-    kept = [lines[0], *(x for x in lines[1:] if int(x.split(",")[0]) < 10)]
-    Path("gt.csv").write_text(change("\n".join(kept) + "\n"))
-
-
-@pytest.mark.usefixtures("processed")
-def test_truth_of_frames_that_were_not_processed() -> None:
-    write_truth(lambda text: text + "10,1,100,100,1.75,0,1.0,0\n")
-    told = sonarrec("evaluate", "--ground-truth", "gt.csv", code=3)
-    assert "1 of" in told.stderr
-    assert "not processed" in told.stderr
-    write_truth(lambda text: text.splitlines()[0] + "\n500,1,100,100,1.75,0,1.0,0\n")
-    assert "none of" in one_line_fault("evaluate", "--ground-truth", "gt.csv")
 
 
 # The least it must show

@@ -106,18 +106,10 @@ class Row:
 
     def rates(self) -> list[RateChange]:
         """The TPR and the FPR."""
-        of = {"tpr": self.new.tp + self.new.fn, "fpr": self.new.fp + self.new.tn}
+        old, new, labels = self.old, self.new, (self.protocol, self.method, TOTAL)
         return [
-            RateChange(
-                self.protocol,
-                self.method,
-                TOTAL,
-                rate,
-                getattr(self.old, rate),
-                getattr(self.new, rate),
-                of[rate],
-            )
-            for rate in of
+            RateChange(*labels, "tpr", old.tpr, new.tpr, new.tp + new.fn),
+            RateChange(*labels, "fpr", old.fpr, new.fpr, new.fp + new.tn),
         ]
 
 

@@ -50,15 +50,6 @@ def read_pairs(path: Path) -> list[Pair]:
     if not logs:
         raise SonarrecError(f"{path}: it has no row; give one for each log ({','.join(columns)})")
     rows = [f"{path} line {line}" for line, _ in zip(line_numbers(path), logs, strict=False)]
-    for row, *names in zip(rows, *(table[c] for c in columns), strict=True):
-        for name in map(str, names):
-            try:
-                (path.parent / name).stat()
-            except (FileNotFoundError, NotADirectoryError):  # reported when it is read
-                continue
-            except (OSError, ValueError) as error:  # or too long, or with a NUL byte
-                fault = f"not a valid path, {name[:40]!r} ({error})"[:200]
-                raise SonarrecError(f"{row}: {fault}") from None
     return [
         Pair(path.parent / str(results), path.parent / str(truth), log, row)
         for results, truth, log, row in zip(*(table[c] for c in columns), logs, rows, strict=True)

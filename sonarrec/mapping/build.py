@@ -148,7 +148,7 @@ def _read_log(
     log = MappedLog(folder.resolve().name, path, passes, fan, ros_axes, folder, diagnostics)
     if not run.finished:
         diagnostics.problem(cut_short(str(folder), len(path.frame), "used"))
-    elif lost := rows_lost(folder, run.table.get("input", {})):
+    elif lost := rows_lost(folder, run.input):
         diagnostics.problem(*(f"{folder}: {line}" for line in lost))
     # The reasons why declared estimates are in no pass.
     without = int((~np.isfinite(log.path.pose[declared.row]).all(axis=1)).sum())

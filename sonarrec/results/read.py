@@ -120,7 +120,7 @@ def not_whole(log: LogResults, action: str) -> list[str]:
     action: what a command does with the rest, such as "scored".
     """
     lines = [] if log.finished else [cut_short(log.name, len(log.frame), action)]
-    lost = rows_lost(log.run.path.parent, log.run.table.get("input", {})) if log.finished else []
+    lost = rows_lost(log.run.path.parent, log.run.input) if log.finished else []
     lines += [f"{log.name}: {line}; only these are {action}" for line in lost]
     if log.strays:
         lines.append(

@@ -91,11 +91,8 @@ _ROWS = {
     "sightings.csv": "sightings",
 }
 """The keys of [input] that state how many rows the tables have."""
-_OF_THE_END: dict[str, Any] = {
-    **dict.fromkeys((*_ROWS.values(), "frames_unusable", "candidates"), Count),
-    "problems": tuple[str, ...],
-}
-"""Keys of [input] that only a finished run has, with their types."""
+_OF_THE_END = (*_ROWS.values(), "frames_unusable", "candidates", "problems")
+"""Keys of [input] that only a finished run has."""
 
 
 def csv_rows(path: Path) -> int:
@@ -112,15 +109,11 @@ def rows_written(folder: Path) -> dict[str, int]:
     return {key: csv_rows(folder / name) for name, key in _ROWS.items() if is_file(folder / name)}
 
 
-def rows_lost(folder: Path, stated: Mapping[str, Any]) -> list[str]:
-    """A line for each table with fewer rows than run.toml states: it was cut since the run.
-
-    stated: [input] of run.toml; earlier versions state fewer rows, or none. Raises SonarrecError if
-    one is invalid.
-    """
+def rows_lost(folder: Path, stated: Input) -> list[str]:
+    """A line for each table with fewer rows than run.toml states: it was cut since the run."""
     held, lines = rows_written(folder), []
     for name, key in _ROWS.items():
-        wrote = checked(stated.get(key, 0), Count, f"{folder / 'run.toml'}: input.{key}")
+        wrote = getattr(stated, key)
         if held.get(key, wrote) < wrote:
             lines.append(f"{name} holds {held[key]} of the {wrote} rows that the run wrote")
     return lines
@@ -130,7 +123,7 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
     """Compare the finished results in a folder with the run.toml of a run to come.
 
     Raises SonarrecError if they belong to another log (by path and SHA-256), another topic or
-    another program, or if a count in their run.toml is invalid.
+    another program, or if their run.toml is invalid.
     """
     path = folder / "run.toml"
     tables = [estimates_of(folder).name if name in ESTIMATES else name for name in TABLES]
@@ -142,9 +135,9 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         )
     if len(present) <= len(TABLES):
         return ExistingResults()
-    recorded = read_toml(path)
-    old_input = recorded.get("input")
-    if not recorded.get("finished") or not isinstance(old_input, dict):
+    run = read_run(path)
+    recorded, stated, old_input = run.table, run.input, run.table.get("input")
+    if not recorded.get("finished") or old_input is None:
         return ExistingResults()
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     new_input = coming["input"]
@@ -165,16 +158,10 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
     before["input"] = {k: v for k, v in old_input.items() if k not in _OF_THE_END}
     before["input"] |= {key: new_input[key] for key in ("path", "place")}
     if before == coming:
-        frames, unusable, candidates, problems = (
-            checked(old_input.get(key, default), _OF_THE_END[key], f"{path}: input.{key}")
-            for key, default in (
-                *(("frames_processed", 0), ("frames_unusable", 0), ("candidates", 0)),
-                ("problems", ()),
-            )
-        )
-        if lost := rows_lost(folder, old_input):
+        if lost := rows_lost(folder, stated):
             return ExistingResults(reason=lost[0])
-        return ExistingResults(True, frames, unusable, candidates, list(problems))
+        counts = stated.frames_processed, stated.frames_unusable, stated.candidates
+        return ExistingResults(True, *counts, list(stated.problems))
     if changed:
         return ExistingResults(reason="the log has changed")
     old, new = dict(flat(before)), dict(flat(coming))
@@ -265,6 +252,12 @@ class Input:
     topic: str | None = None
     time: Clock | None = None
     frames: str | None = None
+    # Of a finished run; earlier versions state fewer rows, or none.
+    frames_processed: Count = 0
+    frames_unusable: Count = 0
+    candidates: Count = 0
+    estimates: Count = 0
+    sightings: Count = 0
     problems: tuple[str, ...] = ()
 
     @property

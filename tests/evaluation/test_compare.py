@@ -12,7 +12,6 @@ import pytest
 
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.compare import compare
-from sonarrec.evaluation.comparison import RateChange, change_text
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from tests.evaluation.test_evaluation import (
@@ -75,11 +74,6 @@ def test_what_got_better_and_worse(sides: tuple[Path, Path, Path]) -> None:
     assert float(rates["1", "tpr"]["worse_by"]) == 0.5
     assert float(rates["2", "fpr"]["worse_by"]) == pytest.approx(-2 / 40)
     assert not (new / "evaluation" / "confusion.csv").exists()
-
-
-def test_no_change_is_printed_of_a_rate_whose_digits_are_the_same() -> None:
-    """It was `TPR 1.0000 -> 1.0000`."""
-    assert change_text(RateChange("strict", "m", "total", "tpr", 0.99998, 0.99997, 9)) == "1.0000"
 
 
 @pytest.mark.slow
@@ -185,19 +179,6 @@ def test_notes_are_told_once(sides: tuple[Path, Path, Path], comparing: bool) ->
         done = command(*arguments, "--json", *quiet)
         assert set(notes) == set(json.loads(done.stdout)["notes"])
         assert done.stderr == ""
-
-
-def test_one_frame_is_no_regression_of_a_short_log(tmp_path: Path) -> None:
-    """Two frames of ten are .2, which a band of .02 would not let pass by itself."""
-    truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(10)]
-    sides = [
-        write_case(tmp_path / str(n), range(20), claims(set(range(n))), truth)[0]
-        for n in (10, 8, 7)
-    ]
-    gt = tmp_path / "10" / "gt.csv"
-    assert compare(sides[0], sides[1], gt).regressions(0.02) == []
-    lines = compare(sides[0], sides[2], gt).regressions(0.02)
-    assert "m, paper, ID.1: TPR was 1.0000, is 0.7000" in lines
 
 
 def test_a_method_that_is_gone_is_a_regression(tmp_path: Path) -> None:

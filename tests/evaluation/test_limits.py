@@ -124,13 +124,6 @@ def test_a_tpr_of_nothing_keeps_no_limit(tmp_path: Path) -> None:
     assert told == ["limit not kept: TPR 0/0 (m, strict) is below 0"]
 
 
-def test_a_method_that_is_gone(tmp_path: Path) -> None:
-    old = results(tmp_path / "old", claims(RIGHT) + claims(RIGHT, method="n"))
-    new = results(tmp_path / "new", claims(RIGHT))
-    found = judge_by(compare(old, new, new / "gt.csv"), Limits(0.02, least_tpr={"n": 0.5}))
-    assert found.sentence == "worse: n: no longer in the results"
-
-
 @pytest.mark.slow
 def test_many_logs_show_what_is_worse_and_the_total(tmp_path: Path) -> None:
     logs = {f"log_{i}": claims(RIGHT) for i in range(MOST_ROWS)}
