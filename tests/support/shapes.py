@@ -88,6 +88,5 @@ def shapes(path: Path, size: int) -> dict[str, Callable[[], None]]:
         "one chunk, uncompressed": lambda: _one_chunk(path, size, ""),
         "one chunk, lz4, cut": lambda: _cut(path, lambda: _one_chunk(path, size, "lz4")),
         "one chunk, zstd, backwards": lambda: _one_chunk(path, size, "zstd", backwards=True),
-        "1000 overlapping chunks, zstd": lambda: _overlapping(path, size, "zstd", 1000),
         "10 overlapping chunks, lz4": lambda: _overlapping(path, size, "lz4", 10),
     }

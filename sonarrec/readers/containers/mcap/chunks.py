@@ -12,8 +12,7 @@ import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from io import BytesIO
-from typing import BinaryIO
+from typing import IO
 
 import lz4.frame
 import zstandard
@@ -23,8 +22,8 @@ from sonarrec.errors import SonarrecError
 MAX_CHUNK_BYTES = 2**31
 """Largest inflated size. A chunk that declares more, or inflates to more than it declares, is not
 read."""
-HELD_BYTES = 64 * 2**20
-"""Inflated chunks that are kept in memory, in total; the rest goes to a temporary file."""
+HELD_BYTES = 8 * 2**20
+"""Inflated chunks up to this size are kept in memory, larger ones in a temporary file each."""
 MAX_WINDOW_BYTES = 2**27  # of zstd: how much of its output it keeps in memory
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, inflated size, CRC, length of compression
@@ -61,7 +60,7 @@ class ChunkHead:
         return self.present < self.stored
 
 
-def read_chunk_head(file: BinaryIO, position: int, file_size: int) -> ChunkHead | None:
+def read_chunk_head(file: IO[bytes], position: int, file_size: int) -> ChunkHead | None:
     """Read the head of the chunk record at `position`; None if the file ends inside the head.
     Raises DamagedError if the head contradicts itself."""
     file.seek(position)
@@ -91,85 +90,49 @@ def read_chunk_head(file: BinaryIO, position: int, file_size: int) -> ChunkHead 
 class Contents:
     """A stretch of a file that holds records: the bytes of `file` from `start` to `end`.
 
-    reserved: how many bytes of memory are reserved for it.
+    inflated: whether the file is one of its own, which holds what was compressed.
     """
 
-    file: BinaryIO
+    file: IO[bytes]
     start: int
     end: int
-    reserved: int = 0
+    inflated: bool = False
+
+    def release(self) -> None:
+        """Free the memory or disk space of what was inflated."""
+        if self.inflated:
+            self.file.close()
 
 
-class ChunkStore:
-    """Opens chunks for reading; several may be open at a time.
-
-    Uncompressed chunks are read from the log itself. Inflated chunks are kept in memory up to
-    HELD_BYTES in total. Beyond that they go to one temporary file, which reuses the space of
-    chunks that were released.
-    """
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._free = HELD_BYTES
-        self._spill: BinaryIO | None = None
-        self._spilled: list[tuple[int, int]] = []  # (start, end) in use, rising
-
-    def open(self, chunk: ChunkHead) -> Contents:
-        """Inflate and check a chunk. If the file is cut inside it, return the part that is there.
-        Raises DamagedError if the chunk cannot be used, SonarrecError if the disk has no room for
-        the temporary file."""
-        if chunk.compression == "":
-            if chunk.size != chunk.stored:
-                raise DamagedError(f"does not hold the {chunk.size} bytes it declares")
-            end = chunk.data_start + chunk.present
-            if chunk.crc and not chunk.cut:
-                _check(chunk, pieces_of(self._file, chunk.data_start, end))
-            return Contents(self._file, chunk.data_start, end)
-        if chunk.size > MAX_CHUNK_BYTES:
-            raise DamagedError(f"declares {chunk.size} bytes, more than is inflated")
-        contents = self._room(chunk.size)
-        contents.file.seek(contents.start)
-        try:
-            written = _check(chunk, _inflate(self._file, chunk), contents.file)
-        except DamagedError:
-            self.release(contents)
+def open_chunk(file: IO[bytes], chunk: ChunkHead) -> Contents:
+    """Inflate and check a chunk. If the file is cut inside it, return the part that is there.
+    Raises DamagedError if the chunk cannot be used, SonarrecError if the disk has no room for a
+    temporary file."""
+    if chunk.compression == "":
+        if chunk.size != chunk.stored:
+            raise DamagedError(f"does not hold the {chunk.size} bytes it declares")
+        end = chunk.data_start + chunk.present
+        if chunk.crc and not chunk.cut:
+            _check(chunk, pieces_of(file, chunk.data_start, end))
+        return Contents(file, chunk.data_start, end)
+    if chunk.size > MAX_CHUNK_BYTES:
+        raise DamagedError(f"declares {chunk.size} bytes, more than is inflated")
+    out = tempfile.SpooledTemporaryFile(HELD_BYTES, prefix="sonarrec_")  # noqa: SIM115
+    try:
+        return Contents(out, 0, _check(chunk, _inflate(file, chunk), out), inflated=True)
+    except DamagedError:
+        out.close()
+        raise
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
             raise
-        except OSError as error:
-            if error.errno != errno.ENOSPC:
-                raise
-            raise SonarrecError(
-                f"{tempfile.gettempdir()}: no room to inflate a chunk of {chunk.size} bytes; make "
-                "room, or set TMPDIR to a folder that has some"
-            ) from None
-        return Contents(contents.file, contents.start, contents.start + written, contents.reserved)
-
-    def release(self, contents: Contents) -> None:
-        """Free the memory or disk space of contents that are no longer needed."""
-        self._free += contents.reserved
-        if contents.file is self._spill:
-            self._spilled = [used for used in self._spilled if used[0] != contents.start]
-
-    def close(self) -> None:
-        """Remove the temporary file, if there is one."""
-        if self._spill is not None:
-            self._spill.close()
-
-    def _room(self, size: int) -> Contents:
-        if size <= self._free:
-            self._free -= size
-            return Contents(BytesIO(), 0, size, size)
-        if self._spill is None:
-            self._spill = tempfile.TemporaryFile(prefix="sonarrec_")  # noqa: SIM115
-        place = 0
-        for used_start, used_end in self._spilled:
-            if used_start - place >= size:
-                break
-            place = used_end
-        self._spilled = sorted([*self._spilled, (place, place + max(size, 1))])
-        return Contents(self._spill, place, place + size)
+        raise SonarrecError(
+            f"{tempfile.gettempdir()}: no room to inflate a chunk of {chunk.size} bytes; make "
+            "room, or set TMPDIR to a folder that has some"
+        ) from None
 
 
-def pieces_of(file: BinaryIO, start: int, end: int) -> Iterator[bytes]:
+def pieces_of(file: IO[bytes], start: int, end: int) -> Iterator[bytes]:
     """Read the bytes from `start` to `end` in pieces; stop early if the file ends."""
     while start < end:
         file.seek(start)
@@ -180,7 +143,7 @@ def pieces_of(file: BinaryIO, start: int, end: int) -> Iterator[bytes]:
         yield piece
 
 
-def _check(chunk: ChunkHead, pieces: Iterable[bytes], out: BinaryIO | None = None) -> int:
+def _check(chunk: ChunkHead, pieces: Iterable[bytes], out: IO[bytes] | None = None) -> int:
     """Check the inflated pieces of a chunk, write them to `out` if given, and return their length.
     Raises DamagedError if the length is not the declared one, or if the checksum is wrong. A cut
     chunk may be shorter, and its checksum is not compared."""
@@ -201,7 +164,7 @@ def _check(chunk: ChunkHead, pieces: Iterable[bytes], out: BinaryIO | None = Non
     return written
 
 
-def _inflate(file: BinaryIO, chunk: ChunkHead) -> Iterator[bytes]:
+def _inflate(file: IO[bytes], chunk: ChunkHead) -> Iterator[bytes]:
     """Inflate a compressed chunk, in pieces of at most about 16 MB. Raises DamagedError."""
     stored = pieces_of(file, chunk.data_start, chunk.data_start + chunk.present)
     try:

@@ -26,6 +26,7 @@ from sonarrec.readers.containers.mcap.chunks import (
     ChunkHead,
     Contents,
     DamagedError,
+    open_chunk,
 )
 from sonarrec.readers.containers.mcap.salvage import (
     CHUNK,
@@ -213,7 +214,7 @@ class _Pass:
         if first is not None:
             heapq.heappush(self._runs, (first, run, contents))
         elif contents is not None:
-            self._log.store.release(contents)
+            contents.release()
 
     def _open_chunk(self, position: int) -> None:
         log = self._log
@@ -223,7 +224,7 @@ class _Pass:
             log.fault(f"the chunk at byte {position} {error}; its frames are lost")
             return
         try:
-            contents = log.store.open(chunk)
+            contents = open_chunk(log.file, chunk)
         except DamagedError as error:
             self._lose(chunk, str(error))
             return
@@ -231,7 +232,7 @@ class _Pass:
         if found.end < contents.end and not chunk.cut:
             where = f"is damaged at byte {found.end - contents.start} of its contents"
             self._lose(chunk, f"{where} (`mcap recover` may save some)")
-            log.store.release(contents)
+            contents.release()
             return
         if found.undefined:
             number = number_of(found.undefined, "message")

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -23,9 +23,9 @@ from sonarrec.errors import SonarrecError
 from sonarrec.readers.containers.mcap.chunks import (
     RECORD_HEAD,
     ChunkHead,
-    ChunkStore,
     Contents,
     DamagedError,
+    open_chunk,
     read_chunk_head,
 )
 
@@ -82,7 +82,6 @@ class McapFile:
         self._oddities: Counter[str] = Counter()
         self._data_ended = False
         self.file = at.open("rb")
-        self.store = ChunkStore(self.file)
         try:
             self.size = self._end = self.file.seek(0, 2)
             self._scan()
@@ -92,7 +91,6 @@ class McapFile:
 
     def close(self) -> None:
         """Close the file."""
-        self.store.close()
         self.file.close()
 
     def chunk_at(self, position: int) -> ChunkHead:
@@ -208,7 +206,7 @@ class McapFile:
         first, last = self.span or (time, time)
         self.span = min(first, time), max(last, time)
 
-    def _define(self, file: BinaryIO, opcode: int, length: int) -> None:
+    def _define(self, file: IO[bytes], opcode: int, length: int) -> None:
         """Register a header, schema, channel or statistics record; only count a damaged one."""
         if opcode not in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
             return
@@ -232,7 +230,7 @@ class McapFile:
     def _look_into(self, position: int) -> None:
         """Register the definitions inside a chunk and count its messages."""
         try:
-            contents = self.store.open(self.chunk_at(position))
+            contents = open_chunk(self.file, self.chunk_at(position))
         except DamagedError:
             return  # reported when the messages are read
         for opcode, body, length in records_in(contents, contents.start):
@@ -244,7 +242,7 @@ class McapFile:
                     self._count(channel, time)
             else:
                 self._define(contents.file, opcode, length)
-        self.store.release(contents)
+        contents.release()
 
     def _indexed_positions(self) -> list[int]:
         """Positions of the chunks according to the summary, and of the summary itself, rising."""
