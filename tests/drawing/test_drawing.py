@@ -11,20 +11,18 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from sonarrec.drawing.geometry import disc_width_px, draw_preview
 from sonarrec.drawing.pen import FLOOR, GRID, TRUTH
 from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_frame, draw_strip
 from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.nouns import Fan
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import draw_on_floor, make_fan
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(rows=512)
-SAMPLE = Path(__file__).parents[2] / "sample_data"
 
 
 def blank(fan: Fan) -> np.ndarray:
@@ -131,13 +129,9 @@ def test_ticks_stand_every_twenty_frames() -> None:
 # The commands
 
 
-def info(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, ["info", *map(str, arguments)], catch_exceptions=False)
-
-
 def images(*arguments: str | Path) -> dict[str, Any]:
-    result = info(*arguments, "--json", "--quick")
-    found: dict[str, Any] = json.loads(result.stdout)["logs"][0]["images"][0]
+    told = sonarrec("info", *arguments, "--json", "--quick").stdout
+    found: dict[str, Any] = json.loads(told)["logs"][0]["images"][0]
     return found
 
 
@@ -145,8 +139,7 @@ def test_info_writes_the_preview_of_the_first_frame_that_can_be_used(tmp_path: P
     log = image_folder(tmp_path / "log", frames(3, 48, 38))
     (log / "frame0.png").write_bytes(b"no image")
     out = tmp_path / "preview.png"
-    result = info(log, "--preview", out)
-    assert result.exit_code == 3  # the broken frame
+    sonarrec("info", log, "--preview", out, code=3)  # for the broken frame
     picture = cv2.imread(str(out))
     assert picture is not None
     expected = cv2.imread(str(log / "frame1.png"), cv2.IMREAD_GRAYSCALE)
@@ -164,7 +157,7 @@ def test_info_uses_the_landmark_set_given(tmp_path: Path) -> None:
     pictures = []
     for name in ("basin", str(tmp_path / "big.toml")):
         out = tmp_path / "p.png"
-        assert info(SAMPLE / "pan", "--quick", "--preview", out, "--landmarks", name).exit_code == 0
+        sonarrec("info", SAMPLE, "--quick", "--preview", out, "--landmarks", name)
         pictures.append(len(like(cv2.imread(str(out))[:512], TRUTH)))
     assert pictures[1] > 1.6 * pictures[0]
 
@@ -173,14 +166,11 @@ def test_a_preview_that_cannot_be_drawn_does_not_cost_the_account(tmp_path: Path
     log = image_folder(tmp_path / "log", frames(2))
     (log / "sonar.toml").unlink()
     out = tmp_path / "preview.png"
-    account = info(log)
-    assert account.exit_code == 0
-    told = info(log, "--preview", out)
-    assert told.exit_code == 1
+    account = sonarrec("info", log)
+    told = sonarrec("info", log, "--preview", out, code=1)
     assert told.stdout == account.stdout
     assert "sonar geometry lacks range_min_m" in told.stderr
-    told = info(log, "--preview", out, "--json")
-    assert told.exit_code == 1
+    told = sonarrec("info", log, "--preview", out, "--json", code=1)
     assert json.loads(told.stdout)["logs"][0]["images"][0]["lacks"]
     assert not out.exists()
 
@@ -201,7 +191,7 @@ def test_info_names_where_each_value_is_from(tmp_path: Path) -> None:
     scale = 2.5 / 48
     assert found["assumed"]["metres_per_pixel"] == pytest.approx(scale)
     assert found["assumed"]["apex_px"] == pytest.approx([18.5, 47.5 + 1.25 / scale])
-    text = info(log, "--height-m", "0.7").stdout
+    text = sonarrec("info", log, "--height-m", "0.7").stdout
     assert "by flag: height_m\n" in text
     assert f"from {file}: layout, range_min_m" in text
     assert "by default: metres_per_pixel = 0.05208, apex_px = [18.5, 71.5]" in text
@@ -217,7 +207,7 @@ def test_without_a_file_all_is_from_flags_and_defaults(tmp_path: Path) -> None:
     # The floor begins at the window's near end, 1 m, where the beam's lower edge meets it.
     assert found["assumed"]["height_m"] == pytest.approx(math.sin(math.radians(40)), rel=0.02)
     assert found["assumed"]["frame_rate_hz"] == 1
-    assert "layout = fan" in info(log, *flags, "--tilt-deg", "30").stdout
+    assert "layout = fan" in sonarrec("info", log, *flags, "--tilt-deg", "30").stdout
     assert images(log, *flags)["assumed"] == {}  # not complete: nothing is made of it
 
 
@@ -233,15 +223,12 @@ def test_overlay_draws_the_grid_where_asked(tmp_path: Path) -> None:
     log = tmp_path / "log"
     log.mkdir()
     for name in ("sonar.toml", "000000.png", "000001.png"):
-        shutil.copy(SAMPLE / "pan" / name, log)
-    run = ["run", str(log), "--out", str(tmp_path / "out"), "-q"]
-    assert CliRunner().invoke(main, run, catch_exceptions=False).exit_code == 0
+        shutil.copy(SAMPLE / name, log)
+    sonarrec("run", log, "--out", tmp_path / "out", "-q")
     counts = []
     for flag in ([], ["--grid"]):
         drawn = tmp_path / f"drawn{len(flag)}"
-        arguments = ["overlay", str(log), str(tmp_path / "out"), "--images", str(drawn), *flag]
-        result = CliRunner().invoke(main, arguments, catch_exceptions=False)
-        assert result.exit_code == 0, result.output
+        sonarrec("overlay", log, tmp_path / "out", "--images", drawn, *flag)
         counts.append(len(like(cv2.imread(str(drawn / "000001.png")), GRID, within=15)))
     assert counts[0] < 200
     assert counts[1] > counts[0] + 2000

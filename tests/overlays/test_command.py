@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import re
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from sonarrec.cli import main
 from sonarrec.readers import open_log
+from tests.support import command
 from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
 from tests.support.foxglove import messages
 from tests.support.logs import cdr_image, image_folder, mcap_file
 
-SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan.mcap"
-
 
 def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == code, result.output
+    result = command.sonarrec(*arguments, code=code)
     assert (code == 0) == (result.stderr == "")
-    assert "Traceback" not in result.output
     return result
 
 
@@ -70,31 +61,6 @@ def test_the_command(work: Path) -> None:
     assert [p.name for p in (work / "one").iterdir()] == ["000002.png"]
     two = [(work / d / "000002.png").read_bytes() for d in ("one", "shots")]
     assert two[0] == two[1]  # what came before is in its strip all the same
-
-
-@pytest.mark.slow
-def test_from_run_to_overlay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is named on the sample log lies on the landmark of that name."""
-    monkeypatch.chdir(tmp_path)
-    sonarrec("run", SAMPLE, "-q")
-    sonarrec("overlay", SAMPLE, "--mcap", "o.mcap", "--video", "o.mp4", "-q")
-    with SAMPLE.with_suffix(".gt.csv").open(newline="") as file:
-        truth = {(int(r["frame"]), int(r["landmark"])): r for r in csv.DictReader(file)}
-    shown = right = 0
-    for frame, (_, _, message) in enumerate(messages(tmp_path / "o.mcap")):
-        loops = [np.array([(q["x"], q["y"]) for q in p["points"]])
-                 for p in message["points"] if p["type"] == 2 and p["thickness"] == 2]  # fmt: skip
-        names = [t["text"] for t in message["texts"] if re.fullmatch(r"ID\.\d  .*", t["text"])]
-        for loop, name in zip(loops, names, strict=True):
-            middle = (loop.min(axis=0) + loop.max(axis=0)) / 2
-            row = truth.get((frame, int(name[3])), {"x_px": "nan", "y_px": "nan"})
-            place = np.array([float(row["x_px"]), float(row["y_px"])]) + 0.5
-            # Within a disc's radius, 15 px, as the strict protocol counts a claim as right.
-            right += bool(np.hypot(*(middle - place)) < 15)
-            shown += 1
-    assert right > 0.95 * shown
-    assert shown > 100
-    assert cv2.VideoCapture("o.mp4").get(cv2.CAP_PROP_FRAME_COUNT) == 128
 
 
 @pytest.mark.usefixtures("work")

@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonarrec.cli import main
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate
 from sonarrec.overlays.detections import detections_message
+from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
@@ -58,15 +57,9 @@ def overlaid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample log run and overlaid: overlay.mcap, layout.json, results in out/pan."""
     folder = tmp_path_factory.mktemp("detections")
     log = SAMPLE / "pan.mcap"
-    for arguments in (
-        ["run", log, "-o", folder / "out", "-q"],
-        [
-            *("overlay", log, folder / "out", "--mcap", folder / "overlay.mcap", "-q"),
-            *("--foxglove-layout", folder / "layout.json"),
-        ],
-    ):
-        done = CliRunner().invoke(main, [str(a) for a in arguments])
-        assert done.exit_code == 0, done.output
+    sonarrec("run", log, "-o", folder / "out", "-q")
+    layout = ("--foxglove-layout", folder / "layout.json")
+    sonarrec("overlay", log, folder / "out", "--mcap", folder / "overlay.mcap", *layout, "-q")
     return folder
 
 
@@ -188,14 +181,9 @@ def test_the_layout_of_images_shows_the_fan_of_the_overlay(tmp_path: Path) -> No
     log.mkdir()
     for name in ("sonar.toml", *(f"{n:06d}.png" for n in range(10))):
         shutil.copy(SAMPLE / "pan" / name, log)
-    runner = CliRunner()
-    common = [str(log), str(tmp_path / "out")]
-    assert runner.invoke(main, ["run", common[0], "-o", common[1], "-q"]).exit_code == 0
-    layout = ["--foxglove-layout", str(tmp_path / "l.json")]
-    done = runner.invoke(main, ["overlay", *common, *layout])
-    assert done.exit_code == 2
-    assert "--foxglove-layout needs --mcap" in done.stderr
-    done = runner.invoke(main, ["overlay", *common, "--mcap", str(tmp_path / "o.mcap"), *layout])
-    assert done.exit_code == 0, done.output
+    sonarrec("run", log, "-o", tmp_path / "out", "-q")
+    overlay = ("overlay", log, tmp_path / "out", "--foxglove-layout", tmp_path / "l.json")
+    assert "--foxglove-layout needs --mcap" in sonarrec(*overlay, code=2).stderr
+    sonarrec(*overlay, "--mcap", tmp_path / "o.mcap")
     panels = json.loads((tmp_path / "l.json").read_text())["configById"]
     assert panels["Image!sonarrec"]["imageMode"]["imageTopic"] == "/sonarrec/fan"

@@ -9,14 +9,13 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from click.testing import CliRunner
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from tests.support.bags import bag, messages, ros1_bag
+from tests.support.command import sonarrec
 from tests.support.logs import SONAR_TOML, frames, mcap_file, video_file
 from tests.support.sonar_files import aris_file, didson_file, gemini_log, gemini_record, oculus_ping
 
@@ -119,8 +118,7 @@ def test_a_cut_file_is_read_up_to_the_cut_and_told(make: Make, tmp_path: Path) -
     assert counts == sorted(counts)
     path.write_bytes(data[: len(data) * 4 // 5 - 3])
     found, lines = read(path)
-    done = CliRunner().invoke(main, ["run", str(path), "-o", str(tmp_path / "out")])
-    assert done.exit_code == (3 if found else 1), done.output
+    sonarrec("run", path, "-o", tmp_path / "out", code=3 if found else 1)
     if found:
         rows = (tmp_path / "out" / "log" / "frames.csv").read_text().splitlines()
         assert len(rows) == 1 + len(found)

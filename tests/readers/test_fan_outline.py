@@ -11,14 +11,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
 from sonarrec.readers.guess.outline import FanOutline, find_outline
-
-SAMPLE = Path("sample_data/pan")
+from tests.support.command import SAMPLE, sonarrec
 
 
 def wedge(
@@ -183,40 +180,35 @@ def on_a_canvas(folder: Path) -> None:
         assert cv2.imwrite(str(folder / path.name), np.pad(image, ((20, 0), (0, 30))))
 
 
-def sonarrec(*words: str | Path) -> tuple[str, str]:
-    told = CliRunner().invoke(main, [*map(str, words)], catch_exceptions=False)
-    assert told.exit_code == 0
-    return told.stdout, told.stderr
-
-
 def test_run_tells_the_flags_that_place_the_fan(tmp_path: Path) -> None:
     log, out = tmp_path / "log", tmp_path / "out"
     on_a_canvas(log)
     shutil.copy(SAMPLE / "sonar.toml", log)
-    _, told = sonarrec("run", log, "--out", out)
+    told = sonarrec("run", log, "--out", out).stderr
     flags = re.search(r"\(if the stated ranges are right, give (.*?)\)", told)
     assert flags is not None, told
     given = flags[1].split()
     assert given[::3] == ["--apex-px", "--metres-per-pixel"]
     assert [float(x) for x in given[1:3]] == pytest.approx([95, 403.5], abs=1)
     assert float(given[4]) == pytest.approx(2.5 / 256, rel=0.01)
-    _, told = sonarrec("run", log, "--out", out, *given, "-q")
+    told = sonarrec("run", log, "--out", out, *given, "-q").stderr
     assert "the pictures show" not in told
 
 
 def test_info_tells_it_where_the_geometry_is_missing(tmp_path: Path) -> None:
     log = tmp_path / "log"
     on_a_canvas(log)
-    text, _ = sonarrec("info", log)
+    text = sonarrec("info", log).stdout
     assert "outline   the images show a fan of 28.8 deg with apex_px = [95.0, 403.5]" in text
     assert "and its ends 128 and 384 px from there" in text
     assert "metres_per_pixel is range_max_m / 384." in text
     assert "range_min_m is about 0.333 of range_max_m, or less" in text
-    text, _ = sonarrec("info", log, "--range-max-m", "3.75")
+    text = sonarrec("info", log, "--range-max-m", "3.75").stdout
     assert "metres_per_pixel is 0.00975" in text
     assert "range_min_m is about 1.25, or less" in text
-    (images,) = json.loads(sonarrec("info", "--json", log)[0])["logs"][0]["images"]
+    (images,) = json.loads(sonarrec("info", "--json", log).stdout)["logs"][0]["images"]
     assert images["outline"]["far_px"] == pytest.approx(384, abs=2)
-    assert "outline" not in sonarrec("info", SAMPLE)[0]  # all of it is stated
-    (images,) = json.loads(sonarrec("info", "--json", "sample_data/polar")[0])["logs"][0]["images"]
+    assert "outline" not in sonarrec("info", SAMPLE).stdout  # all of it is stated
+    polar = sonarrec("info", "--json", SAMPLE.parent / "polar").stdout
+    (images,) = json.loads(polar)["logs"][0]["images"]
     assert images["outline"] is None

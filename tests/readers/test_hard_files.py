@@ -11,14 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from PIL import Image
 
-from sonarrec.cli import main
 from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
+from tests.support.command import sonarrec
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 from tests.support.shapes import peak_of_reading
 
@@ -44,11 +43,8 @@ def test_links_to_files_that_are_not_there_keep_their_number(pattern: str, tmp_p
         assert frame.timestamp_ns == frame.index * PERIOD_NS
     says = "a link to a file that is not there, skipped"
     assert opened.diagnostics.problems == [f"frame0.png: {says}", f"frame3.png: {says}"]
-    told = CliRunner().invoke(main, ["info", str(log / pattern)])
-    assert told.exit_code == 3
-    assert "4 of 6" in told.stdout
-    done = CliRunner().invoke(main, ["run", str(log / pattern), "--out", str(tmp_path / "out")])
-    assert done.exit_code == 3, done.output
+    assert "4 of 6" in sonarrec("info", log / pattern, code=3).stdout
+    sonarrec("run", log / pattern, "--out", tmp_path / "out", code=3)
 
 
 def test_a_file_too_large_to_be_an_image(tmp_path: Path) -> None:
@@ -79,9 +75,7 @@ def test_an_argument_that_is_no_name(name: str) -> None:
         open_log(name)
     assert "\n" not in str(caught.value)
     if "\0" not in name:
-        told = CliRunner().invoke(main, ["info", name])
-        assert told.exit_code == 1
-        assert isinstance(told.exception, SystemExit)
+        sonarrec("info", name, code=1)
 
 
 def test_times_beyond_every_clock(tmp_path: Path) -> None:
@@ -122,8 +116,7 @@ def test_what_can_be_unpacked_is_told_how(name: str, says: str, tmp_path: Path) 
     path.write_bytes(b"packed")
     log = path.parent if "/" in name else path
     for command in ("run", "info"):
-        told = CliRunner().invoke(main, [command, str(log)])
-        assert told.exit_code == 1
+        told = sonarrec(command, log, code=1)
         assert says in told.stderr
         assert "\n" not in told.stderr.strip()
 

@@ -6,7 +6,6 @@ import hashlib
 import re
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -551,20 +550,3 @@ def test_what_cannot_be_opened(
 def test_a_topic_is_for_mcap(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--topic"):
         open_log(image_folder(tmp_path / "log", frames(1)), topic="/a")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["png", "mcap, sensor_msgs/msg/Image, zstd"])
-def test_memory_is_flat(name: str, tmp_path: Path) -> None:
-    """Four times the frames take no more memory: within two chunks of 1 MiB, a few frames."""
-    peaks = []
-    for count in (60, 240):
-        path = tmp_path / str(count)
-        path.mkdir()
-        log = SAME_FRAMES[name](path, frames(4, 200, 200) * (count // 4))
-        tracemalloc.start()
-        with open_log(log) as opened:
-            assert sum(1 for _ in opened) == count
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    assert peaks[1] < peaks[0] + 200_000
