@@ -129,65 +129,45 @@ def annotations_message(
     """
     fan, size = frame.fan, pixel_unit(max(frame.fan.rows, frame.fan.columns))
     colours = landmark_colours(landmarks.ids)
-    drawn = _Annotations(_time(stamp_ns), size)
-    drawn.text(f"frame {frame.index}", 4 * size, 18 * size, UNNAMED)
+    stamp, lines, texts = {"timestamp": _time(stamp_ns)}, [], []
+
+    def line(kind: int, points: FloatArray, colour: Colour, width: float) -> None:
+        drawn = {
+            "type": kind,
+            "points": [_point(x, y) for x, y in points.tolist()],
+            "outline_color": _colour(colour),
+            "outline_colors": [],
+            "fill_color": _colour(colour, 0),
+            "thickness": width * size,
+        }
+        lines.append(stamp | drawn)
+
+    def text(words: str, left: float, bottom: float, colour: Colour) -> None:
+        written = {
+            "position": _point(left, bottom),
+            "text": words,
+            "font_size": 14 * size,
+            "text_color": _colour(colour),
+            "background_color": _colour((0, 0, 0), 0.75),
+        }
+        texts.append(stamp | written)
+
+    text(f"frame {frame.index}", 4 * size, 18 * size, UNNAMED)
     for e in estimates:
         colour = colours[e.landmark] if e.declared else UNNAMED
         outline = outline_of(e, fan, landmarks)
-        drawn.line(LINE_LOOP, outline, colour, 2 if e.declared else 1)
+        line(LINE_LOOP, outline, colour, 2 if e.declared else 1)
         if e.object in paths:
-            drawn.line(LINE_STRIP, paths[e.object], colour, 1)
+            line(LINE_STRIP, paths[e.object], colour, 1)
         if words := caption(e, landmarks):
             left, top = outline.min(axis=0)
-            drawn.text(words, left, top - 4 * size, colour)
+            text(words, left, top - 4 * size, colour)
     for mark in truth:
         outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
-        drawn.line(LINE_LIST, outline, TRUTH, 1)
+        line(LINE_LIST, outline, TRUTH, 1)
         left, bottom = outline[:, 0].min(), outline[:, 1].max()
-        drawn.text(f"ID.{mark.landmark}", left, bottom + 18 * size, TRUTH)
-    return drawn.message()
-
-
-class _Annotations:
-    """Gathers the lines and texts of one foxglove.ImageAnnotations message."""
-
-    def __init__(self, time: dict[str, int], pixel: float) -> None:
-        """pixel: unit of widths and font sizes, in pixels of the image."""
-        self._time, self._pixel = time, pixel
-        self._lines: list[dict[str, Any]] = []
-        self._texts: list[dict[str, Any]] = []
-
-    def line(self, kind: int, points: FloatArray, colour: Colour, width: float) -> None:
-        """kind: such as LINE_LOOP. points: (n, 2) column and row."""
-        self._lines.append(
-            {
-                "timestamp": self._time,
-                "type": kind,
-                "points": [_point(x, y) for x, y in points.tolist()],
-                "outline_color": _colour(colour),
-                "outline_colors": [],
-                "fill_color": _colour(colour, 0),
-                "thickness": width * self._pixel,
-            }
-        )
-
-    def text(self, words: str, x: float, y: float, colour: Colour) -> None:
-        """x, y: column and row of the text's bottom left corner."""
-        self._texts.append(
-            {
-                "timestamp": self._time,
-                "position": _point(x, y),
-                "text": words,
-                "font_size": 14 * self._pixel,
-                "text_color": _colour(colour),
-                "background_color": _colour((0, 0, 0), 0.75),
-            }
-        )
-
-    def message(self) -> dict[str, Any]:
-        """The message, to be encoded as JSON."""
-        rest: dict[str, Any] = {"texts": self._texts, "metadata": []}
-        return {"timestamp": self._time, "circles": [], "points": self._lines, **rest}
+        text(f"ID.{mark.landmark}", left, bottom + 18 * size, TRUTH)
+    return {**stamp, "circles": [], "points": lines, "texts": texts, "metadata": []}
 
 
 def _json(message: Mapping[str, Any]) -> bytes:

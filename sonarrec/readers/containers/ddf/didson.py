@@ -47,7 +47,7 @@ HEADER_BYTES = {3: (512, 256), 4: (1024, 1024)}
 """Of the file and of a frame, by version."""
 
 _SAMPLES = 512  # of a beam, if the header states none
-_CLASSIC, _LONG_RANGE = 1, 2  # bits of ConfigFlags
+_CLASSIC, _LONG_RANGE, _FLAGS = 1, 2, 3  # bits of ConfigFlags
 WINDOW_M = {
     0: (1.25, 2.5, 5, 10, 20, 40),
     _CLASSIC: (1.125, 2.25, 4.5, 9, 18, 36),
@@ -93,7 +93,7 @@ class Didson:
         beams = shape[1]
         if beams not in (48, 96):
             raise UnusableError(f"{beams} beams, not 48 or 96")
-        flags, low = _configuration(file, frame), not file["HighResolution"]
+        flags, low = int(frame["ConfigFlags"]) & _FLAGS, not file["HighResolution"]
         start, length = int(frame["WindowStart"]), int(frame["WindowLength"])
         if start > 31 or length > 3:
             raise UnusableError(f"a window of codes {start} and {length}")
@@ -128,7 +128,7 @@ class Didson:
         """Tilt and frame rate; everything else for `info`."""
         frame = frames[0]
         tilt = attitude_of(frames, None, diagnostics)
-        flags, rate = _configuration(file, frame), int(file["FrameRate"])
+        flags, rate = int(frame["ConfigFlags"]) & _FLAGS, int(file["FrameRate"])
         diagnostics.note(
             "no description of DIDSON files is public: window, bearings and times are read as "
             "other free programs read them (sonarrec help formats)"
@@ -150,11 +150,3 @@ class Didson:
         }
         known_rate = float(rate) if 0 < rate < 1000 else None
         return HeaderInfo(Sonar(tilt_deg=tilt, frame_rate_hz=known_rate), values)
-
-
-def _configuration(file: np.void, frame: np.void) -> int:
-    """The bits of ConfigFlags that choose the windows; for early sonars, by their serial number."""
-    serial = int(file["SerialNumber"])
-    if serial < 19:
-        return _CLASSIC | _LONG_RANGE if serial == 15 else _CLASSIC
-    return int(frame["ConfigFlags"]) & (_CLASSIC | _LONG_RANGE)
