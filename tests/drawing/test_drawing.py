@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from sonarrec.drawing.pen import FLOOR, GRID, TRUTH
 from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_frame, draw_strip
 from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.nouns import Fan
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.drawn import draw_on_floor, make_fan
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
 
@@ -220,10 +219,7 @@ def test_the_times_of_an_mcap_need_no_frame_rate(tmp_path: Path) -> None:
 
 
 def test_overlay_draws_the_grid_where_asked(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    log.mkdir()
-    for name in ("sonar.toml", "000000.png", "000001.png"):
-        shutil.copy(SAMPLE / name, log)
+    log = sample_log(tmp_path / "log", 2)
     sonarrec("run", log, "--out", tmp_path / "out", "-q")
     counts = []
     for flag in ([], ["--grid"]):

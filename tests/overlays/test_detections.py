@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate
 from sonarrec.overlays.detections import detections_message
-from tests.support.command import sonarrec
+from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.drawn import make_fan
 
-SAMPLE = Path(__file__).parents[2] / "sample_data"
 TOPIC = "/sonarrec/detections"
 NAME = "vision_msgs/msg/Detection3DArray"
 HEIGHT = 0.68
@@ -56,7 +54,7 @@ def by_ros2_support(path: Path) -> Iterator[tuple[int, Any]]:
 def overlaid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample log run and overlaid: overlay.mcap, layout.json, results in out/pan."""
     folder = tmp_path_factory.mktemp("detections")
-    log = SAMPLE / "pan.mcap"
+    log = SAMPLE.with_suffix(".mcap")
     sonarrec("run", log, "-o", folder / "out", "-q")
     layout = ("--foxglove-layout", folder / "layout.json")
     sonarrec("overlay", log, folder / "out", "--mcap", folder / "overlay.mcap", *layout, "-q")
@@ -116,7 +114,7 @@ def check(one: Any, row: dict[str, str]) -> None:
 
 def test_stamps_are_those_of_the_images(overlaid: Path) -> None:
     """So that a player shows both together."""
-    with (SAMPLE / "pan.mcap").open("rb") as file:
+    with (SAMPLE.with_suffix(".mcap")).open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         images = [m.decoded_message.header.stamp for m in reader.iter_decoded_messages()]
     found = [m.header.stamp for _, m in by_rosbags(overlaid / "overlay.mcap")]
@@ -161,7 +159,7 @@ def test_the_layout_shows_what_is_there(overlaid: Path) -> None:
     collect(layout["layout"])
     assert sorted(panels) == sorted(layout["configById"])
     topics = set()
-    for path in (SAMPLE / "pan.mcap", overlaid / "overlay.mcap"):
+    for path in (SAMPLE.with_suffix(".mcap"), overlaid / "overlay.mcap"):
         with path.open("rb") as file:
             summary = make_reader(file).get_summary()
             assert summary is not None
@@ -177,10 +175,7 @@ def test_the_layout_shows_what_is_there(overlaid: Path) -> None:
 
 
 def test_the_layout_of_images_shows_the_fan_of_the_overlay(tmp_path: Path) -> None:
-    log = tmp_path / "pan"
-    log.mkdir()
-    for name in ("sonar.toml", *(f"{n:06d}.png" for n in range(10))):
-        shutil.copy(SAMPLE / "pan" / name, log)
+    log = sample_log(tmp_path / "pan", 10)
     sonarrec("run", log, "-o", tmp_path / "out", "-q")
     overlay = ("overlay", log, tmp_path / "out", "--foxglove-layout", tmp_path / "l.json")
     assert "--foxglove-layout needs --mcap" in sonarrec(*overlay, code=2).stderr

@@ -129,13 +129,6 @@ def test_left_and_right_can_be_exchanged(tmp_path: Path, whole: list[np.ndarray]
     np.testing.assert_array_equal([frame.image for frame in found], whole)
 
 
-@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
-def test_either_kind_of_zip(method: int, tmp_path: Path, whole: list[np.ndarray]) -> None:
-    found, problems = read(gemini_log(tmp_path / "a.glf", RECORDS, method))
-    assert problems == []
-    np.testing.assert_array_equal([frame.image for frame in found], whole)
-
-
 def test_other_records_and_zoomed_images_are_passed_over(
     tmp_path: Path, whole: list[np.ndarray]
 ) -> None:

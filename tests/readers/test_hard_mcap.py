@@ -151,14 +151,6 @@ def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(tmp_path: P
     assert any("the rest cannot be counted" in line for line in problems)
 
 
-def test_chunks_that_state_too_early_a_time(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with HardLog(path) as log:
-        for first in range(0, 12, 3):
-            log.chunk(TIMED[first : first + 3], start=0)
-    assert numbers(read(path)[0]) == ALL
-
-
 @pytest.mark.parametrize(
     ("compression", "declared"), [("", 0), ("lz4", 100), ("zstd", 100), ("zstd", 2**31 + 1)]
 )

@@ -21,7 +21,7 @@ from sonarrec.readers.guess.plausible import FRAMES, Plausibility, _cells, _floo
 from sonarrec.readers.guess.table import GUESSES, Guess
 from sonarrec.readers.info import describe
 from sonarrec.sonar import Sonar
-from tests.support.command import sonarrec
+from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import draw_on_floor, make_fan, speckled
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
@@ -230,11 +230,7 @@ def test_polar_pixels_are_seen_as_in_their_fan_image() -> None:
 
 
 def test_run_tells_it_in_one_note_and_is_done(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    log.mkdir()
-    shutil.copy(SAMPLE / "pan" / "sonar.toml", log)
-    for path in sorted((SAMPLE / "pan").glob("*.png"))[:8]:
-        shutil.copy(path, log)
+    log = sample_log(tmp_path / "log", 8)
     assert "note: " not in sonarrec("run", log, "-o", tmp_path / "out").stderr
     wrong = sonarrec("run", log, "-o", tmp_path / "wrong", "--height-m", "3")
     (line,) = [line for line in wrong.stderr.splitlines() if "note: " in line]
@@ -245,9 +241,7 @@ def test_run_tells_it_in_one_note_and_is_done(tmp_path: Path) -> None:
 
 
 def test_no_candidate_in_a_picture_that_contradicts_nothing_is_told(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    log.mkdir()
-    shutil.copy(SAMPLE / "pan" / "sonar.toml", log)
+    log = sample_log(tmp_path / "log", 0)
     fan = make_fan(rows=256)
     for n in range(3):
         blank = np.zeros((fan.rows, fan.columns), np.uint8)
@@ -268,10 +262,8 @@ def test_info_says_it_too(tmp_path: Path) -> None:
     (images,) = describe(SAMPLE / "pan", quick=True).images
     assert images.notes == []
     # An incomplete geometry is nothing to be held against the picture.
-    bare = tmp_path / "bare"
-    bare.mkdir()
-    for path in sorted((SAMPLE / "pan").glob("*.png"))[:2]:
-        shutil.copy(path, bare)
+    bare = sample_log(tmp_path / "bare", 2)
+    (bare / "sonar.toml").unlink()
     (images,) = describe(bare, sonar=Sonar(height_m=3.0)).images
     assert images.lacks
     assert images.notes == []

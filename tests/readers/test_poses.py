@@ -28,7 +28,7 @@ from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, load_scene
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image
 from tests.support.messages import serialised
@@ -243,11 +243,7 @@ def test_tracks_follow_a_motion_that_is_told_or_that_the_images_show(tmp_path, m
 def pings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Sixteen frames of the sample log, 4 a second, panning by 0.5 deg a frame."""
     monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "pings"
-    folder.mkdir()
-    for name in (*(f"{n:06d}.png" for n in range(16)), "sonar.toml"):
-        (folder / name).write_bytes((SAMPLE / name).read_bytes())
-    return folder
+    return sample_log(tmp_path / "pings", 16)
 
 
 def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:

@@ -230,15 +230,6 @@ def test_every_pass_gives_the_same(make: Maker, tmp_path: Path) -> None:
         assert log.diagnostics.problems == []
 
 
-def test_what_was_found_out_is_noted_once(tmp_path: Path) -> None:
-    images = [cv2.applyColorMap(image, cv2.COLORMAP_JET) for image in frames(3)]
-    with open_log(image_folder(tmp_path / "log", images)) as log:
-        for _ in range(2):
-            assert len(list(log)) == 3
-            (note,) = log.diagnostics.notes
-            assert "levels of the colour map jet" in note
-
-
 def test_a_log_that_begins_with_faults_is_settled_before_a_span(tmp_path: Path) -> None:
     """Its first usable frame may come late; of what else lies before the span nothing is told."""
     log = image_folder(tmp_path / "log", frames(9))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 from click.testing import CliRunner, Result
@@ -9,6 +10,14 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan"
+
+
+def sample_log(folder: Path, count: int) -> Path:
+    """The first frames of the sample log, and its geometry, in a folder that is made."""
+    folder.mkdir(parents=True)
+    for name in (*(f"{n:06d}.png" for n in range(count)), "sonar.toml"):
+        shutil.copy(SAMPLE / name, folder)
+    return folder
 
 
 def sonarrec(*arguments: str | Path, code: int = 0, **options: str) -> Result:

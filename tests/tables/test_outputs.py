@@ -17,23 +17,20 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.tables.outputs import with_mark, write_csv, write_text
+from tests.support.command import SAMPLE, sample_log
 from tests.support.slow import but_first
-
-SAMPLE = Path(__file__).parents[2] / "sample_data"
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log, its truth and its results, and a landmark set."""
     folder = tmp_path_factory.mktemp("made")
-    (folder / "log").mkdir()
-    for name in (*(f"{n:06d}.png" for n in range(12)), "sonar.toml"):
-        shutil.copy(SAMPLE / "pan" / name, folder / "log")
-    rows = (SAMPLE / "pan" / "gt.csv").read_text().splitlines()
+    sample_log(folder / "log", 12)
+    rows = (SAMPLE / "gt.csv").read_text().splitlines()
     kept = [rows[0], *(row for row in rows[1:] if int(row.split(",")[0]) < 12)]
     (folder / "gt.csv").write_text("\n".join(kept) + "\n")
     for name in ("pan.mcap", "pan.sonar.toml"):
-        shutil.copy(SAMPLE / name, folder / name)
+        shutil.copy(SAMPLE.parent / name, folder)
     done = CliRunner().invoke(
         main, ["run", "-q", str(folder / "log"), "-o", str(folder / "sonarrec_out")]
     )
