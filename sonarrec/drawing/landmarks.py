@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from heapq import nsmallest
 
 import cv2
@@ -44,6 +45,7 @@ class Distance:
     seen: float
 
 
+@lru_cache(maxsize=4)  # the logs of one run share it
 def distances(landmarks: LandmarkSet, beam_m: float) -> list[Distance]:
     """The distances of all pairs of IDs, or of the MOST_PAIRS most alike, the nearest first.
 
