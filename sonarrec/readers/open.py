@@ -6,7 +6,6 @@ one row to READERS.
 
 from __future__ import annotations
 
-import errno
 import glob
 import os
 import re
@@ -210,18 +209,14 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
 
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
-    """The file `name` that belongs to a log (a file or folder); None if there is none.
-
-    Raises OSError if a folder cannot be read.
-    """
+    """The file `name` that belongs to a log (a file or folder); None if there is none."""
     return next(companions(log, name, up_to), None)
 
 
 def companions(log: Path, name: str, up_to: Path | None = None) -> Iterator[Path]:
     """The files that may be the companion, the first of which is. Searched in this order: LOG.name
     and then name, beside a file or inside a folder; LOG.name beside a folder; both in the folders
-    above, up to and with `up_to`; one of SHARED beside a folder. Raises OSError if a folder cannot
-    be read."""
+    above, up to and with `up_to`; one of SHARED beside a folder."""
     own_name = f"{log_name(log)}.{name}"
     folder = log if log.is_dir() else log.parent
     places = [folder / own_name, folder / name]
@@ -233,16 +228,7 @@ def companions(log: Path, name: str, up_to: Path | None = None) -> Iterator[Path
             places += [up_to / above / own_name, up_to / above / name]
     elif folder == log and name in SHARED:
         places.append(parent / name)
-    return filter(_is_file, places)
-
-
-def _is_file(place: Path) -> bool:
-    try:
-        return place.is_file()
-    except OSError as error:
-        if error.errno != errno.ENAMETOOLONG:
-            raise
-        return False  # LOG.name is too long, because the log's name is near the limit
+    return filter(os.path.isfile, places)
 
 
 def log_name(path: Path) -> str:

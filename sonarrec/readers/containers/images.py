@@ -7,7 +7,6 @@ import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import overload
 
 import numpy as np
 
@@ -59,14 +58,8 @@ class ImagePaths(Sequence[Path]):
     def __init__(self, paths: Iterable[Path]) -> None:
         self._texts, self.doubt = in_order(map(str, paths))
 
-    @overload
-    def __getitem__(self, index: int) -> Path: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Path]: ...
-    def __getitem__(self, index: int | slice) -> Path | Sequence[Path]:
-        """An image, or several."""
-        if isinstance(index, slice):
-            return [Path(text) for text in self._texts[index]]
+    def __getitem__(self, index: int) -> Path:  # type: ignore[override] # there are no slices
+        """An image."""
         return Path(self._texts[index])
 
     def __len__(self) -> int:

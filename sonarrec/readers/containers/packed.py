@@ -5,7 +5,6 @@ Their readers need random access, which a compressed stream does not allow.
 
 from __future__ import annotations
 
-import errno
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -39,7 +38,7 @@ def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
 
     If it is cut or damaged, what could be unpacked before is used. The temporary file is unlinked
     at the end, when the reader has opened it, so it never outlives the reader.
-    Raises SonarrecError if there is no room.
+    Raises SonarrecError if nothing can be unpacked, OSError if there is no room.
     """
     unpack = PACKINGS.get(path.suffix.lower())
     if unpack is None:
@@ -72,11 +71,4 @@ def _unpack_to(path: Path, unpack: Unpack, out: BinaryIO) -> str | None:
             if not written:
                 raise SonarrecError(f"{path}: cannot be unpacked ({error})") from None
             return f"damaged after {written} unpacked bytes ({error}); what came before is read"
-        except OSError as error:
-            if error.errno != errno.ENOSPC:
-                raise
-            raise SonarrecError(
-                f"{tempfile.gettempdir()}: no room to unpack {path.name}; make room, "
-                "or set TMPDIR to a folder that has some"
-            ) from None
     return None

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib
 import struct
-from functools import cache
 from typing import Any
 
 from sonarrec.readers.raw import UnusableError
@@ -22,30 +21,12 @@ FIELDS = {
 _NUMBERS = ("width", "height", "step")
 
 
-@cache
-def _lenient_class(name: str) -> Any:
-    """The protobuf class of a message such as foxglove/RawImage, with texts declared as bytes.
-    protobuf rejects a whole message if one text in it, such as frame_id, is not UTF-8."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
-
-    dotted = name.replace("/", ".")
-    file = descriptor_pb2.FileDescriptorProto()
-    message_class(dotted).DESCRIPTOR.file.CopyToProto(file)
-    for field in file.message_type[0].field:
-        if field.type == field.TYPE_STRING:
-            field.type = field.TYPE_BYTES
-    pool = descriptor_pool.DescriptorPool()
-    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
-    pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(dotted))
-
-
 def decode_protobuf(name: str, message: memoryview) -> dict[str, Any]:
     """The fields of an image message (foxglove/Name). Raises UnusableError if it is malformed."""
     from google.protobuf.message import DecodeError
 
     try:
-        parsed = _lenient_class(name).FromString(message)
+        parsed = message_class(name.replace("/", ".")).FromString(message)
     except DecodeError:
         raise UnusableError("malformed message (no protobuf of its schema)") from None
     clock = parsed.timestamp

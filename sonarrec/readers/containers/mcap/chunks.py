@@ -6,7 +6,6 @@ on a chunk that is cut.
 
 from __future__ import annotations
 
-import errno
 import struct
 import tempfile
 import zlib
@@ -16,8 +15,6 @@ from typing import IO
 
 import lz4.frame
 import zstandard
-
-from sonarrec.errors import SonarrecError
 
 MAX_CHUNK_BYTES = 2**31
 """Largest inflated size. A chunk that declares more, or inflates to more than it declares, is not
@@ -106,8 +103,7 @@ class Contents:
 
 def open_chunk(file: IO[bytes], chunk: ChunkHead) -> Contents:
     """Inflate and check a chunk. If the file is cut inside it, return the part that is there.
-    Raises DamagedError if the chunk cannot be used, SonarrecError if the disk has no room for a
-    temporary file."""
+    Raises DamagedError if the chunk cannot be used, OSError if the disk has no room for it."""
     if chunk.compression == "":
         if chunk.size != chunk.stored:
             raise DamagedError(f"does not hold the {chunk.size} bytes it declares")
@@ -123,13 +119,6 @@ def open_chunk(file: IO[bytes], chunk: ChunkHead) -> Contents:
     except DamagedError:
         out.close()
         raise
-    except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        raise SonarrecError(
-            f"{tempfile.gettempdir()}: no room to inflate a chunk of {chunk.size} bytes; make "
-            "room, or set TMPDIR to a folder that has some"
-        ) from None
 
 
 def pieces_of(file: IO[bytes], start: int, end: int) -> Iterator[bytes]:

@@ -20,7 +20,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Schema
 
-from sonarrec.errors import Diagnostics, SonarrecError, number_of
+from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.readers.containers.mcap.chunks import (
     RECORD_HEAD,
     ChunkHead,
@@ -114,15 +114,11 @@ class _Scan:
     """What a chunk holds.
 
     end: where the last whole record ends. positions, times: where each message of the chosen
-    channels begins in the contents, and its log time (ns); 16 bytes of memory a message. undefined:
-    how many messages are of channels that nothing defines.
+    channels begins in the contents, and its log time (ns); 16 bytes of memory a message.
     """
 
-    def __init__(
-        self, contents: Contents, channels: Collection[int], defined: Collection[int]
-    ) -> None:
-        """defined: the channels that the file defines."""
-        self.end, self.undefined = contents.start, 0
+    def __init__(self, contents: Contents, channels: Collection[int]) -> None:
+        self.end = contents.start
         self.positions, self.times = array("Q"), array("Q")
         for opcode, body, length in records_in(contents, contents.start):
             self.end = body + length
@@ -136,8 +132,6 @@ class _Scan:
             if channel in channels:
                 self.positions.append(body - RECORD_HEAD.size)
                 self.times.append(time)
-            elif channel not in defined:
-                self.undefined += 1
 
 
 class _Pass:
@@ -176,7 +170,12 @@ class _Pass:
                     self._add_run(self._rising(everything, position, channel))
             while self._runs:
                 yield self._next()
-            self._report_faults()
+            if log.file.seek(0, 2) < log.size:
+                log.fault("the file became shorter while it was read")
+            count = sum(log.counts[c] for c in self._channels)
+            if self._passed_count < count:
+                gone = count - self._passed_count + self._lost_count
+                log.fault(f"in all, {gone} of {count} frames are lost")
         except OSError as error:
             raise SonarrecError(f"{log.path}: cannot be read ({error.strerror})") from None
 
@@ -228,15 +227,12 @@ class _Pass:
         except DamagedError as error:
             self._lose(chunk, str(error))
             return
-        found = _Scan(contents, self._channels, log.channels)
+        found = _Scan(contents, self._channels)
         if found.end < contents.end and not chunk.cut:
             where = f"is damaged at byte {found.end - contents.start} of its contents"
             self._lose(chunk, f"{where} (`mcap recover` may save some)")
             contents.release()
             return
-        if found.undefined:
-            number = number_of(found.undefined, "message")
-            log.fault(f"not read: {number} of no channel, in the chunk at byte {position}")
         if found.times:
             times = np.frombuffer(found.times, np.uint64)
             self.spans.append((position, int(times.min()), int(times.max())))
@@ -269,12 +265,3 @@ class _Pass:
         number = f"{len(index)} " if index else ""
         self._log.fault(f"the chunk at byte {chunk.position} {why}; its {number}frames are lost")
         self._add_run(sorted(_Position(t, chunk.position, at, c, t, None, 0) for at, c, t in index))
-
-    def _report_faults(self) -> None:
-        log = self._log
-        if log.file.seek(0, 2) < log.size:
-            log.fault("the file became shorter while it was read")
-        count = sum(log.counts[c] for c in self._channels)
-        if self._passed_count < count:
-            gone = count - self._passed_count + self._lost_count
-            log.fault(f"in all, {gone} of {count} frames are lost")

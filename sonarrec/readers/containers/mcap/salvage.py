@@ -19,7 +19,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema, Statistics
 
-from sonarrec.errors import SonarrecError
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.readers.containers.mcap.chunks import (
     RECORD_HEAD,
     ChunkHead,
@@ -79,7 +79,7 @@ class McapFile:
         self.times, self.positions = array("Q"), array("Q")
         self.channels_of_units = array("l")
         self._statistics: Statistics | None = None
-        self._oddities: Counter[str] = Counter()
+        self._damaged = 0  # definitions
         self._data_ended = False
         self.file = at.open("rb")
         try:
@@ -122,7 +122,6 @@ class McapFile:
             stop = self._scan_from(resume)
         if self.whole and (more := self.size - self._end):
             self.fault(f"{more} bytes follow its end at byte {self._end} and were not read")
-        loose = self.counts.copy()
         for position, channel in zip(self.positions, self.channels_of_units, strict=True):
             if self._summary_is_complete():
                 break
@@ -130,11 +129,8 @@ class McapFile:
                 self._look_into(position)
         if self._statistics is not None and self._summary_is_complete():
             self.counts = Counter(self._statistics.channel_message_counts)
-        undefined = sum(n for channel, n in loose.items() if channel not in self.channels)
-        if undefined:
-            self._oddities["messages of channels that nothing defines"] += undefined
-        for oddity, count in self._oddities.items():
-            self.fault(f"not read: {count} {oddity}")
+        if self._damaged:
+            self.fault(f"not read: {number_of(self._damaged, 'damaged definition')}")
 
     def _summary_is_complete(self) -> bool:
         """Whether the summary counts all messages, and every channel and schema is defined. Some
@@ -225,7 +221,7 @@ class McapFile:
                 if statistics.message_count:
                     self.span = statistics.message_start_time, statistics.message_end_time
         except (struct.error, UnicodeDecodeError, McapError):
-            self._oddities["damaged definitions"] += 1
+            self._damaged += 1
 
     def _look_into(self, position: int) -> None:
         """Register the definitions inside a chunk and count its messages."""
