@@ -19,7 +19,6 @@ import numpy as np
 from foxglove.channels import CompressedImageChannel, RawImageChannel
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from foxglove.messages import CompressedImage, RawImage, Timestamp
-from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarrec.nouns import Frame
@@ -28,7 +27,7 @@ from sonarrec.readers.messages.types import decoder_for
 from sonarrec.readers.raw import Ping
 from sonarrec.sonar import Sonar
 from tests.support.flatbuffer import binary_schema, encode_flatbuffer
-from tests.support.logs import COMPRESSION, PERIOD_NS, mcap_file
+from tests.support.logs import PERIOD_NS, mcap_file
 
 # As the packages' own .msg files have them, FORMATS in short.
 DEFINITIONS = {
@@ -281,22 +280,6 @@ def plain(value: Any, text: bool = True) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def by_ros2_support(name: str) -> Maker:
-    """mcap-ros2-support writes the whole file."""
-
-    def make(path: Path, images: list[np.ndarray], compression: str) -> None:
-        with path.open("wb") as file:
-            writer = Ros2Writer(file, chunk_size=4000, compression=COMPRESSION[compression])
-            schema = writer.register_msgdef(name, definition(name).decode())
-            for k, image in enumerate(images):
-                fields = plain(FIELDS[name](k, image), text=False)
-                time = k * PERIOD_NS
-                writer.write_message("/sonar", schema, fields, time, time + 1)
-            writer.finish()
-
-    return make
-
-
 def by_json(name: str, dotted: str) -> Maker:
     """As the BlueOS recorder writes them, or Foxglove, which calls its nanoseconds nsec."""
 
@@ -366,11 +349,6 @@ WRITERS: dict[str, Maker] = {
     **{f"{name}, CDR": by_rosbags(name) for name in FIELDS},
     **{f"{name}, ROS 1": by_rosbags(name, ros1=True) for name in FIELDS},
     **{f"{name}, JSON": by_json(name, name.replace("/", ".")) for name in FIELDS},
-    **{
-        f"{name}, mcap-ros2-support": by_ros2_support(name)
-        for name in FIELDS
-        if not name.startswith("foxglove")
-    },
     "foxglove.RawImage, JSON": by_json("foxglove_msgs/msg/RawImage", "foxglove.RawImage"),
     "foxglove.CompressedImage, JSON": by_json(
         "foxglove_msgs/msg/CompressedImage", "foxglove.CompressedImage"
