@@ -17,7 +17,7 @@ import pytest
 from sonarrec.geometry import PolarToFan
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.guess.plausible import FRAMES, Plausibility, _cells, _floor, as_polar
+from sonarrec.readers.guess.plausible import FRAMES, Plausibility
 from sonarrec.readers.guess.table import GUESSES, Guess
 from sonarrec.readers.info import describe
 from sonarrec.sonar import Sonar
@@ -197,7 +197,6 @@ def test_a_picture_whose_top_or_bottom_is_cut_off() -> None:
     assert len(of_picture(everywhere[:-40], cut)) == 1
     nothing = replace(fan, apex_column=fan.apex_column + 9000)
     assert not [line for line in of_picture(everywhere, nothing) if "height_m" in line]
-    assert _floor(as_polar(everywhere.astype(float), nothing), nothing) == []
 
 
 def test_without_a_height_no_floor_is_doubted() -> None:
@@ -213,17 +212,6 @@ def test_pictures_of_nothing_tell_nothing(make: Callable[..., np.ndarray]) -> No
     plausibility.look(polar_frame(make((120, 48), np.uint8)))
     assert plausibility.contradictions() == []
     assert plausibility.outline is None
-
-
-def test_polar_pixels_are_seen_as_in_their_fan_image() -> None:
-    """Cells of a smooth picture are those of the fan image, to within a range bin and a beam."""
-    row, column = np.mgrid[:150, :64]
-    frame = polar_frame((row + 1.5 * column + 4).astype(np.uint8))
-    assert frame.polar is not None
-    of_fan = as_polar(frame.image.astype(float), frame.fan)
-    outermost = slice(1, -1)  # there the fan image is mixed with the black beside it
-    cells = _cells(frame, frame.polar)
-    np.testing.assert_allclose(cells[:, outermost], of_fan[:, outermost], atol=2.5)
 
 
 # What the commands make of it

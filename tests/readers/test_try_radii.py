@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
@@ -93,23 +90,6 @@ def test_a_trial_declares_what_a_run_declares(monkeypatch: pytest.MonkeyPatch) -
     assert trial.frames_declared == sum(map(bool, declared))
     assert trial.ids == {one: sum(one in ids for ids in declared) for one in sorted(TRUE_IDS)}
     assert trials.better is None
-
-
-@given(
-    most=st.integers(radii.STRETCHES, radii.MOST_FRAMES), frames=st.integers(1, 10**6) | st.none()
-)
-def test_stretches_are_spread_from_begin_to_end(most: int, frames: int | None) -> None:
-    spans = radii._spans(most, frames)
-    taken = [number for span in spans for number in range(*span)]
-    assert taken == sorted(set(taken))
-    assert len(taken) <= most
-    if frames is None or frames <= most:
-        assert spans == [(0, most)]
-        return
-    assert len(taken) > most - radii.STRETCHES
-    assert (taken[0], taken[-1]) == (0, frames - 1)
-    gaps = {b[0] - a[1] for a, b in pairwise(spans)}
-    assert max(gaps) - min(gaps) <= 1
 
 
 @pytest.mark.slow
