@@ -15,7 +15,6 @@ from sonarrec.errors import (
     name_from_text,
     number_of,
 )
-from sonarrec.readers.containers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.open import Source, find_log, log_name
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
@@ -142,16 +141,12 @@ def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -
             searched = f"{log_name(Path(log))}.{TRUTH_FILE}, nor {TRUTH_FILE} beside {log}"
             truth, size = find_beside(log, TRUTH_FILE)
         else:
-            log_source = _log_at(source.path, folder, source.place)
-            log = str(log_source.path)
-            place = log_source.place
-            name = f"{log_name(place)}.{TRUTH_FILE}"
-            searched = (
-                f"{TRUTH_FILE} in {place}, nor {name} in or beside it"
-                if place.is_dir()
-                else f"{name}, nor {TRUTH_FILE} beside {log}"
-            )
-            truth, size = log_source.beside(TRUTH_FILE), _size(log_source)
+            found = _log_at(source.path, folder, source.place)
+            log, name = str(found.path), f"{log_name(found.place)}.{TRUTH_FILE}"
+            searched = f"{name}, nor {TRUTH_FILE} beside {log}"
+            if found.place.is_dir():
+                searched = f"{TRUTH_FILE} in {found.place}, nor {name} in or beside it"
+            truth, size = found.beside(TRUTH_FILE), _size(found)
     except SonarrecError as error:
         raise SonarrecError(f"{folder}: no ground truth: {error}") from None
     if truth is None:
@@ -179,16 +174,11 @@ def _log_at(path: str, folder: Path, place: str | None) -> Source:
 
 
 def _size(log: Source) -> int:
-    """Bytes, counted as in run.toml (`readers.log.Log.digest_source`)."""
-    several = log.files != [log.path]
+    """Bytes, counted as in run.toml (`readers.log.digest_of`)."""
     total = 0
     for file in log.files:
-        try:
-            size = file.stat().st_size
-        except OSError:  # the run reported it
-            continue
-        if not (several and is_image(file) and size > MAX_FILE_BYTES):
-            total += size
+        with suppress(OSError):  # the run reported it
+            total += file.stat().st_size
     return total
 
 

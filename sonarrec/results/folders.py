@@ -13,13 +13,10 @@ from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import IO
 
-from sonarrec.errors import SonarrecError, UsageError, name_as_text, number_of
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.nouns import PART
 from sonarrec.tables.locks import is_there, locked
 from sonarrec.tables.outputs import Kind, is_output
-
-LONGEST_NAME = 255
-"""Bytes of a file name, on common file systems."""
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
 ESTIMATES = ("estimates.csv", "estimates.parquet")
@@ -107,16 +104,6 @@ def estimates_of(folder: Path) -> Path:
 def part_of(folder: Path) -> Path:
     """The folder that a run writes; at its end it replaces `folder`."""
     return folder.with_name(folder.name + PART)
-
-
-def check_name(folder: Path) -> None:
-    """Raises SonarrecError if the name is too long for the files that a run makes beside it."""
-    over = len(os.fsencode(_lock_file(folder).name)) - LONGEST_NAME
-    if over > 0:
-        raise SonarrecError(
-            f"{name_as_text(folder)}: its name is {number_of(over, 'byte')} too long for results; "
-            "shorten the log's name"
-        )
 
 
 def lock(folder: Path) -> IO[bytes]:

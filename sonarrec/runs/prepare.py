@@ -25,7 +25,7 @@ from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
 from sonarrec.results.bound import bound_of, differing
-from sonarrec.results.folders import MADE, MADE_BY, check_name
+from sonarrec.results.folders import MADE, MADE_BY
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 from sonarrec.runs.basis import basis, beams_in_words, chosen_landmarks
 
@@ -169,7 +169,6 @@ def _results_of(log: Source, out: Path, name: str) -> Path:
         raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     if itself:
         raise UsageError(f"{folder}: this is the log itself; choose another --out")
-    check_name(folder)
     if folder.is_symlink():
         raise SonarrecError(
             f"{folder}: a link, through which no results are written; remove it, or choose another "
