@@ -223,10 +223,7 @@ def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None)
     file = one.file
     least, most = (
         given if EACH in given else {**stated, **given}
-        for stated, given in (
-            (file.least_tpr, limits.least_tpr),
-            (file.most_fpr, limits.most_fpr),
-        )
+        for stated, given in ((file.least_tpr, limits.least_tpr), (file.most_fpr, limits.most_fpr))
     )
     chosen = replace(
         limits,

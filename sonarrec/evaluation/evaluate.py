@@ -19,13 +19,7 @@ from sonarrec.evaluation.logs import (
     score_log,
 )
 from sonarrec.evaluation.match import DEFAULT, ScoringOptions
-from sonarrec.evaluation.pairs import (
-    FindBeside,
-    Pair,
-    find_truths_beside,
-    truth_note,
-    usable_pairs,
-)
+from sonarrec.evaluation.pairs import FindBeside, Pair, find_truths_beside, truth_note, usable_pairs
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.tables import Evaluation

@@ -207,8 +207,7 @@ def _of_worse(
         more = f" (and {len(worse) - 1} more)" if len(worse) > 1 else ""
         return worse[0].removeprefix("worse: ") + more
     head = max(
-        marked,
-        key=lambda row: (row in totals, row.protocol, max(r.worse for r in row.rates())),
+        marked, key=lambda row: (row in totals, row.protocol, max(r.worse for r in row.rates()))
     )
     names = list(dict.fromkeys(row.log for row in marked if not row.is_total))
     text = _rates_text(head)

@@ -187,10 +187,7 @@ Found = TypeVar("Found")
 
 
 def map_logs(
-    work: Callable[[Log], Found],
-    readings: Sequence[Log],
-    folders: Iterable[Path],
-    jobs: int | None,
+    work: Callable[[Log], Found], readings: Sequence[Log], folders: Iterable[Path], jobs: int | None
 ) -> Iterator[Found]:
     """Yield the result of `work`, such as `score_log`, for each log, in order.
 

@@ -14,12 +14,7 @@ from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.evaluation.changes import ByMethod, changed_frames
 from sonarrec.evaluation.count import LogCounts, count_log
-from sonarrec.evaluation.logs import (
-    TruthCheck,
-    UnreadableLog,
-    check_fit,
-    truth_table,
-)
+from sonarrec.evaluation.logs import TruthCheck, UnreadableLog, check_fit, truth_table
 from sonarrec.evaluation.match import ScoringOptions, match
 from sonarrec.evaluation.pairs import (
     FindBeside,
@@ -29,14 +24,7 @@ from sonarrec.evaluation.pairs import (
     truth_note,
 )
 from sonarrec.results.folders import estimates_of, log_of
-from sonarrec.results.read import (
-    LogResults,
-    find_logs,
-    not_whole,
-    read_frames,
-    read_log,
-    rows_of,
-)
+from sonarrec.results.read import LogResults, find_logs, not_whole, read_frames, read_log, rows_of
 from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import Recording, check_one_log, counted_once, recording
 from sonarrec.tables.read import read_header

@@ -8,13 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.errors import (
-    MissingError,
-    SonarrecError,
-    UsageError,
-    name_from_text,
-    number_of,
-)
+from sonarrec.errors import MissingError, SonarrecError, UsageError, name_from_text, number_of
 from sonarrec.readers.open import Source, find_log, log_name
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs

@@ -22,15 +22,7 @@ HEADERS = {
     "per_log": ("log", *CONFUSION),
     "roc": ("protocol", "method", "landmark", "threshold", "tpr", "fpr", "tp", "tn", "fp", "fn"),
     "figures": (
-        "protocol",
-        "method",
-        "landmark",
-        "figure",
-        "value",
-        "low",
-        "high",
-        "units",
-        "note",
+        *("protocol", "method", "landmark", "figure", "value", "low", "high", "units", "note"),
     ),
     "tests": (
         *("protocol", "a", "b", "landmark", "figure", "value_a", "value_b", "difference"),
@@ -41,13 +33,7 @@ HEADERS = {
         *("frames_to_id", "id_switches", "track_switches"),
     ),
     "reliability": (
-        "method",
-        "landmark",
-        "bin_low",
-        "bin_high",
-        "count",
-        "mean_probability",
-        "right",
+        *("method", "landmark", "bin_low", "bin_high", "count", "mean_probability", "right"),
     ),
 }
 """Columns of each table, which is also a CSV file of that name."""

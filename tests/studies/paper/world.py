@@ -59,6 +59,10 @@ UNKNOWNS = (
     Unknown("beam_ground_m", 1.7, 2.5, "by the landmarks or behind them"),
 )
 NAMES = tuple(u.name for u in UNKNOWNS)
+FADING = (
+    *("object_db", "patch_db", "frame_probability", "burst_probability", "burst_frames"),
+    *("depth_db", "ghost_db"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,18 +112,7 @@ class World:
         fading = replace(
             base.fading,
             time_s=v["fading_s"],
-            **{
-                k: v[k]
-                for k in (
-                    "object_db",
-                    "patch_db",
-                    "frame_probability",
-                    "burst_probability",
-                    "burst_frames",
-                    "depth_db",
-                    "ghost_db",
-                )
-            },
+            **{k: v[k] for k in FADING},
         )
         return replace(
             base,
