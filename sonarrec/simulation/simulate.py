@@ -23,6 +23,7 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, load_scene, scene_sonar, scene_table
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
+from sonarrec.tables.outputs import writing
 
 PLATE_COLUMNS = ("frame", "landmark", "range_m", "bearing_deg", "visible", "orientation_deg")
 COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
@@ -106,49 +107,43 @@ def write_recording(
         documents["landmarks"] = scene.landmark_set.as_table()
     # Last: a folder without geometry is not taken for a whole recording.
     documents["sonar"] = {"sonar": sonar.as_table()}
-    try:
+    with writing(out), ExitStack() as stack:
         folder.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as stack:
-            table = open_table(stack, folder / f"{prefix}gt.csv", TRUTH_COLUMNS)
-            mcap = None
-            if image_format == "mcap":
-                name = out if single_file else out / "frames.mcap"
-                mcap = McapImageWriter(name, schema=schema, compression=compression, sonar=geometry)
-                stack.enter_context(mcap)
-            for frame in chain([first], frames):
-                if mcap is None:
-                    write_image(out / f"{frame.index:06d}.png", frame.image)
-                else:
-                    mcap.write(frame.timestamp_ns, frame.image)
-                table.writerows(truth_rows(frame.index, frame.truth))
-                if progress:
-                    progress(frame.index + 1)
+        table = open_table(stack, folder / f"{prefix}gt.csv", TRUTH_COLUMNS)
+        mcap = None
+        if image_format == "mcap":
+            name = out if single_file else out / "frames.mcap"
+            mcap = McapImageWriter(name, schema=schema, compression=compression, sonar=geometry)
+            stack.enter_context(mcap)
+        for frame in chain([first], frames):
+            if mcap is None:
+                write_image(out / f"{frame.index:06d}.png", frame.image)
+            else:
+                mcap.write(frame.timestamp_ns, frame.image)
+            table.writerows(truth_rows(frame.index, frame.truth))
+            if progress:
+                progress(frame.index + 1)
         write_documents(folder, documents, prefix)
-    except OSError as error:
-        raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
 
 
 def _write_plates(scene: PlateScene, out: Path, progress: Callable[[int], None] | None) -> None:
     """As write_recording: polar images, near range first, and corners.csv as well."""
     check_free(out)
-    try:
+    with writing(out), ExitStack() as stack:
         out.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as stack:
-            truth = open_table(stack, out / "gt.csv", PLATE_COLUMNS)
-            corners = open_table(stack, out / "corners.csv", ("frame", "landmark", *CORNERS))
-            for frame in render_plates(scene):
-                write_image(out / f"{frame.index:06d}.png", frame.image)
-                for plate in frame.truth:
-                    row = [frame.index, *(getattr(plate, name) for name in PLATE_COLUMNS[1:])]
-                    truth.writerow([round(cell, 4) for cell in row])
-                    of_plate = np.round(plate.corners.ravel(), 4).tolist()
-                    corners.writerow([frame.index, plate.landmark, *of_plate])
-                if progress:
-                    progress(frame.index + 1)
+        truth = open_table(stack, out / "gt.csv", PLATE_COLUMNS)
+        corners = open_table(stack, out / "corners.csv", ("frame", "landmark", *CORNERS))
+        for frame in render_plates(scene):
+            write_image(out / f"{frame.index:06d}.png", frame.image)
+            for plate in frame.truth:
+                row = [frame.index, *(getattr(plate, name) for name in PLATE_COLUMNS[1:])]
+                truth.writerow([round(cell, 4) for cell in row])
+                of_plate = np.round(plate.corners.ravel(), 4).tolist()
+                corners.writerow([frame.index, plate.landmark, *of_plate])
+            if progress:
+                progress(frame.index + 1)
         sonar = {"sonar": plate_sonar(scene).as_table()}
         write_documents(out, {"landmarks": scene.landmark_set.as_table(), "sonar": sonar})
-    except OSError as error:
-        raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
 
 
 def check_free(*paths: Path) -> None:

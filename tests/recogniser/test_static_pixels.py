@@ -10,25 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.nouns import Fan, Frame
+from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.recogniser.restore.static_pixels import AHEAD, MOST_BYTES_AHEAD, Unchanging
 from tests.support.command import sonarrec
+from tests.support.drawn import make_fan
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record
 
-FAN = Fan(
-    rows=200,
-    columns=240,
-    metres_per_pixel=0.01,
-    apex_column=119.5,
-    apex_row=300.0,
-    range_min_m=1.0,
-    range_max_m=3.0,
-    bearing_min_deg=-20.0,
-    bearing_max_deg=20.0,
-    tilt_deg=20.0,
-    height_m=0.7,
-)
+FAN = make_fan(200, 1.0, 3.0, 40.0, height_m=0.7)
 
 
 def inside() -> np.ndarray:

@@ -13,7 +13,6 @@ import pytest
 from sonarrec.config import preset
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import BUILT_IN, load_landmarks
-from sonarrec.nouns import Fan
 from sonarrec.readers import open_log
 from sonarrec.simulation.background import Background, survey
 from sonarrec.simulation.background_files import DiscLook, compose, write_backgrounds
@@ -24,6 +23,7 @@ from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.command import sonarrec
+from tests.support.drawn import make_fan
 from tests.support.rows import read_rows
 
 BASIN = load_landmarks("basin")
@@ -31,19 +31,7 @@ LOOK = DiscLook(plate_db=-6.0, beam_width_deg=0.4)
 ARIS = Path(__file__).parents[1] / "readers" / "aris_sample" / "sample.aris"
 FRAMES = 24
 # A made-up sonar whose images are as even as speckle lets them be.
-FAN = Fan(
-    rows=500,
-    columns=401,
-    metres_per_pixel=0.006,
-    apex_column=200.0,
-    apex_row=699.5,
-    range_min_m=1.2,
-    range_max_m=4.2,
-    bearing_min_deg=-16.0,
-    bearing_max_deg=16.0,
-    tilt_deg=20.0,
-    height_m=0.7,
-)
+FAN = make_fan(500, 1.2, 4.2, 32.0, height_m=0.7)
 
 
 @pytest.fixture(scope="module")
@@ -113,14 +101,15 @@ def test_the_light_of_the_floor_stays_on_the_disc() -> None:
     """Half of the floor 10 dB brighter: a disc across the step has both lights."""
     composer = Composer(FAN, BASIN, 50.0, 0.4)
     image = speckle(np.random.default_rng(2))
-    image[:, 201:] = np.minimum(image[:, 201:].astype(int) + 51, 255).astype(np.uint8)
+    half = image[:, FAN.columns // 2 :]
+    half[:] = np.minimum(half.astype(int) + 51, 255).astype(np.uint8)
     filled, here = LaidDisc("filled", 0, 0.0, 2.5, 0.0), Pose(0.0, 0.7, 0.0, 0.0)
     disc = composer.footprint(filled, here)
     assert disc is not None
     laid = power_of(composer.lay(image, [filled], here, [6.0], -6.0)[6.0])[disc.box]
     inside = disc.share > 0.99
     column = np.arange(disc.box[1].start, disc.box[1].stop)
-    left, right = inside & (column < 190), inside & (column > 212)
+    left, right = inside & (column < FAN.apex_column - 10), inside & (column > FAN.apex_column + 12)
     assert 10 * math.log10(laid[right].mean() / laid[left].mean()) > 4
 
 

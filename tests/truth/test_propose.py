@@ -16,18 +16,13 @@ from sonarrec.functions import run as run_log
 from sonarrec.truth.propose import propose
 from sonarrec.truth.table import read_truth
 from tests.support.command import sonarrec
+from tests.support.logs import SONAR_TOML
 from tests.support.rows import read_rows
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
-RUN = """\
+RUN = f"""\
 finished = true
-[sonar]
-layout = "fan"
-range_min_m = 1.25
-range_max_m = 3.75
-field_of_view_deg = 28.8
-tilt_deg = 20.0
-height_m = 0.68
+{SONAR_TOML}\
 [fan]
 rows = 300
 columns = 320
