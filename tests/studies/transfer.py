@@ -1,8 +1,8 @@
 """`make transfer`: what a choice of features is worth in kinds of world it was not learned from.
 
-Whole kinds of the simulator's scenes are left out in turn. Single frames are judged, without
-pooling along tracks. Shape matrices are kept in build/transfer, so that another description of
-them is tried in a minute.
+Whole kinds of the simulator's scenes are left out in turn; the kinds of the second renderer are
+left out together. Single frames are judged, without pooling along tracks. Shape matrices are kept
+in build/transfer, so that another description of them is tried in a minute.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.description import FEATURES
 from tests.studies.learning.matrices import gathered
 from tests.studies.learning.random_scenes import ALL_KINDS
+from tests.studies.learning.second_renderer import MAP_KINDS
 from tests.studies.results.record import options, save, show
 
 SEEDS = range(2000, 2004)
+"""Of the simulator's kinds; twice as many of the second renderer's."""
 FOLDS = 5
 DECLARE = 0.75
 BOLD = (0.75, 0.9)
@@ -46,8 +48,9 @@ CANDIDATES: dict[str, tuple[str, ...]] = {
 
 def folds(kinds: Iterable[str]) -> list[list[str]]:
     """The kinds that are left out together, every kind once."""
-    shuffled = np.random.default_rng(5).permutation(sorted(set(kinds))).tolist()
-    return [shuffled[i::FOLDS] for i in range(FOLDS)]
+    simulated = sorted({kind for kind in kinds if kind not in MAP_KINDS})
+    shuffled = np.random.default_rng(5).permutation(simulated).tolist()
+    return [*(shuffled[i::FOLDS] for i in range(FOLDS)), list(MAP_KINDS)]
 
 
 def left_out(samples: Sequence[tuple[str, Samples]], names: Sequence[str]) -> list[FloatArray]:
@@ -101,15 +104,20 @@ def main(arguments: list[str] | None = None) -> None:
     parser = options("transfer", __doc__, SEEDS)
     parser.add_argument("--only", nargs="*", choices=CANDIDATES, default=list(CANDIDATES))
     asked = parser.parse_args(arguments)
-    samples = gathered([(kind, n) for kind in ALL_KINDS for n in asked.seeds], asked.out)
-    show(
-        "Kinds of the simulator, each left out of learning",
-        [
-            {"features": name, "number": str(len(CANDIDATES[name]))}
-            | figures(samples, left_out(samples, CANDIDATES[name]))
-            for name in asked.only
-        ],
-    )
+    numbers = [*asked.seeds]
+    twice = [*numbers, *(n + len(numbers) for n in numbers)]
+    wanted = [(kind, n) for kind in ALL_KINDS for n in numbers]
+    wanted += [(kind, n) for kind in MAP_KINDS for n in twice]
+    samples = gathered(wanted, asked.out)
+    tables: dict[bool, list[dict[str, str]]] = {False: [], True: []}
+    for name in asked.only:
+        found = left_out(samples, CANDIDATES[name])
+        for by_map, table in tables.items():
+            of = [i for i, (kind, _) in enumerate(samples) if (kind in MAP_KINDS) == by_map]
+            some = figures([samples[i] for i in of], [found[i] for i in of])
+            table.append({"features": name, "number": str(len(CANDIDATES[name]))} | some)
+    show("Kinds of the simulator, each left out of learning", tables[False])
+    show("Kinds of a second renderer, all left out of learning", tables[True])
     save(asked.record)
 
 

@@ -26,6 +26,7 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.simulation.truth import LandmarkTruth
 from tests.studies.learning.random_scenes import random_scene
+from tests.studies.learning.second_renderer import MAP_KINDS, map_frames, map_scene
 
 FRAMES = 64  # of each recording: more recordings teach more than longer ones
 EVERY = 3  # so many frames apart are those that are kept: neighbours are alike
@@ -74,8 +75,12 @@ def gather(kind: str, seed: int, folder: Path) -> Path:
     if path.exists():
         return path
     truth: list[tuple[int, LandmarkTruth]] = []
-    scene = random_scene(seed, kind, wide=True, frames=FRAMES)
-    frames = scene_frames(scene, truth)
+    if kind in MAP_KINDS:
+        scene = map_scene(seed, kind, FRAMES)
+        frames = map_frames(scene, kind, truth)
+    else:
+        scene = random_scene(seed, kind, wide=True, frames=FRAMES)
+        frames = scene_frames(scene, truth)
     given: list[tuple[FloatArray, ...]] = []
     described = Describer.__call__
 
