@@ -16,17 +16,10 @@ from sonarrec.config import Features
 from sonarrec.errors import UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.stage3.appearance import (
-    AppearanceMeasurement,
-)
+from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement
 from sonarrec.recogniser.stage3.description import FEATURES, LIMIT, Describer
 from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model, read_model
-from sonarrec.recogniser.stage3.shape_matrix import (
-    ANGLES,
-    STEP,
-    STEP_DEG,
-    ShapeSampler,
-)
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, STEP_DEG, ShapeSampler
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 from tests.support.drawn import (
     SECTORS,

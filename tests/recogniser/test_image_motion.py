@@ -87,10 +87,7 @@ def standing(seed: int, kind: str, frames: int = 40) -> tuple[list[Motion | None
     return measured(images, scene_fan(scene), scene.landmark_set.radius_m), scene_fan(scene)
 
 
-@pytest.mark.parametrize(
-    "kind",
-    but_first(["plain", "fading", "low_contrast", "fast_pan"]),
-)
+@pytest.mark.parametrize("kind", but_first(["plain", "fading", "low_contrast", "fast_pan"]))
 def test_a_tripod_is_told_to_stand(kind: str) -> None:
     motions, _ = standing(8710, kind)
     for motion in motions[1:]:

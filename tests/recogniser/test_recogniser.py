@@ -183,9 +183,8 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize(
-    "name", but_first(["paper", "default"])
-)  # offline is default with another lag
+# offline is default with another lag
+@pytest.mark.parametrize("name", but_first(["paper", "default"]))
 @pytest.mark.parametrize("value", but_first([2, 0, 1]))
 def test_extreme_settings_are_refused_or_run(name, value):
     log = drawn_log(SECTORS[1], 3, rows=160)
@@ -344,9 +343,7 @@ def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     seen: list[int] = []
     stage1 = ThreeStages.stage1
     monkeypatch.setattr(
-        ThreeStages,
-        "stage1",
-        lambda self, image: seen.append(image.frame) or stage1(self, image),
+        ThreeStages, "stage1", lambda self, image: seen.append(image.frame) or stage1(self, image)
     )
     log = still_log(3, 3)
     side_by_side(log, "default", "paper", "offline")

@@ -173,10 +173,7 @@ def saturate(pictures: list[np.ndarray]) -> list[np.ndarray]:
     ),
 )
 def test_landmarks_are_recognised_and_a_note_tells(
-    tmp_path: Path,
-    sample: str,
-    change: Callable[[list[np.ndarray]], list[np.ndarray]],
-    note: str,
+    tmp_path: Path, sample: str, change: Callable[[list[np.ndarray]], list[np.ndarray]], note: str
 ) -> None:
     """With a tenth of the echoes saturated, in fan images and polar ones; or equalised."""
     log, source = tmp_path / sample, SAMPLES / sample

@@ -91,7 +91,7 @@ def test_frames_are_not_laid_on_each_other_where_the_motion_is_not_known() -> No
 
 @settings(max_examples=30)
 @given(st.floats(-3, 3), st.floats(-500, 500), st.floats(-500, 500), st.integers(0, 2**31))
-def test_a_place_on_the_grid_and_in_the_frame_are_each_other_s_inverse(
+def test_positions_on_the_grid_and_in_the_frame_are_each_other_s_inverse(
     yaw: float, x: float, y: float, seed: int
 ) -> None:
     look = SecondLook("m", OFFLINE, FAN, BASIN, None)

@@ -65,11 +65,6 @@ def test_update_is_equations_6_to_8_written_out(data, n, k):
     np.testing.assert_allclose(belief.sum(axis=1), 1, rtol=1e-12)
 
 
-def test_a_model_that_never_errs_passes_the_measurement_through():
-    q = np.array([[0.1, 0.2, 0.7], [0.5, 0.25, 0.25]])
-    np.testing.assert_allclose(update(np.full((2, 3), 1 / 3), q, np.eye(3)), q)
-
-
 def test_what_was_ruled_out_by_such_a_model_can_be_measured_again():
     """IDs without a sector in common are never confused: belief follows the measurement."""
     opposite = LandmarkSet(
@@ -156,9 +151,12 @@ def three_in_a_row(kind: str, power: float, shift: float, frames: int) -> np.nda
 
 
 # Panning 2 deg/s at 4 frames/s moves the picture by 3 to 5 px where the landmarks lie.
-@pytest.mark.parametrize("shift", [0, 5, 20])
-def test_association_keeps_neighbours_apart(shift):
-    belief = three_in_a_row("association", 1.0, shift, 200)
+@pytest.mark.parametrize(
+    ("kind", "power", "shift"),
+    [*(("association", 1.0, shift) for shift in (0, 5, 20)), ("inverse_distance", 4.0, 5)],
+)
+def test_association_and_a_sharp_power_keep_neighbours_apart(kind, power, shift):
+    belief = three_in_a_row(kind, power, shift, 200)
     assert list(belief.argmax(axis=1)) == [0, 2, 3]
     assert belief[[0, 1, 2], [0, 2, 3]].min() > 0.85
 
@@ -167,11 +165,6 @@ def test_association_keeps_neighbours_apart(shift):
 def test_the_trap_literal_inverse_distance_ends_with_a_wrong_id(shift, frames, wrong):
     belief = three_in_a_row("inverse_distance", 1.0, shift, frames)
     assert belief[wrong].argmax() != (0, 2, 3)[wrong]
-
-
-def test_a_sharp_power_keeps_neighbours_apart():
-    belief = three_in_a_row("inverse_distance", 4.0, 5, 200)
-    assert list(belief.argmax(axis=1)) == [0, 2, 3]
 
 
 @pytest.mark.parametrize("kind", ["association", "inverse_distance"])

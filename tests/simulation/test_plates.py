@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.simulation.plates import (
-    HeldPlate,
-    PlateFrame,
-    PlateScene,
-    plate_scene,
-    render_plates,
-)
+from sonarrec.simulation.plates import HeldPlate, PlateFrame, PlateScene, plate_scene, render_plates
 from sonarrec.simulation.simulate import simulate
 
 SCENE = PlateScene(

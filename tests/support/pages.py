@@ -76,7 +76,6 @@ def held_frames(path: Path) -> list[dict[str, Any]]:
 
 def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
     [log], _ = read_logs(
-        [LogToShow(folder, read_truth(truth or folder / "gt.csv"))],
-        ScoringOptions(sonar=Sonar()),
+        [LogToShow(folder, read_truth(truth or folder / "gt.csv"))], ScoringOptions(sonar=Sonar())
     )
     return log
