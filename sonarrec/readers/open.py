@@ -38,8 +38,6 @@ SONAR_FILE = "sonar.toml"
 LANDMARKS_FILE = "landmarks.toml"
 SHARED = frozenset({SONAR_FILE, LANDMARKS_FILE})
 """Files of a sonar and a site, which serve several logs; they may lie beside a log's folder."""
-_UNPACK = {".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz", ".zst": "zstd -d", ".lz4": "lz4 -d"}
-"""The command that unpacks a compressed file, by its suffix, for error messages."""
 
 
 def _recorded(module: str, name: str) -> Callable[[Path, Path, Diagnostics], Recording]:
@@ -327,22 +325,10 @@ def _folder_images(folder: Path) -> ImagePaths:
         raise SonarrecError(
             f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
         )
-    hint = next((h for e in sorted(entries) if (h := _hint(e))), None)
     raise SonarrecError(
-        f"{folder}: no log and no image in this folder "
-        f"({', '.join(sorted(IMAGE_SUFFIXES))}); "
-        + (hint or "--recursive looks into the folders below")
+        f"{folder}: no log and no image in this folder ({', '.join(sorted(IMAGE_SUFFIXES))}); "
+        "--recursive looks into the folders below"
     )
-
-
-def _hint(path: Path) -> str | None:
-    """How to unpack a file with an unknown compression; None for other files."""
-    if path.name.lower().endswith(".bag.active"):
-        return f"its recorder did not close it; `rosbag reindex {path.name}` first"
-    tool = _UNPACK.get(path.suffix.lower())
-    if tool is None:
-        return None
-    return f"this compressed file is not read; unpack it first: {tool} {path.name}"
 
 
 def _reader_of(path: Path) -> Reader:
@@ -351,8 +337,6 @@ def _reader_of(path: Path) -> Reader:
             if reader is not _IMAGES and not path.stat().st_size:
                 raise SonarrecError(f"{path}: the file is empty (zero bytes)")
             return reader
-    if (hint := _hint(path)) is not None:
-        raise SonarrecError(f"{path}: {hint}")
     known = ", ".join(s for reader in READERS for s in sorted(reader.suffixes))
     raise SonarrecError(
         f"{path}: not a kind of log this program reads "

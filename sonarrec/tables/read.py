@@ -111,7 +111,13 @@ def _names(path: Path, expected: str) -> list[str]:
     """The names of all columns, as they are written. Raises SonarrecError as `read_tables` does."""
     if path.suffix == PARQUET:
         return read_names(path)
-    _check_kind(path)
+    if path.exists() and not path.is_file():
+        raise SonarrecError(f"{path}: not a file that can be read as a table")
+    with suppress(OSError), path.open("rb") as file:  # reported when it is read
+        if file.read(4).startswith((b"PK\x03\x04", b"\x1f\x8b")):  # .xlsx and .ods; gzip
+            raise SonarrecError(
+                f"{path}: a workbook or an archive, not a CSV table; export or unpack it as CSV"
+            )
 
     def read() -> list[str]:
         with _opened(path) as file:
@@ -285,17 +291,6 @@ def _wrong_cell(cell: object, value: Any, kind: Kind) -> str:
 def cut(table: Table, rows: int) -> Table:
     """The first `rows` rows of a table."""
     return {name: column[:rows] for name, column in table.items()}
-
-
-def _check_kind(path: Path) -> None:
-    """Raise SonarrecError for a device, a folder, a workbook and an archive."""
-    if path.exists() and not path.is_file():
-        raise SonarrecError(f"{path}: not a file that can be read as a table")
-    with suppress(OSError), path.open("rb") as file:  # reported when it is read
-        if file.read(4).startswith((b"PK\x03\x04", b"\x1f\x8b")):  # .xlsx and .ods; gzip
-            raise SonarrecError(
-                f"{path}: a workbook or an archive, not a CSV table; export or unpack it as CSV"
-            )
 
 
 def line_number(path: Path, row: int) -> int:

@@ -102,25 +102,6 @@ def test_a_quoted_glob_of_logs(tmp_path: Path) -> None:
         open_log(pattern)
 
 
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("dive.mcap.gz", "gunzip dive.mcap.gz"),
-        ("dive.bag.xz", "unxz dive.bag.xz"),
-        ("dives/dive_0.mcap.gz", "gunzip dive_0.mcap.gz"),
-    ],
-)
-def test_what_can_be_unpacked_is_told_how(name: str, says: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    path.parent.mkdir(exist_ok=True)
-    path.write_bytes(b"packed")
-    log = path.parent if "/" in name else path
-    for command in ("run", "info"):
-        told = sonarrec(command, log, code=1)
-        assert says in told.stderr
-        assert "\n" not in told.stderr.strip()
-
-
 def jpeg(number: int) -> bytes:
     noise = np.random.default_rng(number).integers(0, 256, (120, 160), dtype=np.uint8)
     return cv2.imencode(".jpg", cv2.GaussianBlur(noise, (0, 0), 2))[1].tobytes()
@@ -156,12 +137,6 @@ def test_a_tiff_of_several_images() -> None:
                 decode_image(file.getvalue())
         else:
             np.testing.assert_array_equal(decode_image(file.getvalue()), np.asarray(pages[0]))
-
-
-def test_a_bag_that_is_still_recorded_has_a_hint(tmp_path: Path) -> None:
-    (tmp_path / "dive.bag.active").write_bytes(b"#ROSBAG V2.0\n")
-    with pytest.raises(SonarrecError, match="`rosbag reindex dive"):
-        open_log(tmp_path / "dive.bag.active")
 
 
 def png_of_size(rows: int, columns: int) -> bytes:

@@ -25,7 +25,6 @@ from sonarrec.tables.order import natural_order
 
 METADATA = "metadata.yaml"
 _ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
-_MAX_METADATA_BYTES = 2**24
 Open = Callable[[Path, Diagnostics], Recording]
 
 
@@ -119,8 +118,6 @@ def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
     if not file.is_file():
         return {}, None
     try:
-        if file.stat().st_size > _MAX_METADATA_BYTES:
-            return {}, f"larger than {_MAX_METADATA_BYTES} bytes"
         return _parsed(file.read_bytes())
     except OSError as error:
         return {}, f"cannot be read ({error.strerror})"
