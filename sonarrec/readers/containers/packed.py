@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
 
 from sonarrec.errors import SonarrecError
 
@@ -44,31 +43,24 @@ def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
     if unpack is None:
         yield path, None
         return
-    handle, name = tempfile.mkstemp(prefix="sonarrec_", suffix=Path(path.stem).suffix)
-    try:
-        with os.fdopen(handle, "wb") as out:
-            problem = _unpack_to(path, unpack, out)
-        yield Path(name), problem
-    finally:
-        with suppress(OSError):  # some systems do not unlink open files: then it stays
-            Path(name).unlink()
-
-
-def _unpack_to(path: Path, unpack: Unpack, out: BinaryIO) -> str | None:
-    """Unpack a file into `out`; returns what was wrong with it, or None."""
     import zstandard
 
     from sonarrec.readers.containers.mcap.chunks import pieces_of
 
-    written = 0
-    with path.open("rb") as file:
-        size = file.seek(0, 2)
-        try:
-            for piece in unpack(pieces_of(file, 0, size)):
-                written += len(piece)
-                out.write(piece)
-        except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
-            if not written:
-                raise SonarrecError(f"{path}: cannot be unpacked ({error})") from None
-            return f"damaged after {written} unpacked bytes ({error}); what came before is read"
-    return None
+    problem, written = None, 0
+    handle, name = tempfile.mkstemp(prefix="sonarrec_", suffix=Path(path.stem).suffix)
+    try:
+        with os.fdopen(handle, "wb") as out, path.open("rb") as file:
+            try:
+                for piece in unpack(pieces_of(file, 0, path.stat().st_size)):
+                    written += out.write(piece)
+            except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
+                if not written:
+                    raise SonarrecError(f"{path}: cannot be unpacked ({error})") from None
+                problem = (
+                    f"damaged after {written} unpacked bytes ({error}); what came before is read"
+                )
+        yield Path(name), problem
+    finally:
+        with suppress(OSError):  # some systems do not unlink open files: then it stays
+            Path(name).unlink()

@@ -38,7 +38,6 @@ _AS_BRIGHT = 0.9  # of the floor's grey level; what is brighter cannot be water
 # Of the profile of levels by range, in its bright tenth: where a floor begins it rises by .90 and
 # more over _EDGE rings, where it ends it falls by .36 at most (simulated), .50 (of a real river).
 _EDGE, _SHARP, _LESS_SHARP, _DARK = 5, 0.75, 0.45, 0.2
-_BLACK = 2.0  # grey level of water before a floor, in the median; below it nothing is shown
 _NEAR = 0.1  # least share of the range window nearer than the stated floor, for a check
 
 
@@ -222,15 +221,13 @@ def _polar_outline(picture: FloatArray) -> list[str]:
 
 
 def _upside_down(picture: FloatArray, fan: Fan) -> list[str]:
-    """A line if the farthest rows are as the water before a floor: black beside light ones, or dark
-    from one ring to the next, while a floor fades slowly where it ends."""
+    """A line if the farthest rows are as the water before a floor: dark from one ring to the next,
+    while a floor fades slowly where it ends."""
     _, rings = levels_by_range(picture, fan)
-    count = round(_NEAR * len(rings))
-    near, far = (float(quantile(ends, 0.5)) for ends in (rings[:count], rings[-count:]))
+    far = float(quantile(rings[-round(_NEAR * len(rings)) :], 0.5))
     light, steps = float(quantile(rings, 0.9)), rings[_EDGE:] - rings[:-_EDGE]
     rise, fall = float(steps.max()), -float(steps.min())
-    ends = far < _DARK * light and fall > max(_SHARP * light, rise / _LESS_SHARP)
-    if not (ends or (far <= _BLACK and near > max(0.5 * light, BACKGROUND))):
+    if far >= _DARK * light or fall <= max(_SHARP * light, rise / _LESS_SHARP):
         return []
     return [
         "its last rows, taken for the farthest, are dark as the water before a floor (are far "

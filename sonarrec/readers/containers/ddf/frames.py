@@ -52,7 +52,8 @@ class DdfFrames(RawLog):
         if self._file.size < self._start:
             raise SonarrecError(f"{where}: cut short inside the header of the file")
         self._header = np.frombuffer(self._file.at(0, self._start), layout.file_header)[0]
-        self._shape, self._length = self._frame_shape()
+        self._shape = layout.shape(self._header, self._frame_header(self._start))
+        self._length = layout.frame_header.itemsize + math.prod(self._shape)
         samples, beams = self._shape
         room = self._file.size - self._start
         if min(samples, beams) < 2 or self._length > MAX_FRAME_BYTES:
@@ -75,19 +76,6 @@ class DdfFrames(RawLog):
             self.diagnostics.note(
                 f"its header counts {number_of(count, 'frame')}, {self.frame_count} are there"
             )
-
-    def _frame_shape(self) -> tuple[tuple[int, int], int]:
-        """(samples, beams) of every frame, and its length in bytes. The first frame's header states
-        it, and so does the file's. The first of the two counts after which another frame, or the
-        end of the file, follows; else the first frame's, if it has a header."""
-        first = self._frame_header(self._start)
-        shapes = [self._layout.shape(self._header, frame) for frame in (first, None)]
-        sized = [(one, self._layout.frame_header.itemsize + math.prod(one)) for one in shapes]
-        for shape, length in sized:
-            end = self._start + length
-            if end == self._file.size or self._frame_header(end) is not None:
-                return shape, length
-        return sized[first is None]
 
     def _frame_header(self, at: int) -> np.void | None:
         """The header of the frame at `at`; None if no frame begins there."""
