@@ -42,7 +42,7 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class ShownFrame:
-    """One frame. at: its place on the log's time axis. image: a data URI of size (width, height).
+    """One frame. at: position on the log's time axis. image: a data URI of size (width, height).
     said: the outlines of each method of the log."""
 
     frame: int

@@ -53,9 +53,9 @@ def outliers(
     else:
         sightings: dict[str, Counter[str]] = {}
         remarks = []
-        for name, place in folder_of.items():
+        for name, results in folder_of.items():
             try:
-                found = read_sightings(place, options.landmarks, options.sonar)
+                found = read_sightings(results, options.landmarks, options.sonar)
                 sightings[name] = Counter(s.method for s in found)
             except SonarrecError as error:
                 remarks.append((name, f"cannot be read: {error}"))

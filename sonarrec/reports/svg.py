@@ -70,7 +70,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """An axis from low to high; places on it are shares of the sheet, 0 to 1."""
+    """An axis from low to high; positions on it are shares of the sheet, 0 to 1."""
 
     low: float
     high: float

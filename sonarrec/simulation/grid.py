@@ -117,7 +117,7 @@ class PolarGrid:
         return self._first_deg + np.arange(start, stop) * STEP_DEG
 
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
-        """Flat indices (intp) of the cells at these places; outside, of the nearest cells."""
+        """Flat indices (intp) of the cells at these positions; outside, of the nearest cells."""
         slant = np.sqrt(x**2 + y**2 + self._height_m**2)
         azimuth = self._within(np.degrees(np.arctan2(x, y)))
         column = np.rint((azimuth - self._first_deg) / STEP_DEG)
@@ -179,10 +179,10 @@ class SquareGrid:
         x, y = ground_m * math.sin(azimuth), ground_m * math.cos(azimuth)
         rows, columns = (
             slice(
-                max(math.floor((place - reach_m - first) / self.cell_m), 0),
-                max(math.ceil((place + reach_m - first) / self.cell_m), 0) + 1,
+                max(math.floor((centre - reach_m - first) / self.cell_m), 0),
+                max(math.ceil((centre + reach_m - first) / self.cell_m), 0) + 1,
             )
-            for place, first in ((y, self._first[1]), (x, self._first[0]))
+            for centre, first in ((y, self._first[1]), (x, self._first[0]))
         )
         return rows, columns
 
@@ -191,7 +191,7 @@ class SquareGrid:
         return pan_deg + np.arange(-self._reach_deg, self._reach_deg + STEP_DEG, STEP_DEG)
 
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
-        """Flat indices (intp) of the cells at these places; outside, of the nearest cells."""
+        """Flat indices (intp) of the cells at these positions; outside, of the nearest cells."""
         rows, columns = self.shape
         column = np.clip(np.floor((x - self._first[0]) / self.cell_m), 0, columns - 1)
         row = np.clip(np.floor((y - self._first[1]) / self.cell_m), 0, rows - 1)

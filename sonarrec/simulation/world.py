@@ -296,7 +296,7 @@ def _hidden(below_m: np.ndarray, ground_m: np.ndarray) -> np.ndarray:
 
 
 def _lit(grazing: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Amplitude of a slope relative to level floor, by Lambert's law for both ways.
+    """Amplitude of a slope relative to level floor, by Lambert's law, there and back.
 
     grazing: angle on level floor, rad. slope: rise over run, away from the sonar.
     """

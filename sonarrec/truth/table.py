@@ -164,7 +164,7 @@ def read_rows(path: Path) -> TruthTable:
 def repeated_rows(table: TruthTable) -> IntArray:
     """(n, 2) pairs of equal rows, rising; (0, 2) if there are no positions.
 
-    One ID may be in view twice, but not twice in one place.
+    One ID may be in view twice, but not twice in one position.
     """
     if table.position is None:
         return np.empty((0, 2), dtype=np.int64)

@@ -44,7 +44,7 @@ def read(path: Path) -> Annotations:
         names = _names(document, "images", "file_name")
         labels = _names(document, "categories", "name")
         for number, image in enumerate(document["images"]):
-            with _place(f"images[{number}]"):
+            with _row(f"images[{number}]"):
                 if image.get("width") and image.get("height"):
                     found.sizes[names[image["id"]]] = whole(image["width"]), whole(image["height"])
         found.images.extend(names.values())
@@ -69,8 +69,8 @@ def read(path: Path) -> Annotations:
 
 
 @contextmanager
-def _place(where: str) -> Iterator[None]:
-    """Errors in it begin with the place in the document."""
+def _row(where: str) -> Iterator[None]:
+    """A ValueError raised inside begins with the row of the document."""
     try:
         yield
     except ValueError as error:
@@ -81,7 +81,7 @@ def _names(document: Any, key: str, name: str) -> dict[float | str, str]:
     """The names in a list of the document, by id. Raises ValueError if they are not stated."""
     names: dict[float | str, str] = {}
     for number, row in enumerate(listed(document, key)):
-        with _place(f"{key}[{number}]"):
+        with _row(f"{key}[{number}]"):
             n, text = stated(row, "id"), str(stated(row, name))
             if not isinstance(n, int | float | str):
                 raise ValueError(f"id {n!r}")
@@ -99,7 +99,7 @@ def _named(names: Mapping[float | str, str], annotation: Any, key: str, where: s
 
 
 def _centre(annotation: dict[str, Any]) -> tuple[float, float, float | None] | None:
-    """(x, y, visible) of one annotation; None where it has no place."""
+    """(x, y, visible) of one annotation; None if it has no position."""
     attributes = annotation.get("attributes")
     visible = stated_visible(attributes if isinstance(attributes, dict) else {})
     flat = listed(annotation, "keypoints") if annotation.get("keypoints") else []

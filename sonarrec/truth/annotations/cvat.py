@@ -7,8 +7,9 @@ without one there are no entities to expand and nothing is fetched from elsewher
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from xml.parsers import expat
 
@@ -106,23 +107,13 @@ _CENTRES: dict[str, Callable[[Mapping[str, str]], tuple[float, float] | None]] =
 _OTHER_SHAPES = {"polyline", "cuboid", "skeleton", "tag"}
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Where a track is in one frame; as Shape, and whether it is marked as left."""
-
-    frame: int
-    x: float
-    y: float
-    visible: float | None
-    outside: bool
-
-
 class _Reader:
     """Handles the elements as they come."""
 
     def __init__(self) -> None:
         self.found = Annotations()
-        self._places: list[_Place] | None = None  # of the track that is open
+        # Of the track that is open: frames, shapes and whether they are marked as outside.
+        self._track: list[tuple[int, Shape, bool]] | None = None
         self._image: str | None = None  # that is open
         self._label = ""
         self._open: list[tuple[str, dict[str, str]]] = []
@@ -139,7 +130,7 @@ class _Reader:
             if len(self._tasks) > 1:
                 raise ValueError("several tasks in one file; export them one by one")
         if tag == "track":
-            self._places, self._label = [], attributes["label"]
+            self._track, self._label = [], attributes["label"]
         elif tag == "image":
             self._image = attributes["name"]
             self.found.images.append(self._image)
@@ -161,9 +152,9 @@ class _Reader:
             self._width = whole(self._text)
         elif tag == "height":
             self.found.sizes[None] = self._width, whole(self._text)
-        elif tag == "track" and self._places is not None:
-            self._close_track(sorted(self._places, key=lambda place: place.frame))
-            self._places = None
+        elif tag == "track" and self._track is not None:
+            self._close_track(sorted(self._track, key=itemgetter(0)))
+            self._track = None
         elif tag == "image":
             self._image = None
         # The parts of a skeleton lie one level deeper and are no shapes of their own.
@@ -177,9 +168,9 @@ class _Reader:
             return
         x, y = (value - HALF_A_PIXEL for value in centre)
         visible = stated_visible({"occluded": attributes.get("occluded"), **self._told})
-        if self._places is not None:
-            outside = attributes.get("outside") == "1"
-            self._places.append(_Place(whole(attributes["frame"]), x, y, visible, outside))
+        if self._track is not None:
+            frame, outside = whole(attributes["frame"]), attributes.get("outside") == "1"
+            self._track.append((frame, Shape(frame, self._label, x, y, visible), outside))
         elif self._image is not None:
             self.found.shapes.append(Shape(self._image, attributes["label"], x, y, visible))
 
@@ -187,16 +178,11 @@ class _Reader:
         if attributes.get("outside") != "1":  # else it only says where a track ends
             self.found.unused[what] += 1
 
-    def _close_track(self, places: list[_Place]) -> None:
-        def add(frame: int, x: float, y: float, visible: float | None) -> None:
-            self.found.shapes.append(Shape(frame, self._label, x, y, visible))
-
-        for place in places:
-            if not place.outside:
-                add(place.frame, place.x, place.y, place.visible)
-        for a, b in pairwise(places):
-            gap = b.frame - a.frame
-            if a.outside or gap < 2:
+    def _close_track(self, track: list[tuple[int, Shape, bool]]) -> None:
+        self.found.shapes += [shape for _, shape, outside in track if not outside]
+        for (frame, a, outside), (following, b, _) in pairwise(track):
+            gap = following - frame
+            if outside or gap < 2:
                 continue
             self.found.interpolated += gap - 1
             if self.found.interpolated > MOST_FILLED_IN:
@@ -207,4 +193,4 @@ class _Reader:
             for step in range(1, gap):
                 part = step / gap
                 x, y = a.x + part * (b.x - a.x), a.y + part * (b.y - a.y)
-                add(a.frame + step, x, y, a.visible)
+                self.found.shapes.append(replace(a, frame=frame + step, x=x, y=y))
