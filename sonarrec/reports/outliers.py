@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,10 +78,8 @@ def failed_logs(folder: Path | None) -> list[Outlier]:
     """The logs that failed, by logs.csv in the folder, if there is one."""
     rows = []
     if folder is not None:
-        try:
+        with suppress(SonarrecError):  # raised where it is not a logs.csv of sonarrec
             rows = logs_table.read_logs(folder / logs_table.NAME)
-        except SonarrecError:  # not a logs.csv of sonarrec
-            rows = []
     usable = {row.log for row in rows if row.status in logs_table.USABLE}
     # If the name has usable results too, they belong to another log of that name.
     failed = (row for row in rows if row.status == "failed" and row.log not in usable)

@@ -1,4 +1,4 @@
-"""Writes recordings into which landmarks were laid: images, geometry, truth and what was laid."""
+"""Writes recordings with discs composited into them: images, geometry, truth and the discs."""
 
 from __future__ import annotations
 
@@ -36,11 +36,12 @@ def compose(
 
     contrasts: levels of ring and sectors above the floor, dB.
     """
-    told = background.dynamic_range_db, look.beam_width_deg
-    composer = Composer(background.fan, layout.landmarks, *told)
+    scales = background.dynamic_range_db, look.beam_width_deg
+    composer = Composer(background.fan, layout.landmarks, *scales)
     for frame in background.frames():
         pose = background.path[frame.index]
-        yield frame.index, composer.lay(frame.image, layout.discs, pose, contrasts, look.plate_db)
+        images = composer.compose(frame.image, layout.discs, pose, contrasts, look.plate_db)
+        yield frame.index, images
 
 
 def write_backgrounds(

@@ -1,4 +1,4 @@
-"""Lays discs into real frames: the frame's own speckle and light, with the disc's pattern.
+"""Composites discs into real frames: the frame's own speckle and light, the disc's pattern.
 
 Grey is logarithmic: 255 levels cover the dynamic range in dB. With P as the power of the echoes, a
 pixel of a disc is
@@ -50,7 +50,7 @@ DiscKind = Literal["landmark", "blank", "filled"]
 
 
 @dataclass(frozen=True, slots=True)
-class LaidDisc:
+class CompositeDisc:
     """A disc on the floor: a landmark, or a fake, which is blank or bright all over (filled).
 
     landmark: the ID; 0 for a fake. x_m, y_m: its centre, to the right and ahead of the sonar in the
@@ -85,7 +85,7 @@ class Footprint:
 
 
 class Composer:
-    """Lays discs of one landmark set into fan images of one geometry."""
+    """Composites discs of one landmark set into fan images of one geometry."""
 
     def __init__(
         self, fan: Fan, landmarks: LandmarkSet, dynamic_range_db: float, beam_width_deg: float
@@ -111,10 +111,10 @@ class Composer:
         self._scales = fine, _odd(max(LIGHT * radius_px, 3 * fine))
         self._seen = [_box_mean(self._inside, width) for width in self._scales]
 
-    def lay(
+    def compose(
         self,
         image: ByteImage,
-        discs: Sequence[LaidDisc],
+        discs: Sequence[CompositeDisc],
         pose: Pose,
         contrasts_db: Sequence[float],
         plate_db: float,
@@ -134,17 +134,17 @@ class Composer:
         footprints = [one for disc in discs if (one := self.footprint(disc, pose)) is not None]
         images = {}
         for contrast_db in contrasts_db:
-            images[contrast_db] = laid = image.copy()
+            images[contrast_db] = composed = image.copy()
             ring, plate = (np.float32(10 ** (db / 10)) for db in (contrast_db, plate_db))
             for one in footprints:
                 gain = ring * one.bright + plate * np.maximum(one.share - one.bright, 0)
                 mixed = (1 - one.share) * power[one.box] + gain * bare[one.box]
                 grey = np.log10(np.maximum(mixed, 1e-12)) * np.float32(10 / self._db)
                 where = one.share > 0
-                laid[one.box][where] = np.rint(np.clip(grey, 0, 255)).astype(np.uint8)[where]
+                composed[one.box][where] = np.rint(np.clip(grey, 0, 255)).astype(np.uint8)[where]
         return images
 
-    def footprint(self, disc: LaidDisc, pose: Pose) -> Footprint | None:
+    def footprint(self, disc: CompositeDisc, pose: Pose) -> Footprint | None:
         """The pixels that a disc covers, seen from a pose; None if it is out of view."""
         fan, radius = self.fan, self._landmarks.radius_m
         ground, bearing = disc.seen_from(pose)
@@ -179,13 +179,13 @@ class Composer:
             blurred = cv2.GaussianBlur(
                 sharp, size, sigmaX=across, sigmaY=along, borderType=cv2.BORDER_CONSTANT
             )
-            laid = cv2.remap(blurred, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-            smeared.append(np.asarray(laid * self._inside[box], np.float32))
+            resampled = cv2.remap(blurred, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+            smeared.append(np.asarray(resampled * self._inside[box], np.float32))
         share, bright = smeared
         return Footprint(box, np.minimum(share, 1), bright)
 
     def _pattern(
-        self, disc: LaidDisc, pose: Pose, patch_m: FloatArray, patch_deg: FloatArray
+        self, disc: CompositeDisc, pose: Pose, patch_m: FloatArray, patch_deg: FloatArray
     ) -> tuple[FloatImage, FloatImage]:
         """The disc and its bright parts on a polar patch: (bins, beams) float32 each, 0 or 1."""
         landmarks = self._landmarks

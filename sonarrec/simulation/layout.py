@@ -21,7 +21,7 @@ from sonarrec.geometry import (
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan
 from sonarrec.simulation.background import WHOLE, Background, nearest_floor_m
-from sonarrec.simulation.composite import DiscKind, LaidDisc
+from sonarrec.simulation.composite import CompositeDisc, DiscKind
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.truth import LandmarkTruth, truth_row, visible_share
 
@@ -40,7 +40,7 @@ class Layout:
     """
 
     landmarks: LandmarkSet
-    discs: tuple[LaidDisc, ...]
+    discs: tuple[CompositeDisc, ...]
     seed: int
 
     @property
@@ -64,7 +64,7 @@ def draw_layout(
     near, far = (float(ground_range(fan, r)) for r in (nearest_floor_m(fan), fan.range_max_m))
     poses = np.array([(p.pan_deg, p.x_m, p.y_m) for p in path])
     in_view = np.zeros(len(path), dtype=np.int64)
-    discs: list[LaidDisc] = []
+    discs: list[CompositeDisc] = []
     for kind, landmark in _rounds(landmarks.ids, rng, count):
         for _ in range(TRIES):
             pose = path[int(rng.integers(len(path)))]
@@ -81,7 +81,7 @@ def draw_layout(
             if count is None and in_view[shown].max(initial=0) >= MOST_IN_VIEW:
                 continue
             if _is_lit(fan, background.lit, radius, ground, bearing):
-                discs.append(LaidDisc(kind, landmark, x, y, rng.uniform(0, 360)))
+                discs.append(CompositeDisc(kind, landmark, x, y, rng.uniform(0, 360)))
                 in_view += shown
                 break
         else:

@@ -16,7 +16,7 @@ from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.readers import open_log
 from sonarrec.simulation.background import Background, survey
 from sonarrec.simulation.background_files import DiscLook, compose, write_backgrounds
-from sonarrec.simulation.composite import Composer, LaidDisc
+from sonarrec.simulation.composite import Composer, CompositeDisc
 from sonarrec.simulation.layout import Layout, draw_layout, truth_of
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import Scene
@@ -77,7 +77,7 @@ def test_the_contrast_is_the_one_asked_for(contrast: float) -> None:
     """
     composer = Composer(FAN, BASIN, 50.0, 0.4)
     here = Pose(0.0, 0.7, 0.0, 0.0)
-    discs = [LaidDisc("filled", 0, -0.2, 2.5, 0.0), LaidDisc("blank", 0, 0.3, 2.5, 0.0)]
+    discs = [CompositeDisc("filled", 0, -0.2, 2.5, 0.0), CompositeDisc("blank", 0, 0.3, 2.5, 0.0)]
     rng = np.random.default_rng(1)
     row, column = np.mgrid[0 : FAN.rows, 0 : FAN.columns].astype(float)
     range_m, bearing = polar_from_pixel(FAN, column, row)
@@ -88,7 +88,7 @@ def test_the_contrast_is_the_one_asked_for(contrast: float) -> None:
     measured = []
     for _ in range(12):
         image = speckle(rng)
-        laid = composer.lay(image, discs, here, [contrast], -6.0)[contrast]
+        laid = composer.compose(image, discs, here, [contrast], -6.0)[contrast]
         floor = power_of(image)
         measured.append([power_of(laid)[m].mean() / floor[m].mean() for m in (filled, plate)])
     ring_db, plate_db = 10 * np.log10(np.mean(measured, axis=0))
@@ -103,10 +103,10 @@ def test_the_light_of_the_floor_stays_on_the_disc() -> None:
     image = speckle(np.random.default_rng(2))
     half = image[:, FAN.columns // 2 :]
     half[:] = np.minimum(half.astype(int) + 51, 255).astype(np.uint8)
-    filled, here = LaidDisc("filled", 0, 0.0, 2.5, 0.0), Pose(0.0, 0.7, 0.0, 0.0)
+    filled, here = CompositeDisc("filled", 0, 0.0, 2.5, 0.0), Pose(0.0, 0.7, 0.0, 0.0)
     disc = composer.footprint(filled, here)
     assert disc is not None
-    laid = power_of(composer.lay(image, [filled], here, [6.0], -6.0)[6.0])[disc.box]
+    laid = power_of(composer.compose(image, [filled], here, [6.0], -6.0)[6.0])[disc.box]
     inside = disc.share > 0.99
     column = np.arange(disc.box[1].start, disc.box[1].stop)
     left, right = inside & (column < FAN.apex_column - 10), inside & (column > FAN.apex_column + 12)
@@ -143,7 +143,7 @@ def test_the_path_and_the_truth_follow_the_known_pan(background: Background, sce
     path = np.array([pose.pan_deg for pose in background.path])
     assert abs(known[-1] - known[0]) > 2
     assert np.abs(path - (known - known[0])).max() < 0.15 * np.ptp(known)
-    layout = Layout(BASIN, (LaidDisc("landmark", 1, 0.0, 2.2, 30.0),), 0)
+    layout = Layout(BASIN, (CompositeDisc("landmark", 1, 0.0, 2.2, 30.0),), 0)
     seen = [truth_of(background, layout, frame) for frame in range(FRAMES)]
     (first,) = seen[0]
     assert first.bearing_deg == pytest.approx(0, abs=1e-3)
