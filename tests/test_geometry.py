@@ -154,23 +154,6 @@ def test_polar_to_fan_against_a_loop(uneven: bool, falling: bool) -> None:
     assert ((found == 0) | (expected > 0)).all()
 
 
-def test_a_polar_target_lands_where_it_should() -> None:
-    """A smooth spot at a known range and bearing has its centre of mass there."""
-    sonar = BASIN.updated(Sonar(layout="polar"))
-    bins, beams = 256, 96
-    range_m = 1.25 + 2.5 * (np.arange(bins) + 0.5) / bins
-    bearing = -14.4 + 28.8 * (np.arange(beams) + 0.5) / beams
-    spot = np.exp(
-        -(((range_m[:, None] - 2.2) / 0.05) ** 2) - (((bearing[None, :] - 6.0) / 1.5) ** 2)
-    )
-    to_fan = PolarToFan(sonar.complete("test"), bins, beams)
-    image = to_fan((255 * spot).astype(np.uint8)).astype(float)
-    row, column = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
-    centre = (image * column).sum() / image.sum(), (image * row).sum() / image.sum()
-    expected = pixel_from_polar(to_fan.fan, 2.2, 6.0)
-    np.testing.assert_allclose(centre, expected, atol=0.35)
-
-
 def test_bearings_must_match_the_beams() -> None:
     sonar = BASIN.updated(Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
     with pytest.raises(SonarrecError, match="3 bearings but the images have 4 beams"):

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -20,6 +20,7 @@ from click.shell_completion import BashComplete
 from click.testing import CliRunner
 
 from sonarrec.cli import main
+from tests.support.command import on_a_terminal
 from tests.support.slow import but_first
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -74,40 +75,18 @@ def test_a_shell_completes_names_of_ours(line: str, completed: list[str]) -> Non
     assert found == completed
 
 
-def on_a_terminal(folder: Path, *words: str, **environment: str) -> bytes:
-    """What a command shows on a terminal, which this makes one of."""
-    ours, theirs = os.openpty()
-    subprocess.run(
-        [sys.executable, "-m", "sonarrec", *words],
-        cwd=folder,
-        env=os.environ | {"TERM": "xterm", "PAGER": "cat"} | environment,
-        stdin=subprocess.DEVNULL,
-        stdout=theirs,
-        stderr=theirs,
-        timeout=60,
-    )
-    os.set_blocking(ours, False)
-    shown = b""
-    with suppress(BlockingIOError):
-        while block := os.read(ours, 4096):
-            shown += block
-    for end in (ours, theirs):
-        os.close(end)
-    return shown
-
-
 def test_colour_only_where_it_is_wanted(tmp_path: Path) -> None:
     plain = b"sonarrec: none.mcap: no such file or folder"
     words = ("info", "none.mcap")
     assert sonarrec(tmp_path, *words).stderr.strip() == plain
-    assert on_a_terminal(tmp_path, *words, NO_COLOR="1").strip() == plain
-    coloured = on_a_terminal(tmp_path, *words, NO_COLOR="")
+    assert on_a_terminal(*words, cwd=tmp_path, NO_COLOR="1").strip() == plain
+    coloured = on_a_terminal(*words, cwd=tmp_path, NO_COLOR="")
     assert b"\x1b[31msonarrec:\x1b[0m none.mcap" in coloured
 
 
 def test_a_page_on_a_terminal_has_no_marks_of_headings(tmp_path: Path) -> None:
     page = (ROOT / "sonarrec" / "help" / "landmarks.md").read_bytes()
-    shown = on_a_terminal(tmp_path, "help", "landmarks", NO_COLOR="1").replace(b"\r\n", b"\n")
+    shown = on_a_terminal("help", "landmarks", cwd=tmp_path, NO_COLOR="1").replace(b"\r\n", b"\n")
     assert b"# bright ring" in shown  # of a file that is shown
     assert shown.strip() == re.sub(rb"^#+ |`", b"", page, flags=re.MULTILINE).strip()
 

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import os
 import re
-import struct
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -17,7 +12,7 @@ from click.testing import Result
 from sonarrec import run
 from sonarrec.results.run_file import read_run
 from tests.support.batch import made
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import SAMPLE, on_a_terminal, sonarrec
 from tests.support.locked import locked
 
 TEN = SAMPLE / "00000*.png"
@@ -167,20 +162,8 @@ def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:
 
 
 def test_the_bar_names_the_log_and_which_of_how_many(tmp_path: Path) -> None:
-    """On a terminal, which this makes one of."""
-    fcntl, termios = pytest.importorskip("fcntl"), pytest.importorskip("termios")
     logs = map(str, made(tmp_path, "one", "two", frames=2))
-    ours, theirs = os.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
-    words = [sys.executable, "-m", "sonarrec", "run", "-j", "1", *logs, "-o", str(tmp_path / "out")]
-    subprocess.run(words, stderr=theirs, stdout=subprocess.DEVNULL, check=True)
-    os.set_blocking(ours, False)
-    shown = b""
-    with contextlib.suppress(BlockingIOError):
-        while block := os.read(ours, 4096):
-            shown += block
-    for end in (ours, theirs):
-        os.close(end)
+    shown = on_a_terminal("run", "-j", "1", *logs, "-o", "out", cwd=tmp_path)
     assert b"one (1 of 2)" in shown
     assert b"two (2 of 2)" in shown
 

@@ -236,22 +236,6 @@ def test_brier_and_reliability_by_hand() -> None:
     assert top.mean[8] == pytest.approx(0.8)
 
 
-@pytest.mark.slow
-def test_brier_equals_scikit_learns_and_honest_probabilities_are_calibrated() -> None:
-    metrics = pytest.importorskip("sklearn.metrics")
-    rng = np.random.default_rng(0)
-    n = 4000
-    p = rng.dirichlet([0.6] * 5, n).astype(np.float32)
-    outcome = (rng.random((n, 1)) > np.cumsum(p, axis=1)).sum(axis=1).clip(0, 4)
-    truth = [(f, k + 1, 0, 0, True) for f, k in enumerate(outcome.tolist()) if k < 4]
-    summary = summary_of(n, truth, [claim(f, p=tuple(row)) for f, row in enumerate(p.tolist())])
-    for k in range(4):
-        expected = metrics.brier_score_loss(outcome == k, p[:, k])
-        assert value(summary, "brier", landmark=str(k + 1)) == pytest.approx(expected, abs=1e-6)
-    # Ten bins of some 400: a mean deviation of .8 * sqrt(.25 / 400) = .02 is chance.
-    assert value(summary, "ece") < 0.03
-
-
 @pytest.mark.parametrize(
     ("passes", "right", "told"),
     [

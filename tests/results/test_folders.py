@@ -16,12 +16,7 @@ from hypothesis import strategies as st
 
 from sonarrec import run
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.results.folders import (
-    exchange,
-    folder_names,
-    part_of,
-    restore,
-)
+from sonarrec.results.folders import exchange, folder_names, part_of, restore
 from sonarrec.results.read import find_logs
 from tests.support.batch import SAMPLE, command, environment, made, until
 from tests.support.command import sonarrec
@@ -272,19 +267,15 @@ def test_a_second_run_into_the_same_folder_is_refused(log: Path, tmp_path: Path)
     assert frames(out / "dive") == list(range(FRAMES))
 
 
-def test_a_part_beside_finished_results_is_not_counted_with_them(tmp_path: Path) -> None:
-    for name in ("dive", "dive.part", "other.part"):
+def test_what_a_run_left_is_not_counted_with_finished_results(tmp_path: Path) -> None:
+    """Its part; and what it laid aside, killed before it could put the new ones in their place or
+    delete the old ones."""
+    finished_beside, laid_aside = ("a", "a.part"), ("d", ".d.old")
+    alone = ("b.part", ".b.old", "c.part", ".c.part.old")
+    for name in (*finished_beside, *laid_aside, *alone):
         (tmp_path / name).mkdir()
         (tmp_path / name / "frames.csv").write_text("frame\n")
-    assert [p.name for p in find_logs(tmp_path)] == ["dive", "other.part"]
-
-
-def test_results_that_a_run_laid_aside_are_not_counted_with_the_new_ones(tmp_path: Path) -> None:
-    """It was killed before the new ones were in their place, or could not delete the old ones."""
-    for name in ("dive.part", ".dive.old", "other", ".other.old", "third.part", ".third.part.old"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "frames.csv").write_text("frame\n")
-    assert [p.name for p in find_logs(tmp_path)] == ["dive.part", "other", "third.part"]
+    assert [p.name for p in find_logs(tmp_path)] == ["a", "b.part", "c.part", "d"]
 
 
 def test_results_that_may_not_be_read_are_told(

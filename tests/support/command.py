@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 from click.testing import CliRunner, Result
@@ -30,3 +34,28 @@ def sonarrec(*arguments: str | Path, code: int = 0, **options: str) -> Result:
         raise result.exception
     assert result.exit_code == code, result.output
     return result
+
+
+def on_a_terminal(*words: str, cwd: Path, **environment: str) -> bytes:
+    """What a command shows on a terminal, which this makes one of."""
+    import termios  # not on every system
+
+    ours, theirs = os.openpty()
+    termios.tcsetwinsize(theirs, (40, 120))
+    subprocess.run(
+        [sys.executable, "-m", "sonarrec", *words],
+        cwd=cwd,
+        env=os.environ | {"TERM": "xterm", "PAGER": "cat"} | environment,
+        stdin=subprocess.DEVNULL,
+        stdout=theirs,
+        stderr=theirs,
+        timeout=60,
+    )
+    os.set_blocking(ours, False)
+    shown = b""
+    with contextlib.suppress(BlockingIOError):
+        while block := os.read(ours, 4096):
+            shown += block
+    for end in (ours, theirs):
+        os.close(end)
+    return shown
