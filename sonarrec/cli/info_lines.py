@@ -255,6 +255,7 @@ def _sonar_lines(images: Images) -> list[str]:
     shown = _shown(images)
     stated = {"layout": images.layout} | images.geometry
     floor = {"tilt_deg", "height_m"}
+    names = {"flag": "option", "default": "by default", "found": "found from the first pings"}
     lines = ["[sonar]"]
     for key in (field.name for field in fields(Sonar)):
         origin = images.origins.get(key, "default")
@@ -264,7 +265,8 @@ def _sonar_lines(images: Images) -> list[str]:
             text = f"[{len(value)} values]" if several else _toml(value)
             lines.append(f"# {key} = {text}  # the log states it, ping by ping")
         elif key in stated:
-            lines.append(f"{key} = {_toml(stated[key])}" + _comment(origin))
+            told = json.dumps(names.get(origin, name_as_text(origin)))[1:-1]
+            lines.append(f"{key} = {_toml(stated[key])}  # {told}")
         elif key in shown:
             lines.append(shown[key])
         elif key in images.lacks or (key in floor & set(GEOMETRY_TEXTS) and images.lacks):
@@ -303,8 +305,3 @@ def _shown(images: Images) -> dict[str, str]:
 def _toml(value: Any) -> str:
     """A value as TOML writes it; JSON writes texts, numbers, lists and truth values alike."""
     return json.dumps(list(value) if isinstance(value, tuple) else value)
-
-
-def _comment(origin: str) -> str:
-    names = {"flag": "option", "default": "by default", "found": "found from the first pings"}
-    return f"  # {json.dumps(names.get(origin, name_as_text(origin)))[1:-1]}"

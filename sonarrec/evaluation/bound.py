@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import IntArray
 from sonarrec.config import Config, with_table
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.evaluation.behaviour import DECLARES
@@ -82,7 +82,8 @@ def least_declare(claims: IntArray, share: float, own: float) -> tuple[float, Bo
     carried = 0.0
     refusals: list[tuple[float, str]] = []
     for i, declare, part in zip(tested, declares, parts, strict=True):
-        false = _false_shares(claims[:, i])
+        of_unit = claims[:, i].sum(axis=1)
+        false = claims[of_unit > 0, i, 1] / of_unit[of_unit > 0]
         mean, passes = (float(false.mean()) if len(false) else 0.0), len(false)
         level = carried + part * (1 - CONFIDENCE)
         surprise = _divergence(mean, share)  # per pass
@@ -103,12 +104,6 @@ def least_declare(claims: IntArray, share: float, own: float) -> tuple[float, Bo
     if needed < math.inf:
         more = f"about {math.ceil(needed) - len(claims)} more passes like these would do"
     raise SonarrecError(f"no bound of {share:g}: {told}; {more}")
-
-
-def _false_shares(claims: IntArray) -> FloatArray:
-    """(n,) share of the claims that is false, of each unit that has any. claims: (U, 2)."""
-    of_unit = claims.sum(axis=1)
-    return np.asarray(claims[of_unit > 0, 1] / of_unit[of_unit > 0])
 
 
 def _divergence(mean: float, share: float) -> float:

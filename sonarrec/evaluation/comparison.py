@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import defaultdict
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,10 +67,6 @@ class RateChange:
         """1 if it got worse by more than `band` and than FRAMES_FREE frames, -1 if better, or 0."""
         least = max(band, FRAMES_FREE / max(self.of, 1)) + 1e-9
         return int(np.sign(self.worse)) * (abs(self.worse) > least)
-
-    def is_regression(self, band: float) -> bool:
-        """Whether it got worse, as of `sign`."""
-        return self.sign(band) > 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +201,7 @@ class Comparison:
         lines = [f"{method}: no longer in the results" for method in looked_at]
         lines += ["protocol strict: no longer scored"] * self.unplaced
         for r in self.rates:
-            if (methods is None or r.method in methods) and r.is_regression(band):
+            if (methods is None or r.method in methods) and r.sign(band) > 0:
                 name = "ID." * r.landmark_text.isdigit() + r.landmark_text
                 lines.append(
                     f"{r.method}, {r.protocol}, {name}: {BY_NAME[r.rate].label} was "
@@ -224,7 +220,8 @@ def _verdict(found: Comparison) -> str:
 
     Worse: a rate is worse, and the other one is not better by more than SLIGHT of that.
     """
-    protocol, method = _leading(found)
+    method = found.methods[0][1]
+    *_, protocol = [protocol for protocol, of in found.methods if of == method]
     rates = [_total(found, protocol, method, rate) for rate in RATES]
     changed = [r for r in rates if r is not None and abs(r.worse) >= SAME]
     changed.sort(key=lambda r: -abs(r.worse))
@@ -266,12 +263,6 @@ def change_text(r: RateChange) -> str:
     """A rate before and after; once if its digits are the same."""
     old, new = rate_text(r.old), rate_text(r.new)
     return old if old == new else f"{old} -> {new}"
-
-
-def _leading(found: Comparison) -> tuple[str, str]:
-    """(protocol, method) that the verdict is about."""
-    method = found.methods[0][1]
-    return [of for of in found.methods if of[1] == method][-1]
 
 
 def _total(found: Comparison, protocol: str, method: str, rate: str) -> RateChange | None:
@@ -328,20 +319,13 @@ def changed_settings(runs: Iterable[tuple[str, RunFile, RunFile]]) -> list[Setti
             for run in (before, after)
         )
         for key in dict.fromkeys((*old, *new)):
-            if old.get(key) != new.get(key) and not _is_echo(key, old, new):
-                presets[key, *_texts(old, new, key)].append(name)
+            # A key of [fan] that follows one of [sonar] is told as that one alone.
+            stated = key.replace("fan.", "sonar.", 1)
+            follows = key.startswith("fan.") and old.get(stated) != new.get(stated)
+            if old.get(key) != new.get(key) and not follows:
+                was, now = (_text(side[key]) if key in side else NOT_STATED for side in (old, new))
+                presets[key, was, now if was != now else "other values"].append(name)
     return [SettingChange(*change, tuple(logs)) for change, logs in presets.items()]
-
-
-def _is_echo(key: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> bool:
-    """Whether a key of [fan] changed only because the key of [sonar] did."""
-    stated = key.replace("fan.", "sonar.", 1)
-    return key.startswith("fan.") and old.get(stated) != new.get(stated)
-
-
-def _texts(old: Mapping[str, Any], new: Mapping[str, Any], key: str) -> tuple[str, str]:
-    was, now = (_text(side[key]) if key in side else NOT_STATED for side in (old, new))
-    return (was, now) if was != now else (was, "other values")
 
 
 def _text(value: Any) -> str:

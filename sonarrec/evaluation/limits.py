@@ -144,7 +144,7 @@ def judge_by(comparison: Comparison, limits: Limits) -> Judgement:
         f"{rate_text(r.old)}, is {rate_text(r.new)}"
         for row in of_logs
         for r in row.rates()
-        if r.is_regression(band)
+        if r.sign(band) > 0
     ]
     there = Limits(
         least_tpr={m: r for m, r in limits.least_tpr.items() if m in (EACH, *after.methods)},

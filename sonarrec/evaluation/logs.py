@@ -9,7 +9,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -204,7 +204,13 @@ def map_logs(
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(readings)), context) as workers:
         try:
-            yield from _in_order((partial(workers.submit, work, r) for r in readings), jobs)
+            ahead: deque[Future[Found]] = deque()  # some only: results are kept in memory
+            for reading in readings:
+                ahead.append(workers.submit(work, reading))
+                if len(ahead) > 2 * jobs:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
         except BrokenProcessPool:
             raise SonarrecError(
                 "a process that read results was killed, perhaps for lack of memory; nothing was "
@@ -212,17 +218,6 @@ def map_logs(
             ) from None
         finally:
             workers.shutdown(wait=False, cancel_futures=True)
-
-
-def _in_order(starts: Iterable[Callable[[], Future[Found]]], jobs: int) -> Iterator[Found]:
-    """Results in order; only some tasks run ahead, since their results are kept in memory."""
-    ahead: deque[Future[Found]] = deque()
-    for start in starts:
-        ahead.append(start())
-        if len(ahead) > 2 * jobs:
-            yield ahead.popleft().result()
-    while ahead:
-        yield ahead.popleft().result()
 
 
 def _bytes(folder: Path) -> int:

@@ -60,14 +60,9 @@ def false_positive_rate(r: Rates) -> FloatArray:
     return ratio(*negatives(r))
 
 
-def auc(r: Rates) -> FloatArray:
-    """Area under the ROC, see `curves.area`."""
-    return area(r.fpr, r.tpr)
-
-
-def partial_auc(r: Rates) -> FloatArray:
-    """Area under the ROC from FPR 0 to PARTIAL_FPR, see `curves.area`."""
-    return area(r.fpr, r.tpr, PARTIAL_FPR)
+def auc(end: float) -> Callable[[Rates], FloatArray]:
+    """Area under the ROC from FPR 0 to `end`, see `curves.area`."""
+    return lambda r: area(r.fpr, r.tpr, end)
 
 
 def tpr_at_fpr(most: float) -> Callable[[Rates], FloatArray]:
@@ -83,14 +78,9 @@ def quantile(share: float) -> Callable[[CumulativeHistogram], FloatArray]:
     return lambda s: s.quantile(share)
 
 
-def false_per_minute(sums: FloatArray) -> FloatArray:
-    """Declared claims on no landmark: on a distractor or the bare floor."""
-    return ratio(sums[:, 0], sums[:, 2])
-
-
-def wrong_per_minute(sums: FloatArray) -> FloatArray:
-    """Declared claims on a landmark of another ID."""
-    return ratio(sums[:, 1], sums[:, 2])
+def quotient(part: int, whole: int) -> Callable[[FloatArray], FloatArray]:
+    """One column of sums over another; the kind of records tells what they are."""
+    return lambda sums: ratio(sums[:, part], sums[:, whole])
 
 
 def hota(sums: FloatArray) -> FloatArray:
@@ -104,16 +94,6 @@ def idf1(sums: FloatArray) -> FloatArray:
     """Share of truths and claims that the best pairing of tracks and landmarks makes right."""
     tp, fn, fp = sums[:, 4 * A : 4 * A + 3].T
     return ratio(2 * tp, 2 * tp + fp + fn)
-
-
-def tracks_per_landmark(sums: FloatArray) -> FloatArray:
-    """Tracks with a declared estimate, over landmarks in view."""
-    return ratio(sums[:, -2], sums[:, -1])
-
-
-def id_switches(sums: FloatArray) -> FloatArray:
-    """Changes of the declared ID, per pass."""
-    return ratio(sums[:, 1], sums[:, 0])
 
 
 def track_switches(sums: FloatArray) -> FloatArray | None:
@@ -166,8 +146,8 @@ _BOTH = true_positive_rate, false_positive_rate
 METRICS = (
     Metric("tpr", "TPR", 3, rates, true_positive_rate, tested=True, share=positives),
     Metric("fpr", "FPR", 4, rates, false_positive_rate, tested=True, share=negatives),
-    Metric("auc", "AUC", 3, rates, auc, True, _BOTH),
-    Metric("pauc_0.05", "AUC to FPR 0.05, over 0.05", 3, rates, partial_auc, False, _BOTH),
+    Metric("auc", "AUC", 3, rates, auc(1.0), True, _BOTH),
+    Metric("pauc_0.05", "AUC to FPR 0.05, over 0.05", 3, rates, auc(PARTIAL_FPR), False, _BOTH),
     Metric("tpr_at_fpr_0.01", "TPR at FPR 0.01", 3, rates, tpr_at_fpr(_LOW), False, _BOTH),
     Metric(
         "tpr_at_fpr_0.0276", "TPR at FPR 0.0276 (paper)", 3, rates, tpr_at_fpr(_PAPER), True, _BOTH
@@ -175,12 +155,12 @@ METRICS = (
     Metric("tpr_at_fpr_0.05", "TPR at FPR 0.05", 3, rates, tpr_at_fpr(_HIGH), False, _BOTH),
     Metric("hota", "HOTA", 3, tracking, hota),
     Metric("idf1", "IDF1", 3, tracking, idf1),
-    Metric("tracks_per_landmark", "tracks per landmark", 2, tracking, tracks_per_landmark),
+    Metric("tracks_per_landmark", "tracks per landmark", 2, tracking, quotient(-2, -1)),
     Metric("frames_to_id_median", "frames to lasting ID, median", 0, waits, quantile(_HALF)),
     Metric("frames_to_id_90", "frames to lasting ID, 90 %", 0, waits, quantile(_NINE_IN_TEN)),
-    Metric("false_claims_per_min", "claims/min on no landmark", 2, false_claims, false_per_minute),
-    Metric("wrong_ids_per_min", "claims/min of a wrong ID", 2, false_claims, wrong_per_minute),
-    Metric("id_switches_per_pass", "ID switches per pass", 2, switches, id_switches),
+    Metric("false_claims_per_min", "claims/min on no landmark", 2, false_claims, quotient(0, 2)),
+    Metric("wrong_ids_per_min", "claims/min of a wrong ID", 2, false_claims, quotient(1, 2)),
+    Metric("id_switches_per_pass", "ID switches per pass", 2, switches, quotient(1, 0)),
     Metric("track_switches_per_pass", "track switches per pass", 2, switches, track_switches),
     Metric("position_error_median_m", "position error, median, m", 4, positions, quantile(_HALF)),
     Metric("position_error_95_m", "position error, 95 %, m", 4, positions, quantile(_MOST)),

@@ -70,7 +70,11 @@ def pair_logs(
     for folders in candidates:
         try:
             remarks = _check_comparable(folders, options.landmarks)
-            recordings.append(_recording(folders[1], options.landmarks))
+            run = read_run(folders[1] / "run.toml")
+            estimates = 0
+            if not run.input.recording:
+                estimates = len(read_log(folders[1], options.landmarks).frame_index)
+            recordings.append(recording(folders[1], run, estimates))
         except SonarrecError as fault:  # the other logs can be compared
             faults.append(fault)
             told.problem(f"{fault}; {log_of(folders[1])} is not compared")
@@ -94,13 +98,6 @@ def pair_logs(
         for folders, truth in zip(counted, truths, strict=True)
         if truth is not None
     ]
-
-
-def _recording(folder: Path, landmarks: str | None) -> Recording:
-    run = read_run(folder / "run.toml")
-    if run.input.recording:
-        return run.input.recording
-    return recording(folder, run, len(read_log(folder, landmarks).frame_index))
 
 
 def _check_comparable(pair: Folders, landmarks: str | None) -> list[str]:

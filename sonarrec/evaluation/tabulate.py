@@ -70,7 +70,12 @@ def summary_screen(evaluation: Evaluation, details: bool = False) -> str:
     lines = []
     for protocol in (main, *others) if details else (main,):
         lines.append(f"protocol {protocol}, all IDs{over}")
-        lines += _figure_table(summary, protocol, counts.methods)
+        beside = (WIDTH - LABEL) // COLUMN
+        for first in range(0, len(counts.methods), beside):
+            some = counts.methods[first : first + beside]
+            lines.append(_row("", [m[: COLUMN - 1] for m in some]))
+            for label, row in cells.figures(summary, protocol, some):
+                lines.append(_row(label, list(map(_text, row))))
         lines.append("")
     tested = cells.tested_differences(summary, main)
     if any(not math.isnan(d.p) for d in tested):
@@ -94,18 +99,6 @@ def _text(cell: Cell, to: str = "-") -> str:
 
 def _row(label: str, columns: Sequence[str]) -> str:
     return f"{label:<{LABEL}}{''.join(f'{c:<{COLUMN}}' for c in columns)}".rstrip()
-
-
-def _figure_table(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:
-    """Rows are figures, columns are methods, as many side by side as fit."""
-    lines = []
-    beside = (WIDTH - LABEL) // COLUMN
-    for first in range(0, len(methods), beside):
-        some = methods[first : first + beside]
-        lines.append(_row("", [m[: COLUMN - 1] for m in some]))
-        for label, row in cells.figures(summary, protocol, some):
-            lines.append(_row(label, list(map(_text, row))))
-    return lines
 
 
 def _per_id(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:

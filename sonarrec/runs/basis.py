@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
@@ -72,7 +72,10 @@ def basis(
     others = [key for key in log.sonar.as_table() if key not in told]
     parts += [(key, where) for key in others if (where := origin(key)) not in ("log", "assumed")]
     chosen, from_where = landmarks
-    line = f"geometry {_by_origin(parts)}; landmarks {chosen.name} ({from_where}); {beams}"
+    # An origin once for those that follow each other.
+    groups = groupby(parts, key=lambda part: part[1])
+    by_origin = [f"{', '.join(text for text, _ in same)} ({where})" for where, same in groups]
+    line = f"geometry {', '.join(by_origin)}; landmarks {chosen.name} ({from_where}); {beams}"
     unused = source.others(SONAR_FILE, file)
     unused += source.others(LANDMARKS_FILE, source.beside(LANDMARKS_FILE))
     if from_where.startswith(OPTION) or "landmarks" in earlier.table:
@@ -95,9 +98,3 @@ def beams_in_words(
     if any(c.features.beam_width_deg for c in stated):
         how = "setting"
     return f"beams {' and '.join(f'{width:g}' for width in sorted(widths))} deg wide ({how})"
-
-
-def _by_origin(parts: Iterable[tuple[str, str]]) -> str:
-    """Texts with their origins, an origin once for those that follow each other."""
-    groups = groupby(parts, key=lambda part: part[1])
-    return ", ".join(f"{', '.join(text for text, _ in same)} ({where})" for where, same in groups)
