@@ -26,7 +26,7 @@ from sonarrec.evaluation.pairs import (
 from sonarrec.results.folders import estimates_of, log_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_frames, read_log, rows_of
 from sonarrec.results.run_file import read_run
-from sonarrec.results.same_log import Recording, check_one_log, counted_once, recording
+from sonarrec.results.same_log import CountedOnce, Recording, check_one_log, recording
 from sonarrec.tables.read import read_header
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import HEADER
@@ -90,8 +90,8 @@ def pair_logs(
         except SonarrecError:  # reported when the log is counted
             return np.empty(0, dtype=np.int64)
 
-    kept = counted_once([after for _, after in pairs], recordings, frames, "compared", told)
-    counted = [pairs[i] for i in kept]
+    once = CountedOnce(frames, "compared", told)
+    counted = [pair for pair, of in zip(pairs, recordings, strict=True) if once.add(pair[1], of)]
     truths = _truths(counted, len(faults), ground_truth, find_beside, told)
     return [
         LogPair(*folders, truth.ground_truth, truth.log or log_of(folders[1]))

@@ -19,7 +19,7 @@ from sonarrec.readers.poses_csv import read_poses
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
-from sonarrec.results.same_log import Recording, counted_once, recording
+from sonarrec.results.same_log import CountedOnce, Recording, recording
 from sonarrec.results.sightings import check_follows
 from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar
@@ -70,7 +70,7 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
     found = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
     folders: list[Path] = []
     recordings: list[Recording] = []
-    logs: list[MappedLog] = []
+    read: list[MappedLog] = []
     landmark_set: LandmarkSet | None = None
     tables_used: set[str | None] = set()
     for folder in found:
@@ -93,12 +93,13 @@ def make_map(results: Sequence[Path], options: MapOptions | None = None) -> Site
         tables_used.add(None if poses is None else poses.source.get("sha256"))
         folders.append(folder)
         recordings.append(recording(folder, run, estimates))
-        logs.append(log)
-    if landmark_set is None or not logs:
+        read.append(log)
+    if landmark_set is None or not read:
         raise SonarrecError("\n".join(["no log can be mapped", *diagnostics.problems]))
     copies = Diagnostics()
-    kept = counted_once(folders, recordings, lambda i: logs[i].path.frame, "used", copies)
-    logs = [logs[i] for i in kept]
+    once = CountedOnce(lambda i: read[i].path.frame, "used", copies)
+    each = zip(read, folders, recordings, strict=True)
+    logs = [log for log, folder, of in each if once.add(folder, of)]
     alone = [log.name for log in logs if not log.path.from_poses]
     if alone and len(logs) > 1:
         raise UsageError(

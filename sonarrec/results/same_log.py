@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Protocol
 
@@ -57,19 +57,6 @@ class CountedOnce:
         else:
             self._told.problem(f"{line}; its other truth, {truth[0]}, is not used")
         return False
-
-
-def counted_once(
-    folders: Sequence[Path],
-    recordings: Sequence[Recording],
-    frames: Callable[[int], IntArray],
-    action: str,
-    told: Diagnostics,
-) -> list[int]:
-    """Which of several results count, by index; the arguments are as of CountedOnce."""
-    once = CountedOnce(frames, action, told)
-    pairs = zip(folders, recordings, strict=True)
-    return [i for i, pair in enumerate(pairs) if once.add(*pair)]
 
 
 def recording(folder: Path, run: RunFile, estimates: int) -> Recording:
