@@ -136,27 +136,18 @@ def _in_folder(folder: Path) -> list[Path]:
 
 def _below(top: Path) -> Iterator[Path]:
     """The logs of a folder and of all folders below it, except hidden folders and results. Links to
-    folders are followed last, so that folders inside `top` are found under their own names. A
-    folder is searched once, and folders that hold `top` are not searched."""
-    met = {_identity(above) for above in top.resolve().parents}
-    places = [top]
-    for start in places:  # grows by the links that are found
-        for place, folders, _ in os.walk(start):
-            folder = Path(place)
-            if (identity := _identity(folder)) in met or _holds_results(folder):
-                folders.clear()
-                continue
-            met.add(identity)
-            folders[:] = sorted(f for f in folders if f[0] != ".")
-            bags = [f for f in folders if _is_bag(folder / f)]
-            folders[:] = [f for f in folders if f not in bags]
-            places += [folder / f for f in folders if (folder / f).is_symlink()]
-            logs = _in_folder(folder)
-            yield from (log for log in logs if log.name not in bags)
-            yield from (folder / bag for bag in bags)
-
-
-def _identity(folder: Path) -> tuple[int, int]:
-    """(device, inode) of a folder, which is the same for every link to it."""
-    status = folder.stat()
-    return status.st_dev, status.st_ino
+    folders are followed, last in their folder. A folder is searched once, and folders that hold
+    `top` are not searched."""
+    met = {os.fspath(above) for above in top.resolve().parents}
+    for place, folders, _ in os.walk(top, followlinks=True):
+        folder, real = Path(place), os.path.realpath(place)
+        if real in met or _holds_results(folder):
+            folders.clear()
+            continue
+        met.add(real)
+        seen = [f for f in folders if f[0] != "."]
+        bags = [f for f in seen if _is_bag(folder / f)]
+        folders[:] = sorted(set(seen) - set(bags), key=lambda f: ((folder / f).is_symlink(), f))
+        logs = _in_folder(folder)
+        yield from (log for log in logs if log.name not in bags)
+        yield from (folder / bag for bag in bags)
