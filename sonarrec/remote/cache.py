@@ -135,12 +135,10 @@ def files_in(entry: Path) -> list[Path]:
 
 
 def _bytes(entry: Path) -> int:
-    """What an entry may take, or takes."""
+    """What an entry may take."""
     try:
         return int((entry / "bytes").read_text())
-    except (OSError, ValueError):
-        with suppress(OSError):
-            return sum(path.stat().st_size for path in files_in(entry))
+    except (OSError, ValueError):  # nothing was reserved yet
         return 0
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import heapq
 import struct
-from array import array
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +21,6 @@ from mcap.records import Schema
 
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.readers.containers.mcap.chunks import (
-    RECORD_HEAD,
     ChunkHead,
     Contents,
     DamagedError,
@@ -108,30 +106,6 @@ def _positions(
         if channel in channels:
             chunk = body if unit is None else unit
             yield _Position(log_time, chunk, body, channel, publish_time, contents, length)
-
-
-class _Scan:
-    """What a chunk holds.
-
-    end: where the last whole record ends. positions, times: where each message of the chosen
-    channels begins in the contents, and its log time (ns); 16 bytes of memory a message.
-    """
-
-    def __init__(self, contents: Contents, channels: Collection[int]) -> None:
-        self.end = contents.start
-        self.positions, self.times = array("Q"), array("Q")
-        for opcode, body, length in records_in(contents, contents.start):
-            self.end = body + length
-            if opcode != Opcode.MESSAGE:
-                continue
-            contents.file.seek(body)
-            head = contents.file.read(min(length, MESSAGE_HEAD.size))
-            if len(head) < MESSAGE_HEAD.size:
-                continue
-            channel, _, time, _ = MESSAGE_HEAD.unpack(head)
-            if channel in channels:
-                self.positions.append(body - RECORD_HEAD.size)
-                self.times.append(time)
 
 
 class _Pass:
@@ -227,21 +201,20 @@ class _Pass:
         except DamagedError as error:
             self._lose(chunk, str(error))
             return
-        found = _Scan(contents, self._channels)
-        if found.end < contents.end and not chunk.cut:
-            where = f"is damaged at byte {found.end - contents.start} of its contents"
+        end = contents.start
+        for _, body, length in records_in(contents, end):
+            end = body + length
+        if end < contents.end and not chunk.cut:
+            where = f"is damaged at byte {end - contents.start} of its contents"
             self._lose(chunk, f"{where} (`mcap recover` may save some)")
             contents.release()
             return
-        if found.times:
-            times = np.frombuffer(found.times, np.uint64)
+        found = list(_positions(contents, contents.start, position, self._channels))
+        if found:
+            times = np.array([message.log_time for message in found], np.uint64)
             self.spans.append((position, int(times.min()), int(times.max())))
             self.back_ns = max(self.back_ns, int((np.maximum.accumulate(times) - times).max()))
-        by_time = (
-            next(_positions(contents, found.positions[k], position, self._channels))
-            for k in np.argsort(np.frombuffer(found.times, np.uint64), kind="stable")
-        )
-        self._add_run(by_time, contents)
+        self._add_run(sorted(found), contents)
 
     def _indexed(self, chunk: ChunkHead) -> list[tuple[int, int, int]]:
         """(offset of the record in the chunk, channel, log time in ns), by rising offset, of the
