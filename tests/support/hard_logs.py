@@ -1,16 +1,12 @@
-"""Writes MCAP files record by record, in the shapes that the `mcap` package's writer never makes.
-
-Streamed, so that a file of any size takes little memory to make.
-"""
+"""Writes MCAP files record by record, in shapes that the `mcap` package's writer never makes."""
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -56,12 +52,11 @@ def noise_images(rows: int = 300, columns: int = 512, count: int = 32) -> list[b
     return [cdr_image(rng.integers(0, 256, (rows, columns), dtype=np.uint8)) for _ in range(count)]
 
 
-def _compressor(compression: str) -> tuple[bytes, Any]:
-    """What a compressed stream begins with, and an object with compress and flush."""
-    if compression == "lz4":
-        lz4_frame = lz4.frame.LZ4FrameCompressor()
-        return lz4_frame.begin(), lz4_frame
-    return b"", zstandard.ZstdCompressor(level=1).compressobj()
+PACK: dict[str, Callable[[bytes], bytes]] = {
+    "": bytes,
+    "lz4": lz4.frame.compress,
+    "zstd": zstandard.ZstdCompressor(level=1).compress,
+}
 
 
 class HardLog:
@@ -104,44 +99,31 @@ class HardLog:
         size: int | None = None,
     ) -> None:
         """One chunk. start, size: in place of the true first time and inflated size."""
-        position = self._file.tell()
-        name = compression.encode()
-        head_size = 9 + 32 + len(name) + 8
-        self._file.write(bytes(head_size))
-        first, compressor = _compressor(compression) if compression else (b"", None)
-        self._file.write(first)
+        position, name = self._file.tell(), compression.encode()
         times: list[tuple[int, int]] = []
-        written = checksum = 0
+        parts, written = [], 0
         for time, data in messages:
             times.append((time, written))
-            plain = message(time, data)
-            written += len(plain)
-            checksum = zlib.crc32(plain, checksum)
-            self._file.write(compressor.compress(plain) if compressor else plain)
-        if compressor:
-            self._file.write(compressor.flush())
-        end = self._file.tell()
+            parts.append(message(time, data))
+            written += len(parts[-1])
+        plain = b"".join(parts)
+        stored = PACK[compression](plain)
         low = min((t for t, _ in times), default=0)
         high = max((t for t, _ in times), default=0)
-        self._file.seek(position)
-        stored = end - position - head_size
-        self._file.write(struct.pack("<BQ", 0x06, end - position - 9))
-        self._file.write(struct.pack("<QQ", low if start is None else start, high))
-        self._file.write(struct.pack("<Q", written if size is None else size))
-        self._file.write(struct.pack("<II", checksum if crc else 0, len(name)) + name)
-        self._file.write(struct.pack("<Q", stored))
-        self._file.seek(end)
-        index = b""
-        if indexed:
-            index = built(MessageIndex(channel_id=1, records=times))
-            self._file.write(index)
+        head = struct.pack("<QQ", low if start is None else start, high)
+        head += struct.pack("<QI", written if size is None else size, zlib.crc32(plain) * crc)
+        head += struct.pack("<I", len(name)) + name + struct.pack("<Q", len(stored))
+        self._file.write(record(0x06, head + stored))
+        end = self._file.tell()
+        index = built(MessageIndex(channel_id=1, records=times)) if indexed else b""
+        self._file.write(index)
         self._count += len(times)
         self._indexes.append(
             ChunkIndex(
                 chunk_length=end - position,
                 chunk_start_offset=position,
                 compression=compression,
-                compressed_size=stored,
+                compressed_size=len(stored),
                 message_end_time=high,
                 message_index_length=len(index),
                 message_index_offsets={1: end} if indexed else {},
