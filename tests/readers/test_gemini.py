@@ -15,7 +15,7 @@ from pytritech.util.range import calculate_range
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.gemini import GeminiPings
+from sonarrec.readers.open import find_log
 from sonarrec.readers.raw import RawFrame
 from tests.readers.test_ddf import as_fan
 from tests.support import logs
@@ -40,7 +40,7 @@ def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:
 
 
 def raw(path: Path) -> tuple[list[RawFrame], list[str]]:
-    log = GeminiPings(path)
+    log = find_log(path).open()
     return list(log), log.diagnostics.faults
 
 
@@ -86,7 +86,7 @@ def test_as_another_reader_reads_it(version: int, compression: int, tmp_path: Pa
 
 def test_times_window_and_header(tmp_path: Path) -> None:
     records = [gemini_record(k, x, first_bin=100) for k, x in enumerate(IMAGES)]
-    log = GeminiPings(gemini_log(tmp_path / "a.glf", records))
+    log = find_log(gemini_log(tmp_path / "a.glf", records)).open()
     for k, frame in enumerate(log):
         assert frame.timestamp_ns == frame.stamps.log == START_NS + k * 125_000_000
         assert frame.stamps.header == START_NS + k * 125_000_000 - 31_250_000

@@ -13,7 +13,7 @@ import pytest
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.oculus import OculusPings
+from sonarrec.readers.open import find_log
 from tests.readers.test_ddf import as_fan
 from tests.support import logs
 from tests.support.command import sonarrec
@@ -127,14 +127,14 @@ def test_samples_of_16_bit_and_gains(tmp_path: Path) -> None:
         written(tmp_path / "a.raw", oculus_ping(0, sent, gains=gains)), sonar=TILT
     ) as log:
         (frame,) = log
-    log = OculusPings(tmp_path / "a.raw")
+    log = find_log(tmp_path / "a.raw").open()
     (raw,) = log
     assert raw.pixels is not None
     assert raw.pixels.dtype == np.float32
     np.testing.assert_allclose(raw.pixels, echoes, atol=1)
     assert log.header_info.values["gains_sent"] == "yes"
     assert frame.image.any()
-    (raw,) = OculusPings(written(tmp_path / "b.raw", oculus_ping(0, echoes)))
+    (raw,) = find_log(written(tmp_path / "b.raw", oculus_ping(0, echoes))).open()
     np.testing.assert_array_equal(raw.pixels, echoes)
 
 

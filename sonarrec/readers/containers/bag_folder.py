@@ -160,7 +160,7 @@ class BagFolder(Recording):
     missing, only its own messages are lost.
     """
 
-    def __init__(self, path: Path, open_part: Open, diagnostics: Diagnostics | None = None) -> None:
+    def __init__(self, path: Path, open_part: Open, diagnostics: Diagnostics) -> None:
         """open_part: opens one file. Raises SonarrecError if no part can be read."""
         super().__init__(path, diagnostics)
         self._open = open_part

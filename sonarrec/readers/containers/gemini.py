@@ -308,9 +308,9 @@ _NOTES = (
 class GeminiPings(RawLog):
     """The images of one sonar, the first in the file, in the order of the file."""
 
-    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if the file holds no image that can be read."""
-        super().__init__(diagnostics or Diagnostics(path))
+        super().__init__(diagnostics)
         self.polar = True
         self._path = path
         self._device, header = self._first()

@@ -317,9 +317,9 @@ _LOOKED_THROUGH = 2 * MAX_FRAME_BYTES
 class OculusPings(RawLog):
     """The pings of a raw stream or of an `.oculus` log, in the order of the file."""
 
-    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if the file holds no ping that can be read."""
-        super().__init__(diagnostics or Diagnostics(path))
+        super().__init__(diagnostics)
         self.polar = True
         self._name = path.name
         self._file = FileBytes(path)

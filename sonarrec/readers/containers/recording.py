@@ -53,9 +53,9 @@ class Recording(ABC):
     diagnostics: is told what is wrong or uncertain, all of it by the end of a pass.
     """
 
-    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         self.path = path
-        self.diagnostics = diagnostics or Diagnostics(path)
+        self.diagnostics = diagnostics
         self.channels = dict[int, Channel]()
         self.counts, self.chunks = Counter[int](), Counter[str]()
         self.profile = self.library = ""

@@ -19,15 +19,13 @@ from sonarrec.readers.raw import MAX_FRAME_BYTES
 class RosBag(Recording):
     """A `Recording` of one bag of ROS 1."""
 
-    def __init__(
-        self, path: Path, at: Path | None = None, diagnostics: Diagnostics | None = None
-    ) -> None:
-        """path: the file's name in messages. at: the file to read, if it is another one. Raises
+    def __init__(self, path: Path, at: Path, diagnostics: Diagnostics) -> None:
+        """path: the file's name in messages. at: the file to read, which may be another. Raises
         SonarrecError if it is no bag or is damaged, OSError if it cannot be read."""
         from rosbags.rosbag1 import Reader
 
         super().__init__(path, diagnostics)
-        reader: Any = Reader(at or path)
+        reader: Any = Reader(at)
         self._reader = reader
         try:
             reader.open()

@@ -31,9 +31,9 @@ def opencv_name(path: Path) -> str:
 class VideoFrames(RawLog):
     """The frames of a video, timed by its container."""
 
-    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if OpenCV cannot open the file as a video."""
-        super().__init__(diagnostics or Diagnostics(path))
+        super().__init__(diagnostics)
         name = opencv_name(path)
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: we report faults ourselves
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

@@ -30,9 +30,9 @@ LAYOUTS: dict[int, Didson | Aris] = {3: Didson(3), 4: Didson(4), 5: Aris()}
 class DdfFrames(RawLog):
     """The frames of one DDF file, in the order of the file."""
 
-    def __init__(self, path: Path, diagnostics: Diagnostics | None = None) -> None:
+    def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if the file is not a DDF file or has no whole frame."""
-        super().__init__(diagnostics or Diagnostics(path))
+        super().__init__(diagnostics)
         self.polar = True
         self._name = path.name
         self._file = FileBytes(path)
