@@ -40,21 +40,6 @@ def landmarks_file(folder: Path, radius_m: float) -> Path:
 
 
 @pytest.mark.slow
-def test_the_true_radius_is_found_where_nearly_the_diameter_is_stated(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(radii, "MOST_FRAMES", 32)
-    with open_log(SAMPLE) as log:
-        trials = try_radii(log, landmarks_of(0.29), 128, ignore)
-    assert trials.better is not None
-    # The radii tried are a tenth apart, so one is within a twentieth of the truth.
-    assert trials.better.radius_m == pytest.approx(TRUE_RADIUS_M, rel=0.05)
-    assert set(trials.better.ids) == TRUE_IDS
-    assert trials.better.frames_declared > 0.8 * trials.frames
-    assert all(t.frames_declared == 0 for t in trials.trials if t.radius_m > 1.2 * TRUE_RADIUS_M)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
