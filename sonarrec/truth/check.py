@@ -210,8 +210,9 @@ def _overlaps(rows: _Rows, radius_m: float) -> Iterator[Fault]:
             other = (distance > 0) | (rows.landmark[group[k:]] != rows.landmark[a])
             for n in np.flatnonzero((distance < radius_m) & other):
                 first, second = sorted((int(rows.line[a]), int(rows.line[group[k:][n]])))
-                away = f"{distance[n]:.2f} m away on the floor"
-                text = f"lies on the landmark of line {first}, {away}"
+                text = (
+                    f"lies on the landmark of line {first}, {distance[n]:.2f} m away on the floor"
+                )
                 yield Fault(second, "overlap", text)
 
 
@@ -261,9 +262,9 @@ def _jumps(rows: _Rows, fan: Fan, radius_m: float, max_pan_deg: float) -> Iterat
                 if step <= 1:
                     continue
                 if a in stay:  # b may be another one, which was partly outside before
-                    shift_m, turn_deg = radius_m * frames, max_pan_deg * frames
+                    shift_m, pan_deg = radius_m * frames, max_pan_deg * frames
                     range_m = rows.range_m[b] + np.array([shift_m, -shift_m, 0, 0])
-                    bearing_deg = rows.bearing_deg[b] + np.array([0, 0, turn_deg, -turn_deg])
+                    bearing_deg = rows.bearing_deg[b] + np.array([0, 0, pan_deg, -pan_deg])
                     if (share_in_image(fan, range_m, bearing_deg, radius_m) < 1).any():
                         continue
                 if a in wrong and k and step_from(groups[k - 1], b)[0] <= 1:

@@ -164,11 +164,9 @@ def match_times(
     """
     order = np.argsort(timestamp_ns, kind="stable")
     times = timestamp_ns[order]
-    after = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
-    if len(times) == 1:
-        near = np.zeros(len(at), dtype=np.int64)
-    else:
-        near = np.where(times[after] - at < at - times[after - 1], after, after - 1)
+    after = np.minimum(np.searchsorted(times, at), len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    near = np.where(times[after] - at < at - times[before], after, before)
     offset = np.abs(times[near] - at)
     matched = offset <= _tolerance_ns(timestamp_ns, tolerance_s)
     # Per frame the nearest time, the earlier of two equally near; all rows of that time stay.

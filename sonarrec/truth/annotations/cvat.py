@@ -117,7 +117,7 @@ class _Reader:
         self._image: str | None = None  # that is open
         self._label = ""
         self._open: list[tuple[str, dict[str, str]]] = []
-        self._told: dict[str, str] = {}  # free attributes of the shape that is open
+        self._attributes: dict[str, str] = {}  # free attributes of the shape that is open
         self._tasks: set[str] = set()
         self._text = ""
         self._width = 0
@@ -137,7 +137,7 @@ class _Reader:
             size = whole(attributes["width"]), whole(attributes["height"])
             self.found.sizes[self._image] = size
         elif tag in _CENTRES:
-            self._told = {}
+            self._attributes = {}
         elif tag in _OTHER_SHAPES and len(self._open) == 3:
             self._pass_over(tag, attributes)
 
@@ -147,7 +147,7 @@ class _Reader:
     def end(self, tag: str) -> None:
         _, attributes = self._open.pop()
         if tag == "attribute" and "name" in attributes:
-            self._told[attributes["name"]] = self._text
+            self._attributes[attributes["name"]] = self._text
         elif tag == "width":
             self._width = whole(self._text)
         elif tag == "height":
@@ -167,7 +167,7 @@ class _Reader:
             self._pass_over(f"several {tag}", attributes)
             return
         x, y = (value - HALF_A_PIXEL for value in centre)
-        visible = stated_visible({"occluded": attributes.get("occluded"), **self._told})
+        visible = stated_visible({"occluded": attributes.get("occluded"), **self._attributes})
         if self._track is not None:
             frame, outside = whole(attributes["frame"]), attributes.get("outside") == "1"
             self._track.append((frame, Shape(frame, self._label, x, y, visible), outside))
