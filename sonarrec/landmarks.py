@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -172,12 +173,15 @@ class _Drawing:
 
 @dataclass(frozen=True, slots=True)
 class _DrawnSetFile:
-    """A set of drawn plates as its file states it. family, ids: taken from a built-in set."""
+    """A set of drawn plates as its file states it. family, ids: taken from a built-in set. cells,
+    codes: words in hex, whose bits stand in the cells marked ?, for IDs from 0 on."""
 
     name: str
     kind: str
     size_m: Positive
     landmark: tuple[_Drawing, ...] = ()
+    cells: tuple[str, ...] = ()
+    codes: str = ""
     family: str = ""
     ids: tuple[Whole, ...] = ()
     mirrored: Hand = "either"
@@ -238,8 +242,9 @@ def _drawn_from_table(table: dict[str, Any], where: str, error: type[SonarrecErr
     if table["kind"] != "drawn":
         raise error(f'{where}: kind must be "disc" or "drawn", not {brief(table["kind"])}')
     stated = from_table(_DrawnSetFile, table, where, error=error)
-    ids = tuple(row.id for row in stated.landmark)
-    drawings = [_drawing(row, where, error) for row in stated.landmark]
+    rows = stated.landmark or _of_codes(stated, where, error)
+    ids = tuple(row.id for row in rows)
+    drawings = [_drawing(row, where, error) for row in rows]
     if stated.family:
         family = load_landmarks(stated.family)
         if ids or not isinstance(family, DrawnSet):
@@ -267,6 +272,22 @@ def _drawn_from_table(table: dict[str, Any], where: str, error: type[SonarrecErr
     half, none = stated.size_m / 2, (0.0, 0.0)
     hand, pose = stated.mirrored, stated.pose
     return DrawnSet(stated.name, half, none, none, ids, (), cells, hand, pose)
+
+
+def _of_codes(
+    stated: _DrawnSetFile, where: str, error: type[SonarrecError]
+) -> tuple[_Drawing, ...]:
+    """The drawings that `cells` and `codes` state."""
+    bits = sum(row.count("?") for row in stated.cells)
+    digits, words = -(-bits // 4), stated.codes.split()
+    if any(not re.fullmatch(f"[0-9a-f]{{{digits}}}", w) or int(w, 16) >> bits for w in words):
+        raise error(f"{where}: codes must be hex words of {digits} digits, for {bits} cells with ?")
+    drawings = []
+    for number, word in enumerate(words):
+        bit = iter(f"{int(word, 16):0{bits}b}")
+        rows = tuple("".join(next(bit) if c == "?" else c for c in row) for row in stated.cells)
+        drawings.append(_Drawing(number, rows))
+    return tuple(drawings)
 
 
 def views(drawing: BoolArray, mirrored: Hand) -> list[BoolArray]:

@@ -178,6 +178,8 @@ def test_images_and_small_pictures_become_cells(tmp_path: Path) -> None:
         ({"family": "basin", "landmark": []}, "name a drawn set"),
         ({"ids": [7]}, "none is named"),
         ({"size_m": 0}, "size_m"),
+        ({"landmark": [], "cells": ["1?", "??"], "codes": "5 g"}, "hex words of 1 digits"),
+        ({"landmark": [], "cells": ["1?", "??"], "codes": "9"}, "for 3 cells"),
     ],
 )
 def test_what_no_plate_can_be_is_refused(changed: dict[str, Any], words: str) -> None:
@@ -208,6 +210,12 @@ def test_families_keep_their_published_hamming_distance() -> None:
             differ = (tags[:, None] != other[None]).sum(axis=(2, 3))
             np.fill_diagonal(differ, 49)
             assert differ.min() >= least
+
+
+def test_codes_stand_in_the_cells_that_are_left_open() -> None:
+    words = drawn(landmark=[], cells=["1?", "??"], codes="5 4")
+    assert words.ids == (0, 1)
+    assert words.cells == (((1, 1), (0, 1)), ((1, 1), (0, 0)))
 
 
 def test_a_family_lends_its_drawings() -> None:
