@@ -256,7 +256,8 @@ class RunWatch(Watch):
                 continue
             frames = number_of(summary.frames, "frame")
             lines = [] if summary.up_to_date else table(summary, outcome.folder)
-            if lines and len(self.tasks) == 1 and not any(summary.passes.values()):
+            nothing = summary.discs and not any(summary.passes.values())
+            if lines and len(self.tasks) == 1 and nothing:
                 again = f"sonarrec info {quote(self.tasks[0].path)} --try-radii"
                 lines.append(f"`{again}`, with the same options, looks for discs of another size")
             head = f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}"

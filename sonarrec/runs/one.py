@@ -40,6 +40,7 @@ class Summary:
     follows objects. sightings: of each of these the MOST_SIGHTINGS declared in the most frames, in
     order of first sight. landmarks: frames in which the first of these methods declared each ID,
     summed over its passes. up_to_date: these very results were there, so nothing was done.
+    discs: whether the landmarks are, not drawn plates.
     """
 
     folder: Path
@@ -52,6 +53,7 @@ class Summary:
     sightings: list[Sighting]
     landmarks: dict[int, int]
     up_to_date: bool = False
+    discs: bool = True
 
     def __repr__(self) -> str:
         passes = number_of(sum(self.passes.values()), "sighting")
@@ -127,7 +129,8 @@ def process(
             # The paper's groups lie too unsteadily on their objects to show a ring's edge.
             of_config = zip(job.recogniser.tracking, run_options.configs, strict=True)
             steady = [m for m, c in of_config if c.features.measurement != "single"]
-            if isinstance(job.landmarks, DrawnSet):  # which has no rings
+            discs = not isinstance(job.landmarks, DrawnSet)  # which has no rings
+            if not discs:
                 steady = []
             rings = Rings(job.landmarks, steady[0] if steady else None)
             _recognise(job, writer, plausibility, rings, observe, ahead=ahead)
@@ -143,6 +146,7 @@ def process(
             problems,
             [renamed(line) for line in (*told.notes, *replaced)],
             *_longest(job.folder, job.recogniser.tracking),
+            discs=discs,
         )
 
 
