@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLES := sample_data
 SAMPLE := $(SAMPLES)/pan
 
-.PHONY: test test-slow test-all lint demo bench bound paper scenes pictures stated worlds ablation study speeds maps model plate-model \
+.PHONY: test test-slow test-all lint demo bench bound paper scenes pictures stated worlds ablation study speeds maps model plates plate-model \
 	transfer regression results scale clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -81,7 +81,10 @@ model: .venv/installed  # the built-in appearance model, from simulated recordin
 transfer: .venv/installed  # features of stage 3, in kinds of world they were not learned from
 	$(BIN)/python -m tests.studies.transfer --record transfer
 
-plate-model: .venv/installed  # the built-in model of drawn plates, from simulated recordings (a minute)
+plates: .venv/installed  # sixteen drawings that no model was learned from, on simulated plates
+	$(BIN)/python -m tests.studies.plates
+
+plate-model: .venv/installed  # the built-in model of drawn plates, from simulated recordings (minutes)
 	$(BIN)/python -m tests.studies.learning.plates
 
 results: .venv/installed  # RESULTS.md from the studies' files; marks what is stale

@@ -180,7 +180,7 @@ class ScoreMaps(NamedTuple):
 class Detector(Protocol):
     """Scores how well a landmark's circle fits at every pixel."""
 
-    def __call__(self, image: ByteImage, relief: FloatImage, sigma: float) -> ScoreMaps:
+    def __call__(self, image: ByteImage, relief: FloatImage, sigma: float, /) -> ScoreMaps:
         """The score maps of a working image.
 
         relief: (rows, columns) grey level over that of the surroundings; it may be overwritten.

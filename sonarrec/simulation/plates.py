@@ -32,7 +32,6 @@ from sonarrec.tables.toml import (
 
 GRID = 110  # scatterers along a plate's side
 WAVELENGTH_M = 0.0021
-PULSE_M = 0.006
 CORNERS = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])  # halves of a side, right and up
 FULL_DB = 60.0  # of the image's grey levels
 
@@ -75,6 +74,7 @@ class PlateScene:
     beams: Count = 256
     bins: Count = 400
     beam_width_deg: Positive = 0.6
+    pulse_m: Positive = 0.006
     rate_hz: Positive = 10.0
     swing: Share = 0.5
     """How much the poses change: 1 is .1 m, 12 deg."""
@@ -319,7 +319,7 @@ class _World:
     def _seen(self, echoes: FloatArray) -> FloatArray:
         """Echoes through beam and pulse, each of power 1 in the middle."""
         wide = self._scene.beam_width_deg / 1.665 / self._beam_deg  # of amplitudes, two-way
-        long = PULSE_M / 1.665 / self._bin_m
+        long = self._scene.pulse_m / 1.665 / self._bin_m
         both = [
             cv2.GaussianBlur(np.ascontiguousarray(part), (0, 0), sigmaX=wide, sigmaY=long)
             for part in (echoes.real, echoes.imag)

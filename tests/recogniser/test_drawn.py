@@ -9,9 +9,20 @@ import cv2
 import numpy as np
 import pytest
 
+from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import DrawnSet, load_landmarks
 from sonarrec.readers import open_log
-from sonarrec.recogniser.drawn.drawings import FINE, Drawings, as_drawn, best, shown
+from sonarrec.recogniser.drawn.drawings import (
+    FINE,
+    Drawings,
+    as_drawn,
+    best,
+    comparisons,
+    levelled,
+    shown,
+    uneven_light,
+)
+from sonarrec.recogniser.drawn.model import built_in_model
 from sonarrec.runs.frames import Recogniser
 from tests.support.rows import read_rows
 
@@ -57,6 +68,22 @@ def test_a_drawing_is_told_in_every_way_through_uneven_light(way: int) -> None:
         assert match[k] == pytest.approx(1, abs=1e-3)
 
 
+def test_what_a_wrong_drawing_leaves_is_patches() -> None:
+    """Of two equal matches, that of a noisy picture of the drawing is likelier."""
+    rng = np.random.default_rng(0)
+    rows = Drawings(family()).seen(FINE, (0.05, 0.05)).reshape(-1, FINE**2)
+    down = np.array([[0.0, 1.0]] * 2)
+    light = uneven_light(FINE, down)
+    right, wrong = levelled(rows[:2], light)
+    noise = levelled(rng.standard_normal((2, FINE**2)).astype(np.float32), light)[0]
+    patches = levelled(np.stack([wrong - (wrong @ right) * right] * 2), light)[0]
+    pictures = levelled(np.stack([right + noise, right + patches]), light)
+    found = comparisons(pictures, np.stack([right, right]), light, down)
+    assert found[0, 0] == pytest.approx(found[1, 0], abs=0.05)
+    noisy, mixed = built_in_model().of_pictures(found)
+    assert noisy > mixed + 5
+
+
 def clip_claims(landmarks: DrawnSet, preset: str) -> tuple[set[int], list[tuple[int, int]], int]:
     """Frames that declare ID 0 within 6 cm, all claims (frame, ID), how many frames have truth."""
     truth = {
@@ -98,3 +125,28 @@ def test_a_real_tag_that_is_not_in_the_set_is_none_of_it() -> None:
     others = replace(tags, ids=tags.ids[1:], cells=tags.cells[1:])
     _, claims, _ = clip_claims(others, "default")
     assert not claims
+
+
+@pytest.mark.slow
+def test_corners_of_a_real_still_are_where_they_were_published(tmp_path: Path) -> None:
+    if not ACTAG.is_dir():
+        pytest.skip(f"{ACTAG}: the still is not at hand")
+    for name in ("0.png", "1.png"):  # an ID is declared from two frames on
+        (tmp_path / name).write_bytes((ACTAG / "still.png").read_bytes())
+    rows = read_rows(ACTAG / "still.csv")
+    published = np.array([(float(row["range_m"]), float(row["bearing_deg"])) for row in rows])
+    sonar = {
+        "layout": "polar",
+        "range_order": "far_first",
+        **{"range_min_m": 0.1, "range_max_m": 1.5, "field_of_view_deg": 60, "tilt_deg": 45},
+    }
+    with open_log(tmp_path / "*.png", sonar=sonar) as log:
+        *_, last = Recogniser(log, "default", landmarks=family()).recognise()
+    (tag,) = [e for e in last.estimates if e.declared]
+    assert tag.landmark == 0
+    assert tag.corners is not None
+    corners, wanted = plane_from_polar(*tag.corners.T), plane_from_polar(*published.T)
+    # Published is the white square, of three cells of seven.
+    square = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * 3 / 7
+    offset = np.hypot(*(square[:, None] - wanted[None]).transpose(2, 0, 1)).min(axis=0)
+    assert np.median(offset) < 0.03

@@ -20,11 +20,12 @@ from sonarrec.landmarks import DrawnSet
 LEAST_ALIKE = 0.3  # correlation of neighbouring cells, below which they are drawn each by itself
 RIVALS = 64  # random drawings of the set's kind of cells
 FINE, COARSE = 28, 10  # samples along a picture's side
+# Standard deviations of softened pictures, and how far a picture is shifted, in samples.
+SOFTENED, LAGS = (1, 2), (1, 2)
+COMPARISONS = 1 + len(SOFTENED) + 2 * len(LAGS)
 LEAST_BLUR = 0.04  # halves of a plate's side: about a sample of a fine picture
 BLUR_STEP = 0.03  # halves; smears that differ by less count as one
 KEPT = 4  # smears whose drawings are kept
-Drawing = tuple[int, int]
-"""(row, way)."""
 MOST_SOUGHT = 32  # drawings with which a plate is first looked for
 _cumulative = np.frompyfunc(lambda z: 0.5 * (1 + erf(z / 2**0.5)), 1, 1)
 
@@ -66,6 +67,36 @@ def levelled(pictures: FloatImage, light: FloatImage) -> FloatImage:
     return np.asarray(taken / np.maximum(norm, 1e-6), np.float32)
 
 
+def comparisons(
+    pictures: FloatImage, drawings: FloatImage, light: FloatImage, range_ward: FloatArray
+) -> FloatImage:
+    """(n, COMPARISONS) of n fine pictures, each with its drawing: their correlation as they are and
+    softened, then what the rest is like, its correlations with itself one and two samples further,
+    across the range and along it. A wrong drawing leaves patches, the right one fine noise.
+
+    pictures, drawings: (n, FINE ** 2), from `levelled`. light: as there. range_ward: (n, 2), as of
+    `uneven_light`.
+    """
+    match = (pictures * drawings).sum(axis=1)
+    found = [match]
+    for sigma in SOFTENED:
+        blur = np.asarray(cv2.GaussianBlur(np.eye(FINE), (1, 8 * sigma + 1), sigma), np.float32)
+        soft = [
+            levelled(np.reshape(blur @ x.reshape(-1, FINE, FINE) @ blur.T, (-1, FINE**2)), light)
+            for x in (pictures, drawings)
+        ]
+        found.append((soft[0] * soft[1]).sum(axis=1))
+    rest = (pictures - match[:, None] * drawings).reshape(-1, FINE, FINE)
+    power = np.maximum((rest**2).sum(axis=(1, 2)), 1e-6)
+    right, down = (
+        [(r[:, :, n:] * r[:, :, :-n]).sum(axis=(1, 2)) / power for n in LAGS]
+        for r in (rest, rest.transpose(0, 2, 1))
+    )
+    along_down = np.abs(range_ward[:, 1]) > np.abs(range_ward[:, 0])
+    across, along = np.where(along_down, [right, down], [down, right])
+    return np.stack([*found, *across, *along], axis=1)
+
+
 def shown(drawing: FloatImage, way: int) -> FloatImage:
     """(..., n, n) drawings as they show: turned by way % 4 quarters, mirrored from way 4 on."""
     return np.rot90(drawing[..., ::-1] if way >= 4 else drawing, way % 4, axes=(-2, -1))
@@ -105,14 +136,6 @@ class Drawings:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
-
-    def best_two(self, matches: FloatImage) -> tuple[Drawing, Drawing]:
-        """The ID that matches best, and of the best of all other drawings."""
-        column, match = best(matches)
-        first = int(match[: self.count].argmax())
-        match[first] = -1
-        second = int(match.argmax())
-        return (first, self.ways[column[first]]), (second, self.ways[column[second]])
 
     def _smeared(self, size: int, across: float, down: float) -> FloatImage:
         made = np.empty((len(self._cells), size, size), np.float32)

@@ -8,37 +8,39 @@ row. Its larger singular value is half a side; the other is shorter where the pl
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IntArray
+from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IndexArray, IntArray
 from sonarrec.landmarks import PlatePose
 from sonarrec.recogniser.drawn.drawings import (
     COARSE,
     FINE,
-    Drawing,
     Drawings,
+    comparisons,
     levelled,
     points,
     shown,
     uneven_light,
 )
+from sonarrec.recogniser.drawn.model import PlateModel
 from sonarrec.recogniser.plane import Plane
 
 # Foreshortening, and the plate's rotation in the image, of the poses that are tried first.
 SHORTENED = {"free": (1.0, 0.78, 0.6, 0.42), "floor": (1.0,)}
-TURNED_DEG, AXIS_DEG = range(-40, 50, 10), (-25, 0, 25)
-REACH = (
-    4  # coarse samples, each way, over which the middle is looked for; NEAR: from frame to frame
-)
-NEAR = 2
-STARTS = 6  # of the poses tried, those that are refined
+TURNED_DEG, AXIS_DEG = range(-45, 45, 15), (-25, 0, 25)
+# Coarse samples, each way, over which the middle is looked for; NEAR: from frame to frame.
+REACH, NEAR = 6, 2
+# Of the poses tried, those that are refined a little, and wholly; of a drawing, SAME at most, with
+# their middles so many halves of a side apart.
+STARTS, BEST, SAME, APART = 20, 5, 2, 0.3
 # Singular values over half a side: least and most of the larger, least of the smaller.
 BOUNDS = {"free": (0.88, 1.14, 0.28), "floor": (0.92, 1.08, 0.92)}
-SWITCH = 0.015  # by how much another ID must match better from frame to frame, to be taken instead
-ROUNDS, NEAR_ROUNDS = 12, 6  # of refinement
+EXPLAINED = 1.5  # halves of a side: what lies nearer to a plate's middle is no other plate
+FIRST_ROUNDS, ROUNDS, NEAR_ROUNDS = 4, 8, 6  # of refinement
 MOST_STEP = 0.15  # halves of a side, in one round
 RIDGE = 1e-2  # share of the mean curvature: holds what a drawing says nothing of
 
@@ -49,25 +51,36 @@ class Fit:
 
     pose: FloatArray
     """(6,)"""
-    match: float
-    """Correlation of the picture with the drawing."""
+    compared: FloatImage
+    """(COMPARISONS,) of the picture with the drawing."""
     row: int
     way: int
     """The drawing's, as in Drawings."""
     picture: FloatImage
     """(FINE, FINE) at the pose."""
-    lead: float = 0.0
-    """By how much it matches better than the next best drawing, that at its own best pose."""
+    odds: float
+    """Log odds that the drawing is there, by this picture alone."""
+
+    @property
+    def match(self) -> float:
+        """Correlation of the picture with the drawing."""
+        return float(self.compared[0])
 
 
 class PoseFitter:
     """Fits the poses of plates in working images of one plane."""
 
     def __init__(
-        self, drawings: Drawings, plane: Plane, pose: PlatePose, beam_sigma: float
+        self,
+        drawings: Drawings,
+        plane: Plane,
+        pose: PlatePose,
+        beam_sigma: float,
+        model: PlateModel,
     ) -> None:
         """beam_sigma: standard deviation of the beams, rad."""
         self._drawings, self._plane, self._beam = drawings, plane, beam_sigma
+        self._model = model
         self._half, self._bounds = plane.axes[0], BOUNDS[pose]
         self._tried = self._half * np.array(
             [
@@ -78,8 +91,17 @@ class PoseFitter:
             ]
         )
 
-    def search(self, image: FloatImage, place: FloatArray) -> Fit:
-        """The best fit of any drawing with its middle near (2,) a place, whatever its pose."""
+    def search(self, image: FloatImage, place: FloatArray, others: Sequence[FloatArray]) -> Fit:
+        """The likeliest fit of any drawing with its middle near (2,) a place, whatever its pose.
+
+        others: poses of plates that are known: it does not lie on these.
+        """
+        return max(self.candidates(image, place, others), key=lambda fit: fit.odds)
+
+    def candidates(
+        self, image: FloatImage, place: FloatArray, others: Sequence[FloatArray]
+    ) -> list[Fit]:
+        """Some of the best fits, as of `search`."""
         sight = self._plane.line_of_sight(place[None])[0] - np.pi / 2
         matrices = _rotation(float(np.degrees(sight))) @ self._tried
         poses = np.concatenate(
@@ -87,72 +109,49 @@ class PoseFitter:
         )
         smear = self.smear(poses[0])
         rows = self._drawings.seen(COARSE, (max(smear), max(smear)))[self._drawings.sought]
-        ways = self._drawings.ways
-        templates = np.concatenate([shown(rows, way) for way in ways])
-        match, middles, which = self._shifted(image, poses, templates, REACH)
-        # The best pose of each of the best drawings: refinement tells what looks alike.
-        order = np.argsort(-match)
-        first = np.unique(which[order] % len(rows), return_index=True)[1]
-        order = order[np.sort(np.concatenate([first, np.arange(2)]))][:STARTS]
-        poses = poses[order]
-        poses[:, :2] = middles[order]
-        of_row, of_way = which[order] % len(rows), which[order] // len(rows)
-        chosen = self._drawings.sought[of_row], np.array(ways)[of_way]
-        fit = max(self._refined(image, poses, chosen, ROUNDS), key=lambda fit: fit.match)
-        # At the pose of one drawing another may match, and better still at its own.
-        return self._duel(image, fit.pose[None], *self.best_two(fit), ROUNDS, least=0.0)
+        ways = np.array(self._drawings.ways)
+        templates = np.stack([shown(rows, way) for way in ways], axis=1)
+        match, middles, way = self._shifted(image, poses, templates, REACH)
+        for other in others:
+            match[self.halves_off(other, middles) < EXPLAINED] = -1
+        # Some of the best drawings, each in its best poses: refinement tells what looks alike.
+        chosen: list[tuple[int, int]] = []
+        for index in np.argsort(-match, axis=None).tolist():
+            i, k = divmod(index, len(rows))
+            same = [j for j, of in chosen if of == k]
+            offsets = [np.hypot(*(middles[i, k] - middles[j, k])) for j in same]
+            if len(same) < SAME and min(offsets, default=np.inf) > APART * self._half:
+                chosen.append((i, k))
+            if len(chosen) == min(STARTS, SAME * len(rows)):
+                break
+        i, k = np.array(chosen).T
+        starts = np.concatenate([middles[i, k], poses[i, 2:]], axis=1)
+        drawings = self._drawings.sought[k], ways[way[i, k]]
+        fits = self._refined(image, starts, drawings, FIRST_ROUNDS)
+        fits = sorted(fits, key=lambda fit: -fit.odds)[:BEST]
+        drawings = np.array([fit.row for fit in fits]), np.array([fit.way for fit in fits])
+        return self._refined(image, np.array([fit.pose for fit in fits]), drawings, ROUNDS)
 
-    def near(self, image: FloatImage, last: Fit, other: Drawing | None) -> Fit:
-        """The fit of the same drawing with a pose near that of the frame before.
-
-        other: (row, way) of the drawing that it is compared with, from a pose of its own.
-        """
+    def near(self, image: FloatImage, last: Fit) -> Fit:
+        """The fit of the same drawing with a pose near that of the frame before."""
         smear = self.smear(last.pose)
         row = self._drawings.seen(COARSE, (max(smear), max(smear)))[last.row]
         pose = last.pose[None].copy()
-        _, middles, _ = self._shifted(image, pose, shown(row, last.way)[None], NEAR)
-        pose[0, :2] = middles[0]
-        own = (last.row, last.way)
+        _, middles, _ = self._shifted(image, pose, shown(row, last.way)[None, None], NEAR)
+        pose[0, :2] = middles[0, 0]
         poses = np.concatenate([pose, last.pose[None]])
-        return self._duel(image, poses, own, other, NEAR_ROUNDS, least=SWITCH)
+        drawings = np.array([last.row] * 2), np.array([last.way] * 2)
+        return max(self._refined(image, poses, drawings, NEAR_ROUNDS), key=lambda fit: fit.odds)
 
-    def best_two(self, fit: Fit) -> tuple[Drawing, Drawing]:
-        """The ID that the picture of a fit matches best, and of the best of all other
-        drawings, rivals among them."""
-        found = self._drawings.matches(fit.picture, self.range_ward(fit.pose), self.smear(fit.pose))
-        return self._drawings.best_two(found)
+    def matches(self, picture: FloatImage, pose: FloatArray) -> FloatImage:
+        """(rows, ways) of a picture with all drawings at a pose; as of Drawings."""
+        return self._drawings.matches(picture, self.range_ward(pose[None])[0], self.smear(pose))
 
-    def _duel(
-        self,
-        image: FloatImage,
-        poses: FloatArray,
-        own: Drawing,
-        other: Drawing | None,
-        rounds: int,
-        least: float,
-    ) -> Fit:
-        """The best fit of a drawing from some poses on, and its lead over that of another.
-
-        The other's, if that is an ID and leads by `least`.
-        """
-        n, both = len(poses), [own] if other is None else [own, other]
-        rows, ways = np.repeat(np.array(both), n, axis=0).T
-        fits = self._refined(image, np.concatenate([poses] * len(both)), (rows, ways), rounds)
-        first, *second = (
-            max(fits[i : i + n], key=lambda fit: fit.match) for i in range(0, len(fits), n)
-        )
-        if not second:
-            return first
-        lead = first.match - second[0].match
-        if lead < -least and second[0].row < self._drawings.count:
-            return replace(second[0], lead=-lead)
-        return replace(first, lead=lead)
-
-    def range_ward(self, pose: FloatArray) -> FloatArray:
-        """(2,) direction in (u, v) in which the range grows."""
-        away = pose[:2] - self._plane.apex
-        along = np.linalg.solve(pose[2:].reshape(2, 2), away)
-        return np.asarray(along / np.hypot(*along))
+    def range_ward(self, poses: FloatArray) -> FloatArray:
+        """(n, 2) direction in (u, v) in which the range grows, at n poses."""
+        away = poses[:, :2] - self._plane.apex
+        along = np.linalg.solve(poses[:, 2:].reshape(-1, 2, 2), away[..., None])[..., 0]
+        return np.asarray(along / np.hypot(*along.T)[:, None])
 
     def smear(self, pose: FloatArray) -> tuple[float, float]:
         """Standard deviations along u and v of an echo at a pose, in halves of the plate's side."""
@@ -175,27 +174,34 @@ class PoseFitter:
         pictures = _sampled(image.astype(np.float32), pose[None], COARSE)
         return np.asarray(pictures[0], np.float32)
 
+    def halves_off(self, pose: FloatArray, pixels: FloatArray) -> FloatArray:
+        """(...) distance of (..., 2) pixels from a plate's middle, in halves of its side there."""
+        inverse = np.linalg.inv(pose[2:].reshape(2, 2))
+        return np.asarray(np.abs((pixels - pose[:2]) @ inverse.T).max(axis=-1))
+
     def _shifted(
         self, image: FloatImage, poses: FloatArray, templates: FloatImage, reach: int
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """For each of n poses the best match over shifts of its middle: (n,) how well it matches,
-        (n, 2) where the middle is then, and (n,) the index of the template."""
-        n, side = len(poses), 2 * reach + 1
+    ) -> tuple[FloatArray, FloatArray, IndexArray]:
+        """For each of n poses and K drawings the best match over shifts of the middle and ways:
+        (n, K) how well it matches, (n, K, 2) where the middle is then, and (n, K) which way.
+
+        templates: (K, ways, COARSE, COARSE).
+        """
+        n, side, (k, ways) = len(poses), 2 * reach + 1, templates.shape[:2]
         wide = _sampled(image, poses, COARSE, reach)
-        light = uneven_light(COARSE, np.array([[0.0, 1.0]]))[0]
-        flat = templates.reshape(len(templates), -1)
-        flat = levelled(flat, light[None])
+        light = uneven_light(COARSE, np.array([[0.0, 1.0]]))
+        flat = levelled(templates.reshape(k * ways, -1), light)
         windows = np.lib.stride_tricks.sliding_window_view(wide, (COARSE, COARSE), axis=(1, 2))
         windows = windows.reshape(n * side**2, COARSE**2)
-        product = windows @ np.concatenate([flat, light]).T
         squares = np.einsum("ij,ij->i", windows, windows)
-        left = squares - (product[:, len(flat) :] ** 2).sum(axis=1)
-        match = product[:, : len(flat)].max(axis=1) / np.sqrt(np.maximum(left, 1))
-        shift = match.reshape(n, -1).argmax(axis=1)
-        index = np.arange(n) * side**2 + shift
-        offset = (np.stack(np.divmod(shift, side)[::-1], axis=1) - reach) * (2 / COARSE)
-        middles = poses[:, :2] + (poses[:, 2:].reshape(n, 2, 2) @ offset[..., None])[..., 0]
-        return match[index], middles, product[index, : len(flat)].argmax(axis=1)
+        left = squares - ((windows @ light[0].T) ** 2).sum(axis=1)
+        match = windows @ flat.T / np.sqrt(np.maximum(left, 1))[:, None]
+        match = match.reshape(n, side**2, k, ways).transpose(0, 2, 1, 3).reshape(n, k, -1)
+        best = match.argmax(axis=2)
+        shift, way = np.divmod(best, ways)
+        offset = (np.stack(np.divmod(shift, side)[::-1], axis=2) - reach) * (2 / COARSE)
+        middles = poses[:, None, :2] + offset @ poses[:, 2:].reshape(n, 2, 2).transpose(0, 2, 1)
+        return np.take_along_axis(match, best[..., None], axis=2)[..., 0], middles, way
 
     def _refined(
         self,
@@ -210,7 +216,8 @@ class PoseFitter:
         """
         n, (rows, ways) = len(poses), chosen
         poses = self._within(poses)
-        light = uneven_light(FINE, np.array([self.range_ward(p) for p in poses]))
+        range_ward = self.range_ward(poses)
+        light = uneven_light(FINE, range_ward)
         templates = np.stack(
             [
                 shown(self._drawings.seen(FINE, self._turned(p, way))[row], way)
@@ -230,9 +237,11 @@ class PoseFitter:
             middle = poses[:, :2] - (matrix @ step[:, :2, None])[..., 0]
             poses = self._within(np.concatenate([middle, matrix.reshape(n, 4)], axis=1))
         pictures = _sampled(image, poses, FINE)
-        match = (levelled(pictures.reshape(n, -1), light) * flat).sum(axis=1)
+        level = levelled(pictures.reshape(n, -1), light)
+        found = comparisons(level, flat, light, range_ward)
+        odds = self._model.of_pictures(found)
         return [
-            Fit(poses[i], float(match[i]), int(rows[i]), int(ways[i]), pictures[i])
+            Fit(poses[i], found[i], int(rows[i]), int(ways[i]), pictures[i], odds[i])
             for i in range(n)
         ]
 

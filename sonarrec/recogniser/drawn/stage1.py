@@ -33,12 +33,7 @@ class PlateScore:
         seen = np.asarray(cv2.blur(inside, self._window), np.float32)
         self._share = np.where(seen >= LEAST_SEEN, 1 / np.maximum(seen, 0.1), 0).astype(np.float32)
 
-    def __call__(
-        self,
-        image: ByteImage,  # noqa: ARG002
-        relief: FloatImage,
-        sigma: float,
-    ) -> ScoreMaps:
+    def __call__(self, _: ByteImage, relief: FloatImage, sigma: float) -> ScoreMaps:
         """As of `Detector`."""
         fine, broad = (cv2.blur(relief, (size, size)) for size in self._sizes)
         inner = np.maximum(self._mean((fine - broad) ** 2), 0)

@@ -14,8 +14,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage, IntArray
 from sonarrec.nouns import Groups, Selection
-from sonarrec.recogniser.drawn.drawings import Drawing
-from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
+from sonarrec.recogniser.drawn.pose import EXPLAINED, Fit, PoseFitter
 from sonarrec.recogniser.plane import Plane
 
 # Least correlation of a picture with its drawing where any pose was tried, and near that of the
@@ -24,11 +23,9 @@ LEAST_MATCH, LEAST_NEAR = 0.57, 0.48
 LOST_FRAMES = 12  # without a picture; then the pose is looked for anew
 # A pose is looked for FIRST times in a track's first frames, then in every OFTEN-th while none is
 # sure.
-FIRST, OFTEN, SURE_MATCH = 3, 8, 0.75
-BETTER = 0.04  # by how much another pose must match better, to be taken instead
-SEARCHES = 2  # in one frame, at most
-OWN = 0.4  # halves of a side: fits nearer than this are one plate
-EXPLAINED = 1.5  # halves of a side: what lies nearer to a plate's middle is no other plate
+FIRST, OFTEN, SURE = 3, 8, 2.0  # log odds
+BETTER = 1.0  # by how much likelier, in log odds, another pose must be, to be taken instead
+FIRST_SEARCHES, SEARCHES = 2, 1  # in one frame, at most: where new groups wait, and else
 PEAK = 0.25  # halves of a side, of the score of a plate that was found
 MOST_SMEAR = 0.15  # halves of a side, of an echo's sigma: then beams are a sixth of a side wide
 SHOWN = 0.8  # least share of a plate inside the fan
@@ -45,8 +42,6 @@ class _Plate:
     began: int
     """How often its pose was looked for and changed: each time another picture begins."""
     missed: int = 0
-    other: Drawing | None = None
-    """The next best drawing."""
 
 
 class Plates:
@@ -61,7 +56,7 @@ class Plates:
     def follow(self, image: FloatImage) -> None:
         """Fit every known plate in the next frame."""
         for plate in self._plates.values():
-            fit = self._fitter.near(image, plate.fit, plate.other)
+            fit = self._fitter.near(image, plate.fit)
             plate.seen = self._shows(fit, LEAST_NEAR)
             plate.missed = 0 if plate.seen else plate.missed + 1
             if plate.seen:
@@ -69,10 +64,10 @@ class Plates:
                 plate.fit = fit
         # Plates do not overlap: of two the better fit stays.
         kept: dict[int, _Plate] = {}
-        for number, plate in sorted(self._plates.items(), key=lambda item: -item[1].fit.match):
-            middle = plate.fit.pose[:2, None]
+        for number, plate in sorted(self._plates.items(), key=lambda item: -item[1].fit.odds):
             hidden = any(
-                other.seen and self._halves_off(other.fit, middle)[0] < EXPLAINED
+                other.seen
+                and self._fitter.halves_off(other.fit.pose, plate.fit.pose[:2]) < EXPLAINED
                 for other in kept.values()
             )
             if plate.missed <= LOST_FRAMES and not hidden:
@@ -88,7 +83,7 @@ class Plates:
         others = np.ones(len(positions), bool)
         for fit in reversed(seen):  # the best last
             self._explain(score, fit)
-            others &= self._halves_off(fit, positions.T) > EXPLAINED
+            others &= self._fitter.halves_off(fit.pose, positions) > EXPLAINED
         middles = np.array([fit.pose[:2] for fit in seen])
         return replace(
             selection,
@@ -105,7 +100,8 @@ class Plates:
         self._searched = {n: self._searched.get(n, 0) for n in numbers}
         place = dict(zip(numbers, groups.positions, strict=True))
         waiting = sorted((self._searched[n], n) for n in numbers if self._wanting(n))
-        for _, number in waiting[:SEARCHES]:
+        new = bool(waiting) and waiting[0][0] < FIRST
+        for _, number in waiting[: FIRST_SEARCHES if new else SEARCHES]:
             self._searched[number] += 1
             plate = self._plates.get(number)
             self._search(image, number, place[number] if plate is None else plate.fit.pose[:2])
@@ -122,33 +118,29 @@ class Plates:
         plates = [self._plates.get(n) for n in groups.numbers.tolist()]
         return [(p.fit, p.began) if p is not None and p.seen else None for p in plates]
 
-    def believe(
-        self, numbers: IntArray, best_two: Sequence[tuple[Drawing, Drawing] | None]
-    ) -> None:
-        """Follow each group by the drawing, (row, way), that its averaged picture matches best, and
-        compare that with the next best."""
-        for number, drawings in zip(numbers.tolist(), best_two, strict=True):
-            if drawings is not None:
-                plate, ((row, way), plate.other) = self._plates[number], drawings
-                plate.fit = replace(plate.fit, row=row, way=way)
+    def believe(self, numbers: IntArray, drawings: Sequence[tuple[int, int] | None]) -> None:
+        """Follow each group by the drawing, (row, way), that its averaged picture matches best."""
+        for number, drawing in zip(numbers.tolist(), drawings, strict=True):
+            if drawing is not None:
+                plate = self._plates[number]
+                plate.fit = replace(plate.fit, row=drawing[0], way=drawing[1])
 
     def _wanting(self, number: int) -> bool:
         """Whether the pose of a group's plate is to be looked for."""
         plate = self._plates.get(number)
-        sure = plate is not None and plate.seen and plate.fit.match >= SURE_MATCH
+        sure = plate is not None and plate.seen and plate.fit.odds >= SURE
         return self._searched[number] < FIRST or (not sure and self._ages[number] % OFTEN == 0)
 
     def _search(self, image: FloatImage, number: int, place: FloatArray) -> None:
-        fit, plate = self._fitter.search(image, place), self._plates.get(number)
+        others = [p.fit.pose for n, p in self._plates.items() if n != number]
+        fit, plate = self._fitter.search(image, place, others), self._plates.get(number)
         if not self._shows(fit, LEAST_MATCH):
             return
-        others = [p.fit.pose[:2] for n, p in self._plates.items() if n != number]
-        near = OWN * self._plane.axes[0]
-        if any(np.hypot(*(fit.pose[:2] - other)) < near for other in others):
+        if any(self._fitter.halves_off(other, fit.pose[:2]) < EXPLAINED for other in others):
             return
         if plate is None:
             self._plates[number] = _Plate(fit, seen=True, began=0)
-        elif not plate.seen or fit.match > plate.fit.match + BETTER:
+        elif not plate.seen or fit.odds > plate.fit.odds + BETTER:
             self._plates[number] = _Plate(fit, seen=True, began=plate.began + 1)
 
     def _shows(self, fit: Fit, least: float) -> bool:
@@ -164,11 +156,6 @@ class Plates:
         top, left = max(row - reach, 0), max(column - reach, 0)
         part = score[top : row + reach + 1, left : column + reach + 1]
         y, x = np.mgrid[top : top + part.shape[0], left : left + part.shape[1]]
-        off = self._halves_off(fit, np.stack([x, y]).reshape(2, -1)).reshape(part.shape)
+        off = self._fitter.halves_off(fit.pose, np.stack([x, y], axis=2))
         peak = fit.match * np.exp(-0.5 * (off / PEAK) ** 2)
         part[off <= EXPLAINED] = peak[off <= EXPLAINED]
-
-    def _halves_off(self, fit: Fit, pixels: FloatArray) -> FloatArray:
-        """(n,) how far (2, n) pixels lie from a plate's middle, in halves of its side as seen."""
-        offset = pixels - fit.pose[:2, None]
-        return np.asarray(np.abs(np.linalg.inv(fit.pose[2:].reshape(2, 2)) @ offset).max(axis=0))

@@ -8,20 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage, joined
 from sonarrec.nouns import Groups
-from sonarrec.recogniser.drawn.drawings import FINE, Drawing, Drawings, best, levelled, uneven_light
+from sonarrec.recogniser.drawn.drawings import (
+    FINE,
+    Drawings,
+    best,
+    levelled,
+    uneven_light,
+)
+from sonarrec.recogniser.drawn.model import PlateModel
 from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3.opinions import TrackBelief
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG
-from sonarrec.tables.toml import Finite, from_table, read_toml
 
-MODEL = Path(__file__).parent / "model.toml"
 LEAST_FRAMES = 2  # with a picture, from which on an ID is declared
 ANGLE_SIGMA_DEG = 2.0
 
@@ -34,8 +38,8 @@ class PlateEvidence(Evidence):
     """(n, K) of the averaged picture with each ID."""
     rival: FloatImage
     """(n,) with the best of the random drawings; 0 where the plate is not seen."""
-    lead: FloatImage
-    """(n,) by how much the likeliest matches better than the next best, each at its own pose."""
+    odds: FloatImage
+    """(n,) mean of Fit.odds."""
     turn_deg: FloatImage
     """(n, K) orientation of each ID, counter-clockwise from the image's right."""
     beyond_deg: FloatImage
@@ -62,9 +66,9 @@ class PlateMeasurement:
 
     def gather(
         self, groups: Groups, fits: Sequence[tuple[Fit, int] | None], sight: FloatArray
-    ) -> tuple[PlateEvidence, list[tuple[Drawing, Drawing] | None]]:
-        """Take in a frame's pictures: the evidence, and the two best drawings, as of `best_two`, of
-        each group that shows its plate. fits: from Plates.of. sight: (n,) lines of sight, rad."""
+    ) -> tuple[PlateEvidence, list[tuple[int, int] | None]]:
+        """Take in a frame's pictures: the evidence, and the (row, way) of the ID that matches best,
+        of each group that shows its plate. fits: from Plates.of. sight: (n,), rad."""
         numbers = groups.numbers.tolist()
         self._tracks = {n: self._tracks.get(n, _Track()) for n in numbers}
         for number, of_frame in zip(numbers, fits, strict=True):
@@ -79,19 +83,19 @@ class PlateMeasurement:
             episodes=np.array([t.episode for t in tracks], np.int64),
             matches=np.array([self._of_ids(t.matches) for t in tracks]).reshape(n, k),
             rival=np.array([t.rival for t in tracks], np.float32),
-            lead=np.array([t.lead for t in tracks], np.float32),
+            odds=np.array([t.odds for t in tracks], np.float32),
             turn_deg=np.array([self._of_ids(t.turn_deg) for t in tracks]).reshape(n, k),
             beyond_deg=np.degrees(sight).astype(np.float32),
             corners=np.array([self._corners(f) for f in fits]).reshape(n, 4, 2),
         )
-        chosen = [None if f is None else t.best_two for f, t in zip(fits, tracks, strict=True)]
+        chosen = [None if f is None else t.best for f, t in zip(fits, tracks, strict=True)]
         return evidence, chosen
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
         """The beliefs, as of Measurement."""
         assert isinstance(evidence, PlateEvidence)
         tracked = joined(groups)
-        of_frames = self._model.probabilities(evidence.matches, evidence.rival, evidence.lead)
+        of_frames = self._model.of_tracks(evidence.matches, evidence.rival, evidence.odds)
         probabilities = self._belief(groups, evidence, of_frames)
         row, _ = likeliest(probabilities)
         turn = evidence.turn_deg[np.arange(len(row)), row] - evidence.beyond_deg
@@ -117,20 +121,19 @@ class PlateMeasurement:
                 began,
             )
             track.frames = 0
-        beyond, smear = self._fitter.range_ward(fit.pose), self._fitter.smear(fit.pose)
-        light = uneven_light(FINE, beyond[None])
+        light = uneven_light(FINE, self._fitter.range_ward(fit.pose[None]))
         flat = levelled(fit.picture.reshape(1, -1), light).reshape(FINE, FINE)
         share = fit.match**2
         track.weight = min(track.weight, self._memory) + share
         track.picture = track.picture + (flat - track.picture) * np.float32(share / track.weight)
-        track.lead += (fit.lead - track.lead) * share / track.weight
+        track.odds += (fit.odds - track.odds) * share / track.weight
         track.frames += 1
-        found = self._drawings.matches(track.picture, beyond, smear)
+        found = self._fitter.matches(track.picture, fit.pose)
         column, match = best(found)
         k = self._drawings.count
         track.matches, track.rival = match[:k], float(match[k:].max())
         ways = np.array(self._drawings.ways)[column]
-        track.best_two = self._drawings.best_two(found)
+        track.best = int(track.matches.argmax()), int(ways[track.matches.argmax()])
         across, down = fit.pose[2:].reshape(2, 2).T
         right = np.array([(1, 0), (0, -1), (-1, 0), (0, 1)])[ways[:k] % 4]
         right = np.where(ways[:k, None] >= 4, -right, right)
@@ -146,42 +149,5 @@ class _Track:
         self.weight, self.frames, self.episode, self.began = 0.0, 0, 0, 0
         self.matches: FloatImage = np.empty(0, np.float32)
         self.turn_deg: FloatImage = np.empty(0, np.float32)
-        self.rival = self.lead = 0.0
-        self.best_two: tuple[Drawing, Drawing] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class PlateModel:
-    """Log odds of an ID against 'none of these': a sum of its `features`, each times a weight."""
-
-    bias: Finite
-    match: Finite
-    margin: Finite
-    lead: Finite
-
-    def probabilities(self, matches: FloatArray, rival: FloatArray, lead: FloatArray) -> FloatArray:
-        """(n, K + 1): every ID, then 'none of these'; rows sum to 1. The rest as of `features`."""
-        weights = np.array([self.bias, self.match, self.margin, self.lead])
-        log_odds = features(matches, rival, lead) @ weights
-        log_odds = np.concatenate([log_odds, np.zeros((len(log_odds), 1))], axis=1)
-        odds = np.exp(log_odds - log_odds.max(axis=1, keepdims=True))
-        return np.asarray(odds / odds.sum(axis=1, keepdims=True))
-
-
-def built_in_model() -> PlateModel:
-    """The model that `make plate-model` learned."""
-    return from_table(PlateModel, read_toml(MODEL), str(MODEL))
-
-
-def features(matches: FloatArray, rival: FloatArray, lead: FloatArray) -> FloatArray:
-    """(n, K, 4) of every ID: 1, its match as Fisher's z, by how much the match is above the best of
-    all others, random drawings among them, at one pose, and the same with each at its own pose.
-    matches: (n, K). rival, lead: (n,)."""
-    matches = matches.astype(float)
-    both = np.sort(np.concatenate([matches, rival[:, None]], axis=1), axis=1)
-    first, second = both[:, -1:], both[:, -2:-1]
-    likeliest = matches >= first
-    margin = matches - np.where(likeliest, second, first)
-    own = np.where(likeliest, np.minimum(lead[:, None], margin), margin)
-    match = np.arctanh(matches.clip(0, 0.99))
-    return np.stack([np.ones_like(matches), match, margin, own], axis=2)
+        self.rival = self.odds = 0.0
+        self.best: tuple[int, int] | None = None

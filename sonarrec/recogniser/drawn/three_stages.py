@@ -8,17 +8,18 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from sonarrec.arrays import FloatArray
+from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.config import Config
 from sonarrec.landmarks import DrawnSet
-from sonarrec.nouns import Fan, Frame, FrameResult, Selection
+from sonarrec.nouns import Fan, FrameResult, Selection
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.between_stages import AfterStage2, Batch, WorkingImage
 from sonarrec.recogniser.drawn.drawings import Drawings
+from sonarrec.recogniser.drawn.model import built_in_model
 from sonarrec.recogniser.drawn.pose import PoseFitter
 from sonarrec.recogniser.drawn.stage1 import PlateScore
 from sonarrec.recogniser.drawn.stage2 import Plates
-from sonarrec.recogniser.drawn.stage3 import PlateEvidence, PlateMeasurement, built_in_model
+from sonarrec.recogniser.drawn.stage3 import PlateEvidence, PlateMeasurement
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
@@ -26,13 +27,14 @@ from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
+from sonarrec.recogniser.three_stages import ThreeStages
 
 HALF_SIDE_PX = 20.0  # half a plate's side in the working image, where the fan is no coarser
 SMOOTH_PX = 0.7  # a picture's samples lie further apart than pixels
 
 
-class DrawnStages:
-    """Frames of one log in, estimates out, in the log's order; as ThreeStages."""
+class DrawnStages(ThreeStages):
+    """As ThreeStages, for drawn plates: another score in stage 1, poses, and pictures of plates."""
 
     def __init__(
         self,
@@ -48,7 +50,7 @@ class DrawnStages:
         # Without height there is no floor below the sonar: the plane is that of the fan itself.
         seen = replace(fan, height_m=0.0) if landmarks.pose == "free" else fan
         plane = working_plane("floor", seen, landmarks.radius_m, HALF_SIDE_PX)
-        self._plane, self._inside = plane, plane.inside > 0
+        self._plane = plane
         beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
         self._select = CandidateSelector(
             config.candidates, plane, landmarks, beam_width_deg, PlateScore(plane)
@@ -57,38 +59,19 @@ class DrawnStages:
         continuity = replace(config.continuity, motion="random_walk")
         self.odometry = Odometry(plane, continuity, None if landmarks.pose == "free" else poses)
         self._continuity = ContinuityFilter(continuity, plane, rng)
-        drawings = Drawings(landmarks)
+        drawings, model = Drawings(landmarks), built_in_model()
         beam_sigma = float(np.radians(beam_width_deg / HALF_POWER))
-        fitter = PoseFitter(drawings, plane, landmarks.pose, beam_sigma)
-        self._plates = Plates(fitter, plane)
-        self._measurement = PlateMeasurement(
-            drawings,
-            fitter,
-            built_in_model(),
-            features.memory_frames,
-            continuity.remember_frames,
+        self._fitter = PoseFitter(drawings, plane, landmarks.pose, beam_sigma, model)
+        self._plates = Plates(self._fitter, plane)
+        self._pictures = PlateMeasurement(
+            drawings, self._fitter, model, features.memory_frames, continuity.remember_frames
         )
         self._estimates = EstimateMaker(config, plane, landmarks)
         self._method = method
 
-    def step(self, frame: Frame) -> FrameResult:
-        """The three stages over one frame, which must be the log's next."""
-        image = self.working_image(frame)
-        return self.stage3([self.stage2(image, self.stage1(image))])[0]
-
-    def working_image(self, frame: Frame) -> WorkingImage:
-        """As of ThreeStages."""
-        image = self._plane.warp(frame.pixels, frame.polar)
-        return WorkingImage(frame.index, frame.timestamp_ns, image)
-
-    def stage1(self, image: WorkingImage) -> Selection:
-        """Candidate selection: where could a plate be?"""
-        return self._select(image.image)
-
     def stage2(self, frame: WorkingImage, selection: Selection) -> AfterStage2:
         """Continuity evaluation: which candidates are objects that persist, and in which pose?"""
-        grey = frame.image.astype(np.float32)
-        image = np.asarray(cv2.GaussianBlur(grey, (0, 0), SMOOTH_PX), np.float32)
+        image = smooth(frame.image)
         motion = self.odometry.step(frame.image, frame.timestamp_ns)
         self._plates.follow(image)
         known = motion if motion is not None and motion.known else None
@@ -96,7 +79,7 @@ class DrawnStages:
         groups = self._plates.join(image, groups)
         self._continuity.centre(groups)
         sight = self._plane.line_of_sight(groups.positions)
-        evidence, drawings = self._measurement.gather(groups, self._plates.of(groups), sight)
+        evidence, drawings = self._pictures.gather(groups, self._plates.of(groups), sight)
         self._plates.believe(groups.numbers, drawings)
         return AfterStage2(
             frame=frame.frame,
@@ -113,7 +96,7 @@ class DrawnStages:
     def stage3(self, frames: Sequence[AfterStage2]) -> list[FrameResult]:
         """Feature estimation: which drawing is on each plate?"""
         batch = Batch(frames)
-        beliefs = self._measurement.beliefs(batch.groups, batch.evidence)
+        beliefs = self._pictures.beliefs(batch.groups, batch.evidence)
         estimates = self._estimates.of_groups(self._method, batch, beliefs)
         assert isinstance(batch.evidence, PlateEvidence)
         corners = batch.evidence.corners
@@ -123,6 +106,11 @@ class DrawnStages:
             for estimate, of_plate in zip(estimates, polar, strict=True)
         ]
         return batch.results([], with_corners)
+
+
+def smooth(image: ByteImage) -> FloatImage:
+    """A working image as poses are fitted in."""
+    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTH_PX), np.float32)
 
 
 def _from_far(corners: FloatArray) -> FloatArray:

@@ -1,78 +1,135 @@
 """The model of drawn plates, learned from simulated recordings: `make plate-model`.
 
-Sets of random drawings, and of AcTag; in each recording plates of the set, plates of other
-drawings of the same kind, and bright figures. What is learned is what a match is worth.
+Sets of random cells, blobs and strokes, and of AcTag24h4; in each recording plates of the set,
+plates of other drawings, and bright figures. What is learned is what a match is worth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
 
 import cv2
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.config import preset
+from sonarrec.drawing.landmarks import distances
+from sonarrec.drawing.plates import NEAR, NEAR_SEEN
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks
 from sonarrec.nouns import Frame
-from sonarrec.recogniser.drawn.stage3 import MODEL, PlateEvidence, PlateModel, features
-from sonarrec.recogniser.drawn.three_stages import DrawnStages
-from sonarrec.simulation.plates import HeldPlate, PlateScene, plate_sonar, render_plates
+from sonarrec.recogniser.drawn.model import MODEL, of_ids, of_one
+from sonarrec.recogniser.drawn.pose import Fit
+from sonarrec.recogniser.drawn.stage3 import PlateEvidence
+from sonarrec.recogniser.drawn.three_stages import DrawnStages, smooth
+from sonarrec.simulation.plates import (
+    HeldPlate,
+    PlateFrame,
+    PlateScene,
+    PlateTruth,
+    plate_sonar,
+    render_plates,
+)
+from tests.support.simulated import in_processes
 
-SEEDS, FRAMES = (*range(1000, 1010), *range(1030, 1050), *range(1060, 1080)), 12
+SEEDS, FRAMES = range(1000, 1090), 24
+LOOKED_AT = (1, 8)  # frames that teach what a single picture's matches are worth
+SIDE, SIDE_M = 28, 0.3
 PLACES = ((0.75, 0.0), (1.35, -16.0), (1.4, 16.0))  # m, deg
-NEAR_M = 0.06
+WIDEST_BEAM_M = 1.5 * np.radians(1.0)
+NEAR_M, CORNERS_M = 0.06, 0.03
 FRAMES_COUNTED, RIDGE = 4, 0.02
-PRIOR = 1.0  # added log odds: these recordings hold far more strangers than there are elsewhere
 
 
 def random_sets(rng: np.random.Generator) -> tuple[DrawnSet, DrawnSet]:
-    """A set, and another of the same kind for strangers."""
-    kind, count = rng.integers(3), int(rng.integers(1, 13))
-    if kind == 0:
-        family = load_landmarks("actag24h4")
-        ids = rng.permutation(len(family.ids))[: count + 8].tolist()
-        table = {"name": "a", "kind": "drawn", "size_m": 0.3, "family": "actag24h4"}
-        mirrored = str(rng.choice(["yes", "no"]))
-        made = [
-            landmarks_from_table({**table, "ids": part, "mirrored": mirrored}, "here")
-            for part in (ids[:count], ids[count:])
-        ]
-    else:
-        side = int(rng.integers(4, 9))
-        drawings = [_cells(rng, side) if kind == 1 else _blobs(rng) for _ in range(count + 8)]
-        mirrored = str(rng.choice(["yes", "no", "either"]))
-        made = [set_of(part, mirrored) for part in (drawings[:count], drawings[count:])]
-    one, other = made
-    assert isinstance(one, DrawnSet)
-    assert isinstance(other, DrawnSet)
-    return one, other
+    """A set, and strangers of the same kind: all of one family, or of any."""
+    count, kind = int(rng.integers(1, 17)), int(rng.integers(len(FAMILIES) + 1))
+    mirrored = str(rng.choice(["yes", "no", "either"]))
+
+    def drawings() -> Iterator[BoolArray]:
+        while True:
+            family = kind if kind < len(FAMILIES) else int(rng.integers(len(FAMILIES)))
+            yield FAMILIES[family](rng)
+
+    taken = apart(drawings(), count + 8, mirrored)
+    return set_of(taken[:count], mirrored), set_of(taken[count:], mirrored)
+
+
+def apart(drawings: Iterable[BoolArray], count: int, mirrored: str) -> list[BoolArray]:
+    """The first so many of which `sonarrec landmarks` would not warn beside those before."""
+    taken: list[BoolArray] = []
+    for drawing in drawings:
+        try:
+            near = distances(set_of([*taken, drawing], mirrored), WIDEST_BEAM_M)
+        except SonarrecError:  # the same drawing, turned
+            continue
+        if all(d.drawn >= NEAR and d.seen >= NEAR_SEEN for d in near):
+            taken.append(drawing)
+        if len(taken) == count:
+            break
+    return taken
 
 
 def set_of(drawings: Sequence[BoolArray], mirrored: str = "either") -> DrawnSet:
-    """A set of plates .3 m wide with IDs from 0."""
+    """A set of plates SIDE_M wide with IDs from 0."""
     rows = [["".join("01"[int(c)] for c in line) for line in cells] for cells in drawings]
     landmark = [{"id": i, "cells": cells} for i, cells in enumerate(rows)]
-    table = {"name": "s", "kind": "drawn", "size_m": 0.3, "landmark": landmark}
+    table = {"name": "s", "kind": "drawn", "size_m": SIDE_M, "landmark": landmark}
     made = landmarks_from_table({**table, "mirrored": mirrored}, "here")
     assert isinstance(made, DrawnSet)
     return made
 
 
-def _cells(rng: np.random.Generator, side: int) -> BoolArray:
-    return np.asarray(rng.random((side, side)) < rng.uniform(0.35, 0.6))
+def _tag(rng: np.random.Generator) -> BoolArray:
+    family = _family()
+    return family[int(rng.integers(len(family)))]
+
+
+@cache
+def _family() -> list[BoolArray]:
+    family = load_landmarks("actag24h4")
+    assert isinstance(family, DrawnSet)
+    return family.drawings()
+
+
+def _cells(rng: np.random.Generator) -> BoolArray:
+    return np.asarray(rng.random((int(rng.integers(4, 9)),) * 2) < rng.uniform(0.35, 0.6))
 
 
 def _blobs(rng: np.random.Generator) -> BoolArray:
-    smooth = cv2.GaussianBlur(rng.standard_normal((28, 28)), (0, 0), rng.uniform(1.5, 3))
+    smooth = cv2.GaussianBlur(rng.standard_normal((SIDE, SIDE)), (0, 0), rng.uniform(1.5, 3))
     return np.asarray(smooth > np.quantile(smooth, rng.uniform(0.4, 0.65)))
 
 
-def random_scene(seed: int, sets: tuple[DrawnSet, DrawnSet] | None = None) -> PlateScene:
-    """A recording of plates of the set and strangers, flat to tilted by 55 deg."""
+def _strokes(rng: np.random.Generator) -> BoolArray:
+    """Four to six lines all over the plate, most of them from the end of the last."""
+    while True:
+        cells = np.zeros((SIDE, SIDE), np.uint8)
+        ends = rng.integers(2, SIDE - 2, (int(rng.integers(5, 8)), 2)).tolist()
+        thick = int(rng.integers(4, 6))
+        for one, other in pairwise(ends):
+            begin = one if rng.random() < 0.7 else rng.integers(2, SIDE - 2, 2).tolist()
+            cv2.line(cells, begin, other, 1, thick)
+        if min(cv2.boundingRect(cells)[2:]) > 0.8 * SIDE and cells.mean() < 0.6:
+            return cells > 0
+
+
+FAMILIES: tuple[Callable[[np.random.Generator], BoolArray], ...] = (_tag, _cells, _blobs, _strokes)
+
+
+def random_scene(
+    seed: int,
+    sets: tuple[DrawnSet, DrawnSet] | None = None,
+    least_db: float = 5.0,
+    frames: int = FRAMES,
+    most_deg: float = 60.0,
+) -> PlateScene:
+    """A recording of plates of the set and strangers, flat to tilted; least_db to 12 over
+    what is round them."""
     rng = np.random.default_rng(seed)
     known, strangers = sets or random_sets(rng)
     plates = []
@@ -88,10 +145,10 @@ def random_scene(seed: int, sets: tuple[DrawnSet, DrawnSet] | None = None) -> Pl
                 range_m=range_m + rng.uniform(-0.08, 0.08),
                 bearing_deg=bearing_deg + rng.uniform(-3, 3),
                 turned_deg=rng.uniform(0, 360),
-                tilt_deg=rng.uniform(0, 50),
+                tilt_deg=rng.uniform(0, most_deg),
                 axis_deg=rng.uniform(-20, 20),
                 mirrored=hand,
-                bright_db=rng.uniform(5, 12),
+                bright_db=rng.uniform(least_db, 12),
                 dark_db=rng.uniform(-8, 0),
                 known=chosen is known,
             )
@@ -101,10 +158,11 @@ def random_scene(seed: int, sets: tuple[DrawnSet, DrawnSet] | None = None) -> Pl
         others=strangers,
         plate=tuple(plates),
         seed=seed,
-        frames=FRAMES,
+        frames=frames,
         beams=192,
         bins=320,
         beam_width_deg=rng.uniform(0.4, 1.0),
+        pulse_m=rng.uniform(0.004, 0.02),
         swing=rng.uniform(0, 0.6),
         streaks=int(rng.integers(0, 5)),
         light_db=rng.uniform(0, 4),
@@ -114,51 +172,82 @@ def random_scene(seed: int, sets: tuple[DrawnSet, DrawnSet] | None = None) -> Pl
     )
 
 
-def lessons(seed: int) -> tuple[FloatArray, ...]:
-    """Of every group that shows a plate, in every frame: (n, K) matches, (n,) the rival's and the
-    lead, (n,) the index of the true ID or K, (n,) track."""
-    scene = random_scene(seed)
-    ids = scene.landmark_set.ids
+def stages_of(scene: PlateScene) -> tuple[DrawnStages, Iterator[tuple[PlateFrame, Frame]]]:
+    """What recognises a recording, and its frames."""
     polar = PolarToFan(plate_sonar(scene).complete("scene"), scene.bins, scene.beams)
-    fan = polar.fan
     config = preset("default")
     config = replace(config, features=replace(config.features, beam_width_deg=scene.beam_width_deg))
-    stages = DrawnStages(config, fan, scene.landmark_set, "framework")
+    frames = (
+        (shot, Frame(shot.index, shot.timestamp_ns, shot.image, polar.fan, polar=polar))
+        for shot in render_plates(scene)
+    )
+    return DrawnStages(config, polar.fan, scene.landmark_set, "framework"), frames
+
+
+def lessons_of_pictures(seed: int) -> list[Part]:
+    """Of the fits that a search compares: matches by scale, and whether they are right."""
+    stages, frames = stages_of(random_scene(seed, frames=LOOKED_AT[-1] + 1))
+    fits: list[Fit] = []
+    label: list[int] = []
+    for shot, frame in frames:
+        if shot.index not in LOOKED_AT:
+            continue
+        working = stages.working_image(frame)
+        image = smooth(working.image)
+        for place in stages.stage1(working).positions:
+            found = stages._fitter.candidates(image, place, [])
+            fits += found
+            label += [not any(_fits(stages, fit, true) for true in shot.truth) for fit in found]
+    if not fits:
+        return []
+    features = of_one(np.array([fit.compared for fit in fits]))
+    return [(features[:, None], np.array(label, int), np.ones(len(label)))]
+
+
+def _fits(stages: DrawnStages, fit: Fit, true: PlateTruth) -> bool:
+    """Whether it is the true drawing, with its corners where they are."""
+    if fit.row != true.landmark:
+        return False
+    found = plane_from_polar(*stages._plane.to_polar(*stages._fitter.corners(fit.pose).T))
+    wanted = plane_from_polar(*true.corners.T)
+    offsets = [np.roll(way, n, axis=0) - found for way in (wanted, wanted[::-1]) for n in range(4)]
+    return bool(min(np.hypot(*offset.T).mean() for offset in offsets) < CORNERS_M)
+
+
+def lessons_of_tracks(seed: int) -> list[Part]:
+    """Of every group that shows a plate, in every frame: features, and the true ID's index or K.
+
+    A track's frames are much the same: together they count as FRAMES_COUNTED.
+    """
+    scene = random_scene(seed)
+    ids = scene.landmark_set.ids
+    stages, frames = stages_of(scene)
     found: list[tuple[FloatArray, ...]] = []
-    for shot in render_plates(scene):
-        frame = Frame(shot.index, shot.timestamp_ns, shot.image, fan, polar=polar)
+    for shot, frame in frames:
         image = stages.working_image(frame)
         after = stages.stage2(image, stages.stage1(image))
-        evidence = after.evidence
+        evidence, groups = after.evidence, after.groups
         assert isinstance(evidence, PlateEvidence)
-        groups = after.groups
-        range_m, bearing_deg = stages._plane.to_polar(*groups.positions.T)
-        middles = plane_from_polar(range_m, bearing_deg)
+        middles = plane_from_polar(*stages._plane.to_polar(*groups.positions.T))
         label = np.full(len(middles), len(ids))
         for true in shot.truth:
             place = plane_from_polar(np.array([true.range_m]), np.array([true.bearing_deg]))
             label[np.hypot(*(middles - place).T) < NEAR_M] = ids.index(true.landmark)
+        features = of_ids(evidence.matches, evidence.rival, evidence.odds)
         kept = groups.in_view
-        found.append(
-            tuple(
-                a[kept]
-                for a in (evidence.matches, evidence.rival, evidence.lead, label, groups.numbers)
-            )
-        )
-    return tuple(np.concatenate(part) for part in zip(*found, strict=True))
+        found.append((features[kept], label[kept], groups.numbers[kept]))
+    features, label, track = (np.concatenate(part) for part in zip(*found, strict=True))
+    _, index, count = np.unique(track, return_inverse=True, return_counts=True)
+    return [(features, label, np.minimum(1, FRAMES_COUNTED / count[index]))] if len(label) else []
 
 
-def fit(parts: Sequence[tuple[FloatArray, ...]]) -> FloatArray:
-    """(F,) weights of `features`, by Newton's method: the most likely, with a slight ridge.
+Part = tuple[FloatArray, IntArray, FloatArray]
+"""(n, K, F) features, (n,) labels, 0 to K, and (n,) weights."""
 
-    A track's frames are much alike: together they count as FRAMES_COUNTED.
-    """
-    examples = []
-    for matches, rival, lead, label, track in parts:
-        _, index, count = np.unique(track, return_inverse=True, return_counts=True)
-        weight = np.minimum(1, FRAMES_COUNTED / count[index])
-        examples.append((features(matches, rival, lead), label, weight))
-    weights = np.zeros(4)
+
+def fit(examples: Sequence[Part]) -> FloatArray:
+    """(F,) weights of the features, by Newton's method: the most likely, with a slight ridge."""
+    weights = np.zeros(examples[0][0].shape[2])
     likelihood, gradient, curvature = _derivatives(weights, examples)
     for _ in range(100):
         step, share = np.linalg.solve(curvature, gradient), 1.0
@@ -172,39 +261,37 @@ def fit(parts: Sequence[tuple[FloatArray, ...]]) -> FloatArray:
 
 
 def _derivatives(
-    weights: FloatArray, examples: Sequence[tuple[FloatArray, IntArray, FloatArray]]
+    weights: FloatArray, examples: Sequence[Part]
 ) -> tuple[float, FloatArray, FloatArray]:
     """The log likelihood with its ridge, its gradient, and the negative of its curvature."""
     likelihood = -RIDGE * float(weights @ weights) / 2
     gradient, curvature = -RIDGE * weights, RIDGE * np.eye(len(weights))
-    for of_ids, label, weight in examples:
-        n, ids = of_ids.shape[:2]
-        odds = np.concatenate([of_ids @ weights, np.zeros((n, 1))], axis=1)
+    for features, label, weight in examples:
+        n, ids = features.shape[:2]
+        odds = np.concatenate([features @ weights, np.zeros((n, 1))], axis=1)
         odds -= odds.max(axis=1, keepdims=True)
         share = np.exp(odds) / np.exp(odds).sum(axis=1, keepdims=True)
         likelihood += float(weight @ np.log(share[np.arange(n), label]))
         true = np.arange(ids) == label[:, None]
-        mean = np.einsum("ik,ikf->if", share[:, :-1], of_ids)
-        gradient = gradient + np.einsum("i,ik,ikf->f", weight, true - share[:, :-1], of_ids)
-        curvature += np.einsum("i,ik,ikf,ikg->fg", weight, share[:, :-1], of_ids, of_ids)
+        mean = np.einsum("ik,ikf->if", share[:, :-1], features)
+        gradient = gradient + np.einsum("i,ik,ikf->f", weight, true - share[:, :-1], features)
+        curvature += np.einsum("i,ik,ikf,ikg->fg", weight, share[:, :-1], features, features)
         curvature -= np.einsum("i,if,ig->fg", weight, mean, mean)
     return likelihood, gradient, curvature
 
 
 def make_model() -> None:
-    """Learn and write the built-in model, on all cores."""
-    with ProcessPoolExecutor() as workers:
-        parts = [part for part in workers.map(lessons, SEEDS) if len(part[0])]
-    names = [f.name for f in fields(PlateModel)]
-    learned = fit(parts)
-    learned[0] += PRIOR
-    weights = zip(names, learned.tolist(), strict=True)
-    head = (
-        "# Log odds of an ID against 'none of these': these times the features of stage3.py.\n"
-        f"# Made by `make plate-model`: {len(parts)} simulated recordings of {FRAMES} frames,\n"
-        f"# seeds from {SEEDS[0]} on.\n"
-    )
-    MODEL.write_text(head + "".join(f"{name} = {weight:.3f}\n" for name, weight in weights))
+    """Learn and write the built-in model: first what a picture's matches are worth, then with that
+    what those of a track are."""
+    learned: dict[str, list[float]] = {"picture": [], "track": []}
+    for name, lessons in (("picture", lessons_of_pictures), ("track", lessons_of_tracks)):
+        parts = [part for parts in in_processes(lessons, SEEDS) for part in parts]
+        learned[name] = fit(parts).round(3).tolist()
+        MODEL.write_text(
+            "# Weights of the features in model.py. Made by `make plate-model`:\n"
+            f"# {len(SEEDS)} simulated recordings of {FRAMES} frames, seeds from {SEEDS[0]} on.\n"
+            + "".join(f"{key} = {weights}\n" for key, weights in learned.items())
+        )
 
 
 if __name__ == "__main__":
