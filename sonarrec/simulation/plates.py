@@ -85,6 +85,8 @@ class PlateScene:
     """Bright figures of about a plate's size."""
     floor_db: Finite = 14.0
     """Of the background over the noise."""
+    height_m: NotNegative = 0.0
+    """Of the sonar over the plates: one without tilt and swing lies on the floor."""
     blank_every: Count = 0
     """Each so many frames one shows noise alone; 0: none."""
 
@@ -157,6 +159,7 @@ def plate_sonar(scene: PlateScene) -> Sonar:
         field_of_view_deg=scene.field_of_view_deg,
         tilt_deg=30.0,
         frame_rate_hz=scene.rate_hz,
+        height_m=scene.height_m or None,
         beam_width_deg=scene.beam_width_deg,
     )
 
@@ -218,7 +221,8 @@ class _World:
         axes = spin[:, :2] * scene.landmark_set.radius_m
         if stated.mirrored:
             axes = axes * (-1, 1)
-        middle = distance * np.array([math.sin(bearing), math.cos(bearing), 0.0])
+        ground = math.sqrt(max(distance**2 - scene.height_m**2, 0))
+        middle = np.array([ground * math.sin(bearing), ground * math.cos(bearing), -scene.height_m])
         return middle, axes
 
     def truth(self, plate: HeldPlate, pose: tuple[FloatArray, FloatArray]) -> PlateTruth:

@@ -58,6 +58,16 @@ def test_cells_show_between_the_corners(mirrored: bool) -> None:
     assert (area > 0) == mirrored
 
 
+def test_without_tilt_below_the_sonar_it_is_a_square_on_the_floor() -> None:
+    plate = replace(SCENE.plate[0], tilt_deg=0.0)
+    scene = replace(SCENE, plate=(plate,), swing=0.0, height_m=0.6)
+    (true,) = next(render_plates(scene)).truth
+    assert true.range_m == pytest.approx(1.0)
+    ground_m = np.sqrt(true.corners[:, 0] ** 2 - 0.6**2)
+    corners = ground_m * np.exp(1j * np.radians(true.corners[:, 1]))
+    assert np.abs(corners - np.roll(corners, 1)) == pytest.approx(0.3048)
+
+
 def test_the_same_scene_gives_the_same_frames_and_blanks_show_nothing() -> None:
     scene = replace(SCENE, frames=4, blank_every=2)
     once, again = list(render_plates(scene)), list(render_plates(scene))
