@@ -36,11 +36,11 @@ TURNED_DEG, AXIS_DEG = range(-45, 45, 15), (-25, 0, 25)
 REACH, NEAR = 6, 2
 # Of the poses tried, those that are refined a little, and wholly; of a drawing, SAME at most, with
 # their middles so many halves of a side apart.
-STARTS, BEST, SAME, APART = 20, 5, 2, 0.3
+STARTS, BEST, SAME, APART = 20, 4, 2, 0.3
 # Singular values over half a side: least and most of the larger, least of the smaller.
 BOUNDS = {"free": (0.88, 1.14, 0.28), "floor": (0.92, 1.08, 0.92)}
 EXPLAINED = 1.5  # halves of a side: what lies nearer to a plate's middle is no other plate
-FIRST_ROUNDS, ROUNDS, NEAR_ROUNDS = 4, 8, 6  # of refinement
+FIRST_ROUNDS, ROUNDS, NEAR_ROUNDS = 3, 7, 6  # of refinement
 MOST_STEP = 0.15  # halves of a side, in one round
 RIDGE = 1e-2  # share of the mean curvature: holds what a drawing says nothing of
 
