@@ -112,8 +112,8 @@ def curve_of(base: IntArray, claims: tuple[FloatArray, IntArray]) -> Curve:
 
 
 def ratio(part: FloatArray | IntArray, whole: FloatArray | IntArray) -> FloatArray:
-    """part / whole, NaN for 0/0."""
-    with np.errstate(invalid="ignore"):
+    """part / whole; NaN for 0/0, infinite for more over 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(part / whole)
 
 
