@@ -26,6 +26,7 @@ BUILT_IN = Path(__file__).parent / "landmark_sets"
 MOST_CELLS = 64
 """Along the side of a drawing; an image is reduced to at most IMAGE_CELLS."""
 IMAGE_CELLS = 28
+WIDEST_SIGMA = 0.15  # halves of a plate's side: beams of a larger one do not resolve its drawing
 Hand = Literal["no", "yes", "either"]
 PlatePose = Literal["floor", "free"]
 

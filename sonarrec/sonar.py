@@ -176,10 +176,13 @@ class Sonar:
                 f"height_m = {height:g} must be above 0 and below range_max_m = {high:g}, "
                 "or no floor is in the window",
             )
-        for key in ("frame_rate_hz", "beam_width_deg", "metres_per_pixel", "dynamic_range_db"):
+        for key in ("frame_rate_hz", "metres_per_pixel", "dynamic_range_db"):
             value = getattr(self, key)
             if value is not None and value <= 0:
                 yield (key,), f"{key} = {value:g} must be above 0"
+        width = self.beam_width_deg
+        if width is not None and not 0 < width <= 5:  # as features.beam_width_deg
+            yield ("beam_width_deg",), f"beam_width_deg = {width:g} must be above 0, and at most 5"
         yield from self._contradictions_of_bins_and_beams()
 
     def _contradictions_of_bins_and_beams(self) -> Iterator[tuple[tuple[str, ...], str]]:

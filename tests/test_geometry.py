@@ -256,6 +256,8 @@ def test_a_sonar_toml_that_cannot_be_meant(text: str, says: str, tmp_path: Path)
         ({"tilt_deg": 90.0}, "tilt_deg = 90"),
         ({"height_m": 4.0}, "height_m = 4"),
         ({"frame_rate_hz": 0.0}, "frame_rate_hz = 0"),
+        ({"beam_width_deg": 0.0}, "beam_width_deg = 0 must be above 0, and at most 5"),
+        ({"beam_width_deg": 5.1}, "beam_width_deg = 5.1"),
         ({"metres_per_pixel": -1.0}, "metres_per_pixel = -1"),
         ({"bearings_deg": ()}, "bearings_deg must rise or fall"),
         ({"bearings_deg": (0.0, 2.0, 1.0)}, "bearings_deg must rise or fall"),

@@ -10,14 +10,14 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage
 from sonarrec.drawing.pen import TRUTH, Pen
-from sonarrec.landmarks import IMAGE_CELLS, DrawnSet, views
+from sonarrec.landmarks import IMAGE_CELLS, WIDEST_SIGMA, DrawnSet, views
 
 GRID = 56  # samples along a plate's side
 PLATE_PX, MARGIN_PX, MOST_COLUMNS = 140, 30, 7
 # As seen, a share of the plate's area. AcTag24h10 has .20, AcTag24h4 .08, as drawn.
 NEAR, NEAR_SEEN = 0.06, 0.03
 THINNEST_BEAMS = 0.7  # cells; of simulated plates with cells as wide as a beam most are read
-WIDEST_SHARE = 1 / 6  # of a plate's side, as MOST_SMEAR of the recogniser's stage 2 of plates
+HALF_POWER = 2.355  # width of a Gaussian beam, in its sigmas
 MARGIN_MM = 10
 SHEET_MARK = (
     "<!-- A sheet of `sonarrec landmarks`. Black: rough, bright to a sonar; grey lines: cuts -->"
@@ -62,7 +62,7 @@ def _views(signs: FloatImage, landmarks: DrawnSet) -> list[FloatImage]:
 
 def _smeared(plate: BoolArray, beam_m: float, landmarks: DrawnSet) -> FloatImage:
     """(n, n) what beams, across the columns, leave of a plate. beam_m: at half power."""
-    sigma = max(beam_m / 2.355 / (2 * landmarks.radius_m) * len(plate), 1e-3)
+    sigma = max(beam_m / HALF_POWER / (2 * landmarks.radius_m) * len(plate), 1e-3)
     return np.asarray(
         cv2.GaussianBlur(np.asarray(plate, np.float32), (0, 0), sigmaX=sigma, sigmaY=1e-3)
     )
@@ -72,9 +72,10 @@ def plate_doubts(landmarks: DrawnSet, beam_m: float) -> list[str]:
     """What makes the plates hard to read, whatever else there is in the set."""
     side_m, cells = 2 * landmarks.radius_m, max(len(d) for d in landmarks.drawings())
     wide = f"beams are {1000 * beam_m:.0f} mm wide there"
-    if WIDEST_SHARE * side_m < beam_m:
-        share = WIDEST_SHARE * side_m / beam_m
-        return [f"{wide}, over a sixth of a plate: no ID is read beyond {share:.2f} of this range"]
+    widest_m = HALF_POWER * WIDEST_SIGMA * landmarks.radius_m
+    if beam_m > widest_m:
+        share = widest_m / beam_m
+        return [f"{wide}, too wide for the plates: no ID is read beyond {share:.2f} of this range"]
     cell_m = side_m / cells
     if cells == IMAGE_CELLS or cell_m > THINNEST_BEAMS * beam_m:  # an image's are no cells
         return []

@@ -125,7 +125,7 @@ def test_a_sheet_of_plates_is_to_scale(tmp_path: Path) -> None:
 
 
 def test_plates_too_small_for_the_beams_are_told() -> None:
-    told = [sonarrec("landmarks", "actag24h10", "--distance", d).stderr for d in ("4.8", "10")]
-    # Beams of .6 deg are as wide as a sixth of 305 mm at 4.85 m.
+    told = [sonarrec("landmarks", "actag24h10", "--distance", d).stderr for d in ("5.1", "10")]
+    # Beams of .6 deg have a sigma of .075 of 305 mm at 5.14 m.
     assert not told[0]
-    assert "no ID is read beyond 0.49 of this range" in told[1]
+    assert "no ID is read beyond 0.51 of this range" in told[1]

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage, IntArray
+from sonarrec.landmarks import WIDEST_SIGMA
 from sonarrec.nouns import Groups, Selection
 from sonarrec.recogniser.drawn.pose import EXPLAINED, Fit, PoseFitter
 from sonarrec.recogniser.plane import Plane
@@ -27,7 +28,6 @@ FIRST, OFTEN, SURE = 3, 8, 2.0  # log odds
 BETTER = 1.0  # by how much likelier, in log odds, another pose must be, to be taken instead
 FIRST_SEARCHES, SEARCHES = 2, 1  # in one frame, at most: where new groups wait, and else
 PEAK = 0.25  # halves of a side, of the score of a plate that was found
-MOST_SMEAR = 0.15  # halves of a side, of an echo's sigma: then beams are a sixth of a side wide
 SHOWN = 0.8  # least share of a plate inside the fan
 POSE_SPREAD = 0.06  # of a fitted middle, in sides
 
@@ -145,7 +145,7 @@ class Plates:
 
     def _shows(self, fit: Fit, least: float) -> bool:
         """Whether a fit matches well enough, inside the fan, where beams resolve its drawing."""
-        if fit.match < least or max(self._fitter.smear(fit.pose)) > MOST_SMEAR:
+        if fit.match < least or max(self._fitter.smear(fit.pose)) > WIDEST_SIGMA:
             return False
         return float(self._fitter.sampled(self._plane.inside, fit.pose).mean()) >= SHOWN
 
