@@ -13,6 +13,7 @@ import click
 
 from sonarrec import __version__
 from sonarrec.cli.endings import INTERRUPTED, tell
+from sonarrec.cli.removed import REMOVED
 from sonarrec.errors import SonarrecError, UsageError, name_as_text, printable
 
 COMMANDS = (
@@ -33,6 +34,12 @@ class _Program(click.Group):
         module = import_module(f"sonarrec.cli.{name}")
         command: click.Command = getattr(module, f"{name}_" if name in ("map", "help") else name)
         return command
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """As click's own, with what to use in place of a command that is gone."""
+        if args and args[0] in REMOVED:
+            ctx.fail(f"No such command {args[0]!r}. Gone: {REMOVED[args[0]]}.")
+        return super().resolve_command(ctx, args)
 
     def main(self, *arguments: Any, **options: Any) -> Any:
         _open_streams()

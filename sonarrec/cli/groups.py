@@ -12,6 +12,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from sonarrec.cli.removed import with_advice
 from sonarrec.errors import UsageError
 
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -71,7 +72,10 @@ class GroupedCommand(click.Command):
             option, is_set, value = str(word).partition("=")
             if not word or (option.startswith("--") and is_set and not value):
                 raise UsageError(f"empty argument after {option or before}; is a variable unset?")
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            raise with_advice(error) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         rows: dict[str, list[tuple[str, str]]] = {g: [] for g in (FIRST, *GROUPS, "Other")}
