@@ -116,8 +116,8 @@ class Sonar:
             missing = self.missing()
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}; write a sonar.toml beside "
-                f"the log, or give options such as --{missing[0].replace('_', '-')}; `sonarrec "
-                f"info` shows what is known; like this:\n{EXAMPLE_SONAR_TOML}"
+                f"the log, or give `run` options such as --{missing[0].replace('_', '-')}; "
+                f"`sonarrec info` shows what is known; like this:\n{EXAMPLE_SONAR_TOML}"
             )
         wrong = self.contradiction()
         if wrong is not None:

@@ -253,7 +253,6 @@ def test_geometry_by_flags_alone(pings: Path) -> None:
         (("--height-m", "9"), "height_m"),
         (("--tilt-deg", "95"), "tilt_deg"),
         (("--metres-per-pixel", "0"), "metres_per_pixel"),
-        (("--dynamic-range-db", "-1"), "dynamic_range_db"),
     ],
 )
 def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) -> None:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Read the summary and the first frames only; do not check every frame and checksum.",
 )
-@log_options()
+@log_options(flags=True)
 @options.landmarks
 @in_output(
     "--preview",

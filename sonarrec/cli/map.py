@@ -11,7 +11,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.endings import finish
 from sonarrec.cli.groups import ANY, FILE, FOLDER, NEW_FILE, command, in_input, in_output
-from sonarrec.cli.options_log import geometry_options
+from sonarrec.cli.options_log import sonar_option
 from sonarrec.errors import UsageError, number_of
 
 
@@ -38,7 +38,7 @@ from sonarrec.errors import UsageError, number_of
     default=3,
     help="Leave out landmarks declared in fewer frames.",
 )
-@geometry_options
+@sonar_option
 @in_output(
     "--origin",
     metavar="LAT,LON,HEADING",

@@ -23,7 +23,7 @@ from sonarrec.cli.groups import (
     in_settings,
     names_of,
 )
-from sonarrec.cli.options_log import GEOMETRY_OPTIONS, LogChoice
+from sonarrec.cli.options_log import sonar_file, stated_in
 from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def _scoring(values: dict[str, Any]) -> ScoringOptions:
     from sonarrec.evaluation.match import ScoringOptions
 
     chosen = {key: values[key] for key in _SCORING}
-    return ScoringOptions(**chosen, sonar=LogChoice(values).sonar_without_log())
+    return ScoringOptions(**chosen, sonar=stated_in(values["sonar_file"]))
 
 
 class _MethodRate(click.ParamType[tuple[str, float]]):
@@ -208,7 +208,7 @@ def _limits(values: dict[str, Any]) -> Limits:
 limits = as_one("limits", _LIMITS, _limits)
 
 # What is scored, how, and in which geometry, as one `scoring`: ScoringOptions.
-scoring = as_one("scoring", _SCORING | GEOMETRY_OPTIONS, _scoring)
+scoring = as_one("scoring", _SCORING | {"sonar_file": sonar_file}, _scoring)
 
 # Settings
 

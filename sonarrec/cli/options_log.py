@@ -11,7 +11,7 @@ import click
 
 from sonarrec.cli.groups import FILE, Decorator, as_one, in_geometry, in_input, in_pixels
 from sonarrec.errors import UsageError
-from sonarrec.nouns import Clock, ColourMap
+from sonarrec.nouns import Clock
 
 if TYPE_CHECKING:
     from sonarrec.results.run_file import LogOptions
@@ -23,15 +23,9 @@ GEOMETRY_TEXTS = {
     "tilt_deg": "Downward tilt of the sonar, deg.",
     "height_m": "Height of the sonar above the floor, m.",
     "frame_rate_hz": "Frames per second, if frames carry no time.",
-    "beam_width_deg": "Width of the beams, two-way, between half-power points, deg.",
     "metres_per_pixel": "Scale of a fan image, m.",
 }
-GEOMETRY_OPTIONS = {
-    "sonar_file": in_geometry(
-        "--sonar sonar_file",
-        type=FILE,
-        help="Geometry file, in place of the sonar.toml beside the log.",
-    ),
+_FLAGS = {
     "layout": in_geometry(
         "--layout", type=click.Choice(["fan", "polar"]), help="Layout of the images."
     ),
@@ -45,11 +39,6 @@ GEOMETRY_OPTIONS = {
     "bearings_deg": in_geometry(
         "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image, deg."
     ),
-    "ranges_m": in_geometry(
-        "--ranges-m", metavar="R,R,...", help="One slant range per row of a polar image, m."
-    ),
-}
-_PIXELS = {
     "beam_order": in_pixels(
         "--beam-order",
         type=click.Choice(["range-major", "beam-major"]),
@@ -65,13 +54,6 @@ _PIXELS = {
     "flip": in_pixels(
         "--flip/--no-flip", default=None, help="Exchange left and right, if a driver did."
     ),
-    "colour_map": in_pixels(
-        "--colour-map",
-        type=click.Choice(get_args(ColourMap)),
-        metavar="NAME",
-        help="Colour map of pictures in false colour, such as jet or viridis; luminance if they "
-        "are in none.  [default: found from the first frames; sonarrec help geometry]",
-    ),
     "pixel_scale": in_pixels(
         "--pixel-scale",
         type=click.Choice(["linear", "log", "db"]),
@@ -79,19 +61,13 @@ _PIXELS = {
         "amplitudes, or decibels.  "
         "[default: found from their type and the first frames; sonarrec help geometry]",
     ),
-    "full_scale": in_pixels(
-        "--full-scale",
-        type=float,
-        metavar="VALUE",
-        help="The pixel value that becomes white.  "
-        "[default: the type's largest; for log and db from the first ping]",
-    ),
-    "dynamic_range_db": in_pixels(
-        "--dynamic-range-db",
-        type=float,
-        help="Decibels from black to white, for log and db.  [default: 50]",
-    ),
 }
+"""Keys of sonar.toml as flags, of `run` and `info` alone."""
+sonar_file = in_input(
+    "--sonar sonar_file",
+    type=FILE,
+    help="Geometry file, in place of the sonar.toml beside the log.",
+)
 topic_option = in_input(
     "--topic", help="Channel of an MCAP or bag that holds several image channels."
 )
@@ -152,35 +128,25 @@ class LogChoice:
         """The Sonar of the flags alone. Raises UsageError if they are invalid."""
         from sonarrec.sonar import sonar_from_table
 
-        keys = [key for key in (*GEOMETRY_OPTIONS, *_PIXELS) if key != "sonar_file"]
-        stated = {key: self.values[key] for key in keys if self.values.get(key) is not None}
-        for key in {"bearings_deg", "ranges_m"} & set(stated):
+        stated = {key: self.values[key] for key in _FLAGS if self.values.get(key) is not None}
+        if "bearings_deg" in stated:
             try:
-                stated[key] = [float(number) for number in stated[key].split(",")]
+                stated["bearings_deg"] = [float(b) for b in stated["bearings_deg"].split(",")]
             except ValueError:
-                flag = f"--{key.replace('_', '-')}"
-                raise UsageError(f"{flag}: expected numbers separated by commas") from None
+                wrong = "--bearings-deg: expected numbers separated by commas"
+                raise UsageError(wrong) from None
         sonar = sonar_from_table(stated, "command line")
         sonar.check_flags(sonar)
         return sonar
-
-    def sonar_without_log(self) -> Any:
-        """The Sonar of --sonar, changed by the flags, for commands that open no log."""
-        from sonarrec.sonar import Sonar, load_sonar
-
-        file = self.values["sonar_file"]
-        return (load_sonar(file) if file else Sonar()).updated(self.sonar())
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of `open_log`: sonar, sonar_file, topic, and time if given.
 
         Raises SonarrecError if sonar_file cannot be used: once, not for each log.
         """
-        from sonarrec.sonar import load_sonar
-
         file: Path | None = self.values["sonar_file"]
         if file is not None and file.is_file():  # a pipe can be read only once
-            load_sonar(file)
+            stated_in(file)
         time = {"time": self.values["time"]} if self.values.get("time") else {}
         return {"sonar": self.sonar(), "sonar_file": file, "topic": self.values["topic"], **time}
 
@@ -218,14 +184,21 @@ def odometry_options(group: Callable[..., Decorator]) -> dict[str, Decorator]:
     }
 
 
-def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
-    """--topic, the geometry and optionally pixels and --time, as one `log_choice`."""
-    more = _TIME if time else {}
-    options = {"topic": topic_option} | more | GEOMETRY_OPTIONS | (_PIXELS if pixels else {})
-    return as_one("log_choice", options, LogChoice)
+def log_options(*, flags: bool = False, time: bool = False) -> Decorator:
+    """--topic, --sonar and optionally --time and the flags of the geometry, as `log_choice`."""
+    options = {"topic": topic_option, "sonar_file": sonar_file}
+    more = (_TIME if time else {}) | (_FLAGS if flags else {})
+    return as_one("log_choice", options | more, LogChoice)
 
 
-# The geometry alone, as the Sonar `sonar`, where no log is opened.
-geometry_options = as_one(
-    "sonar", GEOMETRY_OPTIONS, lambda values: LogChoice(values).sonar_without_log()
+def stated_in(file: Path | None) -> Any:
+    """The Sonar of a --sonar FILE, for commands that open no log; of None one without a key."""
+    from sonarrec.sonar import Sonar, load_sonar
+
+    return load_sonar(file) if file else Sonar()
+
+
+# --sonar as the Sonar `sonar`, where no log is opened.
+sonar_option = as_one(
+    "sonar", {"sonar_file": sonar_file}, lambda values: stated_in(values["sonar_file"])
 )

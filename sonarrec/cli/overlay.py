@@ -17,7 +17,7 @@ from sonarrec.errors import UsageError, number_of
 @command(short_help="Draw results onto the frames of their log.")
 @click.argument("log", shell_complete=file_names)
 @click.argument("results", type=ANY, default=Path("sonarrec_out"))
-@log_options(pixels=False)
+@log_options()
 @options.landmarks
 @options.ground_truth("gt.csv, drawn dashed.")
 @options.out(

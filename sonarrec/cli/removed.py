@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import click
 
-_GEOMETRY = "state the geometry in sonar.toml beside the log (`info --write-sonar`), or by --sonar"
-_PIXELS = "state it in sonar.toml beside the log: sonarrec help geometry"
+_STATED = "it is for `run` and `info`; state it in sonar.toml beside the log, or give --sonar FILE"
+_KEY = "it is a key of sonar.toml: sonarrec help geometry"
 REMOVED = {
     **dict.fromkeys(
         (
             *("--layout", "--range-min-m", "--range-max-m", "--field-of-view-deg", "--tilt-deg"),
-            *("--height-m", "--frame-rate-hz", "--beam-width-deg", "--metres-per-pixel"),
-            *("--apex-px", "--bearings-deg", "--ranges-m"),
+            *("--height-m", "--frame-rate-hz", "--metres-per-pixel", "--apex-px"),
+            *("--bearings-deg", "--beam-order", "--range-order", "--flip", "--no-flip"),
+            "--pixel-scale",
         ),
-        _GEOMETRY,
+        _STATED,
     ),
     **dict.fromkeys(
-        (
-            *("--beam-order", "--range-order", "--flip", "--no-flip"),
-            *("--colour-map", "--pixel-scale", "--full-scale", "--dynamic-range-db"),
-        ),
-        _PIXELS,
+        ("--beam-width-deg", "--ranges-m", "--colour-map", "--full-scale", "--dynamic-range-db"),
+        _KEY,
     ),
 }
 """What to use in place of each, where a command does not have it (any more)."""

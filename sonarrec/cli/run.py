@@ -35,7 +35,7 @@ _ODOMETRY = options_log.odometry_options(in_input)
 @command(short_help="Recognise the landmarks in logs.", first=("--sonar", "--landmarks", "--out"))
 @click.argument("log", shell_complete=file_names, nargs=-1)
 @options_log.many_logs_options
-@options_log.log_options(time=True)
+@options_log.log_options(flags=True, time=True)
 @options.landmarks
 @_ODOMETRY["odometry"]
 @_ODOMETRY["odometry_topic"]

@@ -41,7 +41,7 @@ from sonarrec.errors import UsageError, number_of
     "frames.",
 )
 @laying_options("6")
-@log_options(time=True)
+@log_options(flags=True, time=True)
 @in_output(
     "--format image_format",
     type=click.Choice(["png", "mcap"]),

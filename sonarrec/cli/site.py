@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @command(short_help="Estimate at which contrast and range landmarks would be recognised.")
 @click.argument("log", shell_complete=file_names)
-@log_options(time=True)
+@log_options(flags=True, time=True)
 @options.frames("Use only the frames from A up to, not including, B.")
 @laying_options("0,3,6,10")
 @in_background(

@@ -221,7 +221,9 @@ def _tell_notes(
     if restored.saturated:
         better = "a lower gain"
         if (white := log.found_white) is not None:
-            better = f"a higher --full-scale than {white:.4g}, as the first frame has it,"
+            better = (
+                f"a higher full_scale in sonar.toml than {white:.4g}, as the first frame has it,"
+            )
         note(
             f"{restored.saturated:.0%} of the frames are saturated; how strong the strongest "
             f"echoes are is estimated from how many there are; {better} is better"

@@ -434,10 +434,10 @@ def test_run_with_the_flags(tmp_path: Path) -> None:
         "sonarrec: message 3 of /a: its window, 6 to 6.94 m, shows less than half of the "
         "log's, 1 to 1.94 m, skipped"
     ]
-    flags = ("--flip", "--beam-order", "range-major", "--pixel-scale", "log", "--full-scale", "255")
+    flags = ("--flip", "--beam-order", "range-major", "--pixel-scale", "log")
     stated = ("--tilt-deg", "20", "--range-min-m", "0.9", "--range-max-m", "1.9375")
     out = ("--out", tmp_path / "flags")
-    told = sonarrec("run", log, *out, *flags, "--dynamic-range-db", "40", *stated).stderr
+    told = sonarrec("run", log, *out, *flags, *stated).stderr
     against = next(line for line in told.splitlines() if "stated against" in line)
     assert against == (
         f"sonarrec: note: {log}: stated against the messages: range_min_m = 0.9 (not 1)"
@@ -445,8 +445,7 @@ def test_run_with_the_flags(tmp_path: Path) -> None:
     run = tomllib.loads((tmp_path / "flags" / "log" / "run.toml").read_text())
     assert run["sonar"] == {
         "layout": "polar", "range_min_m": 0.9, "range_max_m": 1.9375, "tilt_deg": 20.0,
-        "beam_order": "range-major", "flip": True, "pixel_scale": "log", "full_scale": 255.0,
-        "dynamic_range_db": 40.0,
+        "beam_order": "range-major", "flip": True, "pixel_scale": "log",
     }  # fmt: skip
     assert run["input"]["topic"] == "/a"
     assert run["fan"]["range_min_m"] == 0.9

@@ -246,7 +246,7 @@ def test_16_bit_logarithms_stay_linear_and_dim_ones_are_noted(tmp_path, part):
     scale, notes = read(tmp_path, [image])
     assert scale == "linear"
     assert len(notes) == (part < 1)
-    assert all("--pixel-scale log" in note and "--full-scale" in note for note in notes)
+    assert all("--pixel-scale log" in note and "full_scale" in note for note in notes)
     assert read(tmp_path, [image], full_scale=65535 * part) == ("linear", [])
 
 

@@ -84,9 +84,7 @@ def test_a_run_says_and_keeps_what_it_took(wide: Path, tmp_path: Path) -> None:
     run_file.write_bytes((tmp_path / "out" / "wide" / "run.toml").read_bytes())
     assert "beams" not in told_by("--config", run_file, "--overwrite")
     assert width_in(tmp_path / "out" / "wide") == pytest.approx(STATED_DEG)
-    # Stated by the user, it goes before the messages'; a setting goes before both.
-    assert "to be 0.7 deg wide, as stated" in told_by("--beam-width-deg", "0.7")
-    assert width_in(tmp_path / "out" / "wide") == 0.7
+    # A setting goes before what the messages state.
     assert "beams" not in told_by("--set", "features.beam_width_deg=0.5")
     assert width_in(tmp_path / "out" / "wide") == 0.5
 

@@ -136,7 +136,7 @@ class FrameMaker:
             how = "of no known colour map, and read by their luminance"
         elif self.colour_map not in BASE_MAPS:
             how += ", for else most of the picture would be of strong echoes or in no known map"
-        self._note(f"colours {since}{how}; --colour-map states another")
+        self._note(f"colours {since}{how}; colour_map in sonar.toml states another")
 
     def _map_of(self, raw: RawFrame) -> str:
         """The colour map of the log. If the first frames were grey, the first coloured one tells
@@ -169,7 +169,7 @@ class FrameMaker:
             ):
                 self._note(
                     f"{bits}-bit pixels read as grey levels, though dim ({dim}); "
-                    "--pixel-scale log if they are amplitudes, --full-scale if white is lower"
+                    "--pixel-scale log if they are amplitudes, or a lower full_scale in sonar.toml"
                 )
 
     @property

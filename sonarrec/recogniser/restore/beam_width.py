@@ -42,7 +42,7 @@ def with_beams(
     if width == usual or not any(needs):
         return found, []
     note = f"beams are taken to be {width:g} deg wide, {how}"
-    return found, [f"{note} (--beam-width-deg states another)"]
+    return found, [f"{note} (beam_width_deg in sonar.toml states another)"]
 
 
 def usual_beam_width_deg(fan: Fan) -> float:
