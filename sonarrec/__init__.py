@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from sonarrec.config import preset
     from sonarrec.functions import compare, evaluate, map_landmarks, overlay, report, run
     from sonarrec.landmarks import load_landmarks
@@ -23,9 +24,6 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
 # numpy's BLAS reads this when it is loaded: with more threads it would split sums among them, which
 # changes the last digits. Products as small as ours gain nothing from threads.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
-
-# Stated here, because looking it up in the installed package takes longer than loading click.
-__version__ = "0.2.0.dev0"
 
 _HOMES = {
     "Recogniser": "runs.frames",
@@ -59,6 +57,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module(f"{__name__}.nouns").VERSION
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -14,6 +14,8 @@ from sonarrec.errors import SonarrecError
 if TYPE_CHECKING:  # a command's --help needs no numpy, whose import takes longer than all the rest
     from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage, IntArray
 
+# Stated here, because looking it up in the installed package takes longer than loading click.
+VERSION = "0.2.0.dev0"
 PART = ".part"
 """Ending of the name of a results folder whose run is not finished; no other folder has it."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})

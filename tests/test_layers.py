@@ -21,7 +21,7 @@ FLOORS = (
     {"remote"},
     {"truth", "runs"},
     {"evaluation", "overlays", "learning", "mapping"},
-    {"reports", "checks"},
+    {"reports"},
     {"simulation", "functions"},
     {"cli"},
     {"__main__"},

@@ -11,10 +11,10 @@ from typing import Any
 
 import click
 
-from sonarrec import __version__
 from sonarrec.cli.endings import INTERRUPTED, tell
 from sonarrec.cli.removed import REMOVED
 from sonarrec.errors import SonarrecError, UsageError, name_as_text, printable
+from sonarrec.nouns import VERSION
 
 COMMANDS = (
     *("run", "status", "info", "evaluate", "check", "report", "overlay", "map", "simulate", "site"),
@@ -93,7 +93,7 @@ def _open_streams() -> None:
         "show_default": True,
     },
 )
-@click.version_option(__version__, "-V", "--version", prog_name="sonarrec")
+@click.version_option(VERSION, "-V", "--version", prog_name="sonarrec")
 def main() -> None:
     """Recognise landmarks in recorded imaging-sonar logs, and score the results.
 

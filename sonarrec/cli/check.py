@@ -25,7 +25,7 @@ from sonarrec.cli.groups import (
 from sonarrec.errors import SonarrecError, UsageError, number_of
 
 if TYPE_CHECKING:
-    from sonarrec.checks.file import Check, LogToRun
+    from sonarrec.evaluation.check_file import Check, LogToRun
     from sonarrec.evaluation.comparison import Comparison
     from sonarrec.evaluation.limits import Judgement, Limits
     from sonarrec.runs.task import Task
@@ -96,7 +96,7 @@ def check(
       sonarrec check --set features.declare=0.9
       sonarrec check tests/sonar.toml --least-tpr 0.95 --markdown -o check
     """
-    from sonarrec.checks.file import is_recorded, read_check
+    from sonarrec.evaluation.check_file import is_recorded, read_check
 
     one = read_check(file)
     if update and any(value not in (None, ()) for value in settings.values.values()):
@@ -193,7 +193,7 @@ def _run(
 
 def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> None:
     """Record the results, and say so."""
-    from sonarrec.checks.file import save
+    from sonarrec.evaluation.check_file import save
 
     notes = save(folder, one.record, logs)
     tell([], notes)

@@ -8,13 +8,13 @@ from heapq import nlargest
 from pathlib import Path
 from typing import Any
 
-from sonarrec import __version__
 from sonarrec.errors import name_as_text
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.compare_screen import outcome, settings_lines
 from sonarrec.evaluation.comparison import SIGNIFICANT, Comparison, PassChange
 from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
+from sonarrec.nouns import VERSION
 from sonarrec.reports.page import filled
 from sonarrec.tables.outputs import write_page
 
@@ -33,7 +33,7 @@ def write_comparison_page(path: Path, comparison: Comparison) -> None:
             in_total.setdefault((d.b, d.protocol), []).append(_row(d, BY_NAME[d.name].label))
     page = filled(
         "compare.html",
-        version=__version__,
+        version=VERSION,
         old=name_as_text(comparison.old),
         new=name_as_text(comparison.new),
         verdict=name_as_text(comparison.verdict),

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from sonarrec import __version__
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
@@ -25,6 +24,7 @@ from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import FEW, over_units, units_text
 from sonarrec.evaluation.tables import Evaluation
+from sonarrec.nouns import VERSION
 from sonarrec.reports import charts
 from sonarrec.reports.frames import ShownLog
 from sonarrec.reports.logs import ReportedLog, Track, judged_sightings, tracks, true_landmark
@@ -84,7 +84,7 @@ def render(
         "report.html",
         number=lambda value, digits: f"{value:,.{digits}f}",
         time_of_day=time_text,
-        version=__version__,
+        version=VERSION,
         title=f"{logs_in_all} logs" if logs_in_all > len(logs) else names,
         contents=_contents(
             scores is not None,

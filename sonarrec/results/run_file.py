@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from cv2.version import opencv_version
 
-from sonarrec import __version__, config
+from sonarrec import config
 from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.nouns import Clock, Fan, Origin
+from sonarrec.nouns import VERSION, Clock, Fan, Origin
 from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of, is_file
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.tables.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of
 
-PROGRAM = {"name": "sonarrec", "version": __version__}
+PROGRAM = {"name": "sonarrec", "version": VERSION}
 """The program that made a file, for run.toml and JSON documents."""
 
 

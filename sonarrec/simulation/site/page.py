@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec import __version__
 from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.intervals import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
+from sonarrec.nouns import VERSION
 from sonarrec.reports.page import filled
 from sonarrec.reports.pictures import LARGEST, QUALITY, as_webp, shrunk
 from sonarrec.reports.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
@@ -36,7 +36,7 @@ def render(site: Site) -> str:
     return filled(
         "site.html",
         __package__,
-        version=__version__,
+        version=VERSION,
         site=site,
         level=f"{LEVEL:.0%}",
         least=MIN_UNITS,

@@ -1,1 +1,0 @@
-"""`sonarrec check`: the logs of a committed file, against their results on record."""
