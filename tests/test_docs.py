@@ -235,7 +235,7 @@ def test_help_is_in_groups() -> None:
     text = CliRunner().invoke(main, ["run", "--help"]).stdout
     groups = re.findall(r"^(\w+):$", text, re.MULTILINE)
     assert "\nMost used:\n  --sonar FILE " in text.split("\nInput:\n")[0]
-    assert groups == ["Input", "Settings", "Geometry", "Pixels", "Output", "Other"]
+    assert groups == ["Input", "Settings", "Geometry", "Output", "Other"]
     assert text.rstrip().endswith("More: sonarrec help run")
 
 

@@ -44,7 +44,7 @@ ANY = _Local(path_type=Path)
 FIRST = "Most used"
 GROUPS = (
     *("Input", "Into a recording", "Scoring", "Learning", "Settings"),
-    *("Geometry", "Pixels", "Many logs", "Output"),
+    *("Geometry", "Many logs", "Output"),
 )
 """Of --help, in this order."""
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -128,7 +128,7 @@ def _option(group: str, names: str, **options: Any) -> Decorator:
 in_input, in_background, in_scoring, in_learning, in_settings = (
     partial(_option, group) for group in GROUPS[:5]
 )
-in_geometry, in_pixels, in_batch, in_output = (partial(_option, group) for group in GROUPS[5:])
+in_geometry, in_batch, in_output = (partial(_option, group) for group in GROUPS[5:])
 
 
 def as_one(

@@ -74,7 +74,7 @@ landmarks = in_input(
     "--landmarks",
     shell_complete=landmark_sets,
     help="Landmark set: a built-in name or a TOML file.  "
-    "[default: that of run.toml if one is read, else landmarks.toml beside the log, else basin]",
+    "[default: that of the run.toml that is read, or landmarks.toml beside the log; else basin]",
 )
 pairs = in_input(
     "--pairs",
@@ -230,7 +230,7 @@ _SETTINGS = {
         multiple=True,
         metavar="STAGE.KEY=VALUE",
         shell_complete=names_of(_settings),
-        help="Change one setting; repeatable. `sonarrec config` prints them all.",
+        help="Change one setting; repeatable. All: `sonarrec config`.",
     ),
     "seed": in_settings(
         "--seed", type=click.IntRange(min=0), help="Seed of the random numbers.  [default: 0]"
@@ -276,7 +276,7 @@ settings = as_one("settings", _SETTINGS, SettingsChoice)
 quiet = in_output(
     "-q --quiet",
     is_flag=True,
-    help="Print no progress bar and no summary; notes and errors are still printed.",
+    help="No progress bar and no summary; still notes and errors.",
 )
 
 

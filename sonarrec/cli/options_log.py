@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 
 import click
 
-from sonarrec.cli.groups import FILE, Decorator, as_one, in_geometry, in_input, in_pixels
+from sonarrec.cli.groups import FILE, Decorator, as_one, in_geometry, in_input
 from sonarrec.errors import UsageError
 from sonarrec.nouns import Clock
 
@@ -39,27 +39,27 @@ _FLAGS = {
     "bearings_deg": in_geometry(
         "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image, deg."
     ),
-    "beam_order": in_pixels(
+    "beam_order": in_geometry(
         "--beam-order",
         type=click.Choice(["range-major", "beam-major"]),
-        help="Polar samples: all beams of one range first, or all ranges of one beam.  "
-        "[default: found from the first ping]",
+        metavar="ORDER",
+        help="range-major or beam-major polar samples.  [default: found]",
     ),
-    "range_order": in_pixels(
+    "range_order": in_geometry(
         "--range-order",
         type=click.Choice(["near_first", "far_first"]),
-        help="Rows of polar images: the nearest range on top, or the farthest.  "
-        "[default: near_first]",
+        metavar="ORDER",
+        help="near_first or far_first on top.  [default: near_first]",
     ),
-    "flip": in_pixels(
+    "flip": in_geometry(
         "--flip/--no-flip", default=None, help="Exchange left and right, if a driver did."
     ),
-    "pixel_scale": in_pixels(
+    "pixel_scale": in_geometry(
         "--pixel-scale",
         type=click.Choice(["linear", "log", "db"]),
-        help="What pixels hold: grey levels (logarithms of the echo, ready to show), echo "
-        "amplitudes, or decibels.  "
-        "[default: found from their type and the first frames; sonarrec help geometry]",
+        metavar="SCALE",
+        help="Pixels are grey levels (linear), echo amplitudes (log) or decibels (db).  "
+        "[default: found]",
     ),
 }
 """Keys of sonar.toml as flags, of `run` and `info` alone."""
@@ -68,15 +68,13 @@ sonar_file = in_input(
     type=FILE,
     help="Geometry file, in place of the sonar.toml beside the log.",
 )
-topic_option = in_input(
-    "--topic", help="Channel of an MCAP or bag that holds several image channels."
-)
+topic_option = in_input("--topic", help="Image channel of an MCAP or bag that has several.")
 _TIME = {
     "time": in_input(
         "--time",
         type=click.Choice(get_args(Clock)),
-        help="Which time of a message of an MCAP or bag becomes the timestamp_ns of its frame. "
-        "The order of frames is always that of log time.  [default: log]",
+        help="Time of a message that becomes its frame's timestamp_ns; the order is always that of "
+        "log time.  [default: log]",
     )
 }
 
@@ -87,8 +85,7 @@ def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
         "--from-file",
         type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
         metavar="LIST",
-        help="File with one LOG per line; - for standard input. Empty lines and lines that begin "
-        "with # are skipped.",
+        help="File with one LOG per line; - for standard input. # begins a comment.",
     )
     text = "Also take the logs in all folders below a folder."
     return in_input("--recursive", is_flag=True, help=text)(from_file(function))
@@ -172,14 +169,13 @@ def odometry_options(group: Callable[..., Decorator]) -> dict[str, Decorator]:
         "odometry": group(
             "--odometry",
             type=FILE,
-            help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the "
-            "right) and, if known, x, y (m).  [default: NAME.poses.csv or poses.csv beside the "
-            "log; without one the motion is measured between the images]",
+            help="CSV of the sonar's poses (sonarrec help poses).  [default: NAME.poses.csv or "
+            "poses.csv beside the log; else the motion is measured between the images]",
         ),
         "odometry_topic": group(
             "--odometry-topic",
             metavar="TOPIC",
-            help="Poses in the MCAP or bag itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
+            help="Poses in the MCAP or bag: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
         ),
     }
 
