@@ -1,7 +1,7 @@
 """The recipes of help/cluster.md, run as they stand there, as far as one machine goes.
 
-srun, ssh and GNU parallel are scripts that do here what these do elsewhere: srun runs its words,
-ssh gives its text to a shell, parallel puts each line of its input for {} and gives that to one.
+srun and GNU parallel are scripts that do here what these do elsewhere: srun runs its words,
+parallel puts each line of its input for {} and gives that to a shell.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from ruamel.yaml import YAML
 
 from tests.support.batch import answers, rows, until
 from tests.support.logs import cdr_image, frames, mcap_file
@@ -31,7 +30,6 @@ BIN = Path(sys.executable).parent
 LOGS = ("a", "b", "c", "d")
 STANDING_IN = {
     "srun": 'exec "$@"\n',
-    "ssh": 'shift\nexec sh -c "$*"\n',
     "parallel": """
 while [ "${1#--}" != "$1" ]; do
     [ "$1" != --workdir ] || cd "$2"
@@ -109,30 +107,8 @@ def test_a_slurm_array(shared: Path) -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_a_kubernetes_job(shared: Path) -> None:
-    """Volumes are folders here, in place of the paths at which a container sees them."""
-    job = YAML(typ="safe").load(recipe("kind: Job"))
-    spec = job["spec"]
-    assert (job["apiVersion"], spec["completionMode"]) == ("batch/v1", "Indexed")
-    pod = spec["template"]["spec"]
-    (container,) = pod["containers"]
-    mounts = {m["name"]: m["mountPath"] for m in container["volumeMounts"]}
-    assert sorted(mounts) == sorted(volume["name"] for volume in pod["volumes"])
-    (shared / "dives").rename(shared / "logs")
-    command = container["command"]
-    for name, path in mounts.items():
-        assert path in command[-1]
-        command = [re.sub(rf"(?<![\w.]){path}\b", str(shared / name), word) for word in command]
-    shares = [
-        printed(command, shared, JOB_COMPLETION_INDEX=index) for index in range(spec["completions"])
-    ]
-    assert_once(shares, shared / "results")
-
-
-@pytest.mark.usefixtures("small")
-@pytest.mark.parametrize("beginning", ["for i in", "seq"])
-def test_machines_over_ssh(shared: Path, beginning: str) -> None:
-    text = recipe(beginning)
+def test_machines_over_ssh(shared: Path) -> None:
+    text = recipe("seq")
     assert "/shared" in text
     said = printed(["sh", "-c", text.replace("/shared", str(shared))], shared.parent)
     assert_once([said], shared / "results")
