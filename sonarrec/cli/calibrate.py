@@ -9,7 +9,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import finish
-from sonarrec.cli.groups import NEW_FILE, command, file_names, in_learning
+from sonarrec.cli.groups import NEW_FILE, command, file_names
 from sonarrec.cli.options_log import LogChoice, log_options
 
 
@@ -20,12 +20,6 @@ from sonarrec.cli.options_log import LogChoice, log_options
 )
 @log_options(time=True)
 @options.landmarks
-@in_learning(
-    "--from-scratch",
-    is_flag=True,
-    help="Do not start from the built-in model. This needs thousands of labelled frames that show "
-    "everything that may occur.",
-)
 @options.settings
 @options.out(NEW_FILE, "The model, for `sonarrec run --model`.", required=True)
 @options.quiet
@@ -34,7 +28,6 @@ def calibrate(
     ground_truth: Path | None,
     log_choice: LogChoice,
     landmarks: str | None,
-    from_scratch: bool,
     settings: options.SettingsChoice,
     out: Path,
     quiet: bool,
@@ -68,7 +61,6 @@ def calibrate(
             config,
             earlier.landmark_set(landmarks),
             log_options,
-            from_scratch=from_scratch,
             observe=step,
         )
     with writing(out):

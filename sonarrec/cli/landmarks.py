@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -38,14 +36,12 @@ from sonarrec.errors import UsageError, number_of
     "Draw every disc or plate, as drawn and as the beams show it, into this PNG. An SVG: a sheet, "
     "to scale, to cut plates from.",
 )
-@options.json()
 @options.quiet
 def landmarks(
     landmark_set: str,
     distance_m: float,
     beam_width_deg: float,
     out: Path | None,
-    as_json: bool,
     quiet: bool,
 ) -> None:
     """Print how far the IDs of a landmark set are apart, and what makes them hard to recognise.
@@ -83,15 +79,7 @@ def landmarks(
         write_text(out, sheet(chosen))
     elif out is not None:
         write_png(out, draw_landmarks(chosen, beam_m))
-    if as_json:
-        document = {
-            "landmarks": chosen.as_table(),
-            "beam_m": beam_m,
-            "distances": [asdict(distance) for distance in found],
-            "warnings": warnings,
-        }
-        click.echo(json.dumps(document, indent=2))
-    elif not quiet:
+    if not quiet:
         beams = f"beams {1000 * beam_m:.0f} mm wide ({beam_width_deg:g} deg)"
         what = "plates" if drawn else "discs"
         size = f"{number_of(len(chosen.ids), 'ID')}, {what} of {2 * chosen.radius_m:g} m"

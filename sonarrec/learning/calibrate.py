@@ -114,14 +114,12 @@ def learn(
     landmarks: LandmarkSet,
     log_options: LogOptions,
     *,
-    from_scratch: bool = False,
     observe: Callable[[], object] | None = None,
 ) -> LearningReport:
     """Learn an appearance model from logs and their gt.csv.
 
     ground_truth: one for all; None: that beside each log. log_options: how the logs are read; poses
-    and frames do not count. from_scratch: do not start from the built-in model. observe: called at
-    every frame.
+    and frames do not count. observe: called at every frame.
     Raises SonarrecError if logs or truth cannot be used or hold too little.
     """
     if config.features.measurement != "track":
@@ -161,13 +159,12 @@ def learn(
             tell_other_logs(told, table, names, "they teach nothing")
     parts = [lesson.samples for lesson in used]
     built_in = built_in_model()
-    prior = None if from_scratch else built_in
-    model = fit(parts, prior)
+    model = fit(parts, built_in)
     seen = []  # frames and tracks of each ID, then of 'none of these'
     for label_index in range(len(landmarks.ids) + 1):
         tracks = [p.track[p.label == label_index] for p in parts]
         seen.append((sum(map(len, tracks)), sum(len(np.unique(t)) for t in tracks)))
-    gain = gain_on_the_rest(parts, prior)
+    gain = gain_on_the_rest(parts)
     told.note(*_not_taught(landmarks, seen, gain))
     labelled = np.sum([lesson.labelled for lesson in used], axis=0).tolist()
     logs, frames = tuple(lesson.log for lesson in used), sum(lesson.frames for lesson in used)

@@ -172,10 +172,8 @@ FOLDS = 5
 fewer tracks of landmarks, or of others, the model is not measured."""
 
 
-def gain_on_the_rest(
-    parts: Sequence[Samples], prior: AppearanceModel | None
-) -> tuple[float, float, float] | None:
-    """Mean log likelihood by the built-in model and by models learned from the rest, and the
+def gain_on_the_rest(parts: Sequence[Samples]) -> tuple[float, float, float] | None:
+    """Mean log likelihood by the built-in model and by models adapted to the rest, and the
     standard error of the difference.
 
     The landmarks, each with all its tracks, and the other tracks are dealt into FOLDS parts; the
@@ -209,7 +207,7 @@ def gain_on_the_rest(
     for k in range(FOLDS):
         taught = [part_of(p, fold != k) for p, fold in zip(parts, folds, strict=True)]
         left_out = [part_of(p, fold == k) for p, fold in zip(parts, folds, strict=True)]
-        learned = fit(taught, prior)
+        learned = fit(taught, built_in)
         before += [_log_likelihood(built_in, p) for p in left_out]
         after += [_log_likelihood(learned, p) for p in left_out]
         of_unit += [unit[fold == k] for unit, fold in zip(units, folds, strict=True)]

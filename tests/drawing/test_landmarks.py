@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
@@ -81,9 +80,6 @@ def test_the_built_in_set_is_drawn(tmp_path: Path) -> None:
         down, right = (-1, -1, 1, 1)[quarter], (1, -1, -1, 1)[quarter]
         x, y = 190 * k + 15 + 80 + 30 * right, 30 + 80 + 30 * down
         assert (drawn[y, x] > 128) == load_landmarks("basin").sectors[k][quarter]
-    document = json.loads(sonarrec("landmarks", "basin", "--json").stdout)
-    assert document["warnings"] == []
-    assert {tuple(d["ids"]) for d in document["distances"]} >= {(1, 2), (3, 4)}
 
 
 def test_a_picture_does_not_go_over_the_set(tmp_path: Path) -> None:

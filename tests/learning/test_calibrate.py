@@ -99,13 +99,9 @@ def test_what_was_learned_from_is_told(site):
         assert any(f"ID.{i}" in note for note in report.diagnostics.notes)
     tracks = sum(count for _, count in report.seen[:-1])
     assert (report.gain is None) == (tracks < FOLDS)
-    # With the built-in model as the start nothing moves far; without it everything does.
-    built_in = built_in_model()
-    scratch = learn(
-        logs[:1], site / "gt.csv", preset("default"), BASIN, LogOptions(), from_scratch=True
-    )
-    assert report.model.knots is not scratch.model.knots
-    moved = [np.abs(a - b).max() for a, b in zip(report.model.values, built_in.values, strict=True)]
+    # With the built-in model as the start nothing moves far.
+    values = zip(report.model.values, built_in_model().values, strict=True)
+    moved = [np.abs(a - b).max() for a, b in values]
     assert 0 < max(moved) < 3
 
 

@@ -54,17 +54,6 @@ def log_likelihood(model: AppearanceModel, samples: Samples) -> float:
 
 
 @pytest.mark.slow
-def test_known_curves_are_recovered():
-    truth = known_model()
-    learned = fit([drawn(truth, 3000, 1), drawn(truth, 1000, 2, ids=6)])
-    # A knot sees some 4000 / 8 samples: its log odds are good to 1 / sqrt(500 p (1 - p)) = .1.
-    for feature in range(len(FEATURES)):
-        assert apart(learned, truth, feature) < 0.25
-    held_out = drawn(truth, 4000, 3)
-    assert log_likelihood(learned, held_out) > log_likelihood(truth, held_out) - 0.02
-
-
-@pytest.mark.slow
 def test_memory_of_learning_is_little_more_than_the_samples():
     """75 MB; with the hat functions of all 8,000 samples at once it is 188 MB."""
     samples = drawn(known_model(), 8_000, 5, smear=0.2)
@@ -96,7 +85,7 @@ def test_what_the_smear_changes_is_learned_from_smeared_pictures_alone():
     for of_sharp, of_smeared in learned.values:
         np.testing.assert_allclose(of_smeared, of_sharp, atol=1e-9)
     learned = fit([drawn(truth, 3000, 1), drawn(truth, 3000, 2, smear=0.2)])
-    # As above: good to .1.
+    # A knot sees some 3000 / 8 samples: its log odds are good to 1 / sqrt(375 p (1 - p)) = .1.
     for feature in range(len(FEATURES)):
         assert apart(learned, truth, feature) < 0.25
         assert apart(learned, truth, feature, of=1) < 0.25
@@ -230,7 +219,7 @@ def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
         return built_in
 
     monkeypatch.setattr("sonarrec.learning.fit.fit", seen)
-    gain = gain_on_the_rest(logs, None)
+    gain = gain_on_the_rest(logs)
     assert gain is not None
     assert gain[0] == gain[1]
     assert gain[2] == 0
@@ -245,14 +234,14 @@ def test_a_landmark_of_a_log_is_left_out_with_all_its_tracks(monkeypatch):
     assert left_out == [len(log.label) for log in logs]
     # Twice the same disc is nothing that a model could be tried on.
     alone = [samples_of([(0, 3), (4, 2)] * 6)]
-    assert gain_on_the_rest(alone, None) is None
+    assert gain_on_the_rest(alone) is None
 
 
 @pytest.mark.slow
-def test_what_is_measured_is_what_landmarks_elsewhere_bring():
-    """Each landmark looks in its own way, the same in all its tracks. Of eight seeds the truth is
-    -.33 nats in the mean, and what was learned from is judged at -.09; measured is -.39. Between
-    seeds both scatter by .09, so three are taken."""
+def test_what_is_measured_is_what_landmarks_elsewhere_bring(monkeypatch):
+    """Each landmark looks in its own way, the same in all its tracks. Without a prior, of eight
+    seeds the truth is -.33 nats in the mean, and what was learned from is judged at -.09; measured
+    is -.39. Between seeds both scatter by .09, so three are taken."""
 
     def logs(count: int) -> list[Samples]:
         parts = []
@@ -265,12 +254,13 @@ def test_what_is_measured_is_what_landmarks_elsewhere_bring():
         return parts
 
     told = []
+    monkeypatch.setattr("sonarrec.learning.fit.fit", lambda parts, _: fit(parts))
     for seed in (3, 4, 5):
         rng = np.random.default_rng(seed)
         here = logs(8)
-        gain = gain_on_the_rest(here, None)
+        gain = gain_on_the_rest(here)
         assert gain is not None
-        learned = fit(here, None)
+        learned = fit(here)
         told.append(
             [gain[1]]
             + [np.mean([log_likelihood(learned, p) for p in of]) for of in (logs(30), here)]
