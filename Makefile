@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLES := sample_data
 SAMPLE := $(SAMPLES)/pan
 
-.PHONY: test test-slow test-all lint demo bench bound paper scenes pictures stated worlds ablation study speeds maps model plates plate-model \
+.PHONY: test test-slow test-all lint demo bench paper scenes worlds model plates plate-model \
 	transfer regression results scale clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -51,29 +51,8 @@ paper: .venv/installed  # Tables 4 and 5 in the worlds on record, ours beside th
 scenes: .venv/installed  # every kind of random scene, all methods, beside the goals
 	$(BIN)/python -m tests.studies.scenes --record scenes
 
-pictures: .venv/installed  # what viewers, codecs and worn sonars do to pictures, and what is recognised
-	$(BIN)/python -m tests.studies.pictures --record pictures
-
-stated: .venv/installed  # what it costs to state the geometry or the landmarks' size wrongly
-	$(BIN)/python -m tests.studies.stated --record stated
-
-bound: .venv/installed  # whether `evaluate --bound` holds, in campaigns drawn from a bank of passes
-	$(BIN)/python -m tests.studies.bound --record bound
-
 worlds: .venv/installed  # recordings that are not ours, where they are at hand
 	$(BIN)/python -m tests.studies.worlds --record worlds
-
-ablation: .venv/installed  # the default with one idea at a time put back
-	$(BIN)/python -m tests.studies.ablation --record ablation
-
-study: .venv/installed  # the paper's scene thirty times over: intervals and tests
-	$(BIN)/python -m tests.studies.study --record study
-
-speeds: .venv/installed  # vehicles of several speeds: the motion measured, and the IDs
-	$(BIN)/python -m tests.studies.speeds --record speeds
-
-maps: .venv/installed  # maps of simulated vehicle runs, and what they do for the path
-	$(BIN)/python -m tests.studies.maps --record maps
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
 	$(BIN)/python -m tests.studies.learning.built_in

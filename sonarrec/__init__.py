@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from sonarrec.config import preset
-    from sonarrec.functions import compare, evaluate, map_landmarks, overlay, report, run
+    from sonarrec.functions import compare, evaluate, map_landmarks, run
     from sonarrec.landmarks import load_landmarks
+    from sonarrec.overlays.overlay import overlay
     from sonarrec.readers import open_log
+    from sonarrec.reports.build import report
     from sonarrec.results.read import read_results
     from sonarrec.runs.frames import Recogniser
     from sonarrec.simulation.simulate import simulate
@@ -32,10 +34,10 @@ _HOMES = {
     "load_landmarks": "landmarks",
     "map_landmarks": "functions",
     "open_log": "readers",
-    "overlay": "functions",
+    "overlay": "overlays.overlay",
     "preset": "config",
     "read_results": "results.read",
-    "report": "functions",
+    "report": "reports.build",
     "run": "functions",
     "simulate": "simulation.simulate",
 }

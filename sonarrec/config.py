@@ -77,16 +77,8 @@ class Candidates:
         "more in proportion, up to 8 times as many",
     )
     separation: NotNegative = _setting(0.35, "disc diameters", "least distance between candidates")
-    blur_px: Annotated[int, bounds(0, 255)] = _setting(
-        13,
-        "pixels",
-        "edge: size of the Gaussian kernel before Canny, odd (an even one is one more)",
-    )
     canny_low: NotNegative = _setting(1.0, "frame sigmas", "edge: Canny's lower threshold")
     canny_high: NotNegative = _setting(3.0, "frame sigmas", "edge: Canny's upper threshold")
-    edge_tolerance_px: Annotated[int, bounds(0, 255)] = _setting(
-        2, "pixels", "edge: how far from the outline an edge may lie and still count"
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,23 +102,6 @@ class Continuity:
         4.0,
         "fan pixels",
         "random walk if the motion is known; image: also how wide a group begins",
-    )
-    min_match: NotNegative = _setting(
-        0.25,
-        "correlation",
-        "image: if the frames of a standing sonar match less, the motion is not known",
-    )
-    jump: NotNegative = _setting(
-        0.25,
-        "disc diameters",
-        "motion known: a group this far from where the motion should have taken it has left its "
-        "object: it is deleted, or remembered where it is out of view",
-    )
-    own_candidate: NotNegative = _setting(
-        0.2,
-        "disc diameters",
-        "motion known: a candidate this near to where the motion takes a group's object is the "
-        "group's own; particles nearer to another candidate do not count",
     )
     z_hit: NotNegative = _setting(
         0.95, "weight", "weight of the score map in Eq. 4; open in the paper"
@@ -154,12 +129,6 @@ class Continuity:
     count_strikes: Literal["in_a_row", "in_all"] = _setting(
         "in_a_row", "", "in_a_row: a frame without a strike starts the count anew; in_all: not"
     )
-    p_hit_object: Annotated[float, bounds(0.01, 0.99)] = _setting(
-        0.9, "probability", "existence: an object in view is a candidate in a frame"
-    )
-    p_hit_clutter: Annotated[float, bounds(0.01, 0.99)] = _setting(
-        0.4, "probability", "existence: a place without an object is a candidate again"
-    )
     min_existence: Share = _setting(
         0.05, "probability", "a group less likely to exist is deleted; 0 leaves it to the strikes"
     )
@@ -170,24 +139,6 @@ class Continuity:
         400,
         "frames",
         "motion known: how long a group that left the view is remembered, to keep its number",
-    )
-    recall: NotNegative = _setting(
-        0.2,
-        "disc diameters",
-        "a candidate this near to where the motion takes a remembered group may be its object, "
-        "if the group has only just left",
-    )
-    recall_drift: NotNegative = _setting(
-        0.02,
-        "disc diameters",
-        "standard error that this place gains with every frame away, besides that of the motion; "
-        "twice the two together is added to recall",
-    )
-    recall_most: NotNegative = _setting(0.5, "disc diameters", "recall grows no wider than this")
-    recall_in_view: Share = _setting(
-        0.5,
-        "share",
-        "of the disc inside the fan; with less, a candidate near a remembered group waits",
     )
     merge: NotNegative = _setting(
         0.3, "disc diameters", "groups nearer than this are one object: the older stays"
@@ -296,7 +247,6 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
             "threshold": 0.65,
             "canny_low": 0.75,
             "canny_high": 2.5,
-            "edge_tolerance_px": 2,
             "max_candidates": 8,
             "separation": 0.6,
         },
@@ -374,10 +324,15 @@ def _config_tables(path: Path) -> list[dict[str, Any]]:
 
 
 def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
-    """`config`, changed by `stage.key=value` texts. Raises UsageError for an invalid one."""
+    """`config`, changed by texts such as `stage.key=value` and `seed=3`. Raises UsageError for an
+    invalid one."""
     for text in assignments:
         path, equals, value = text.partition("=")
         section, dot, key = path.strip().partition(".")
+        if equals and path.strip() == "seed":
+            table = {"seed": _plain(value)}
+            config = from_table(Config, table, "--set", over=config, error=UsageError)
+            continue
         if not equals or not dot:
             meant = _meant(path.strip())
             raise UsageError(f"--set {brief(text)}: expected stage.key=value{meant}")

@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterable
+from typing import TypeVar
+
+Place = TypeVar("Place")
 
 
 def printable(text: object) -> str:
@@ -56,6 +59,30 @@ def name_from_text(text: str) -> str:
     """The file's name from which `name_as_text` made this text."""
     name = re.sub(rb"\\x([89a-f][0-9a-f])", lambda byte: bytes([int(byte[1], 16)]), text.encode())
     return name.decode(sys.getfilesystemencoding(), errors="surrogateescape")
+
+
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/{1,2}(?=[^/])")  # a Path keeps one slash only
+_IN_TEXT = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2})(?:[^\s/'\"]*@)?([^\s?;'\"]*)[^\s'\"]*")
+
+
+def is_url(text: object) -> bool:
+    """Whether a text is a URL, also after it was turned into a Path and back."""
+    return _URL.match(str(text)) is not None
+
+
+def hidden(text: object) -> str:
+    """A text whose URLs have no user, password, query or parameters: for every output."""
+    return _IN_TEXT.sub(r"\1\2", str(text))
+
+
+def local(place: Place) -> Place:
+    """The place itself. Raises UsageError if it is a URL: only `run` takes these."""
+    if is_url(place):
+        raise UsageError(
+            f"{hidden(place)}: only `sonarrec run` takes URLs; copy it to this machine, or mount "
+            "the server: sonarrec help remote"
+        )
+    return place
 
 
 MAX_PROBLEM_LINES = 20

@@ -14,22 +14,17 @@ from typing import Any, overload
 
 import pandas as pd
 
-from sonarrec.errors import UsageError, number_of
+from sonarrec.errors import UsageError, local, number_of
 from sonarrec.evaluation import compare as comparing
 from sonarrec.evaluation.comparison import Comparison
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.match import ScoringOptions
+from sonarrec.evaluation.match import scoring_options
 from sonarrec.evaluation.pairs import read_pairs
-from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.tables import Evaluation
 from sonarrec.mapping.build import MapOptions, make_map
 from sonarrec.mapping.path import Drift
 from sonarrec.mapping.write import MAP_COLUMNS, PASS_COLUMNS, map_rows, pass_rows, write_all
 from sonarrec.nouns import Clock
-from sonarrec.overlays.overlay import OverlayReport, Targets, write_overlay
-from sonarrec.remote.urls import local
-from sonarrec.reports.build import Report, write_report
-from sonarrec.reports.compare import write_comparison_page
 from sonarrec.results.run_file import LogOptions, frame_span, span_text
 from sonarrec.runs.cores import cores
 from sonarrec.runs.frames import Presets, configs_of
@@ -39,7 +34,6 @@ from sonarrec.runs.one import Observe, Summary, process, result_names
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.runs.task import Outcome, Task
 from sonarrec.sonar import Sonar, sonar_from
-from sonarrec.tables.outputs import check_output
 
 AnyPath = str | Path
 
@@ -175,7 +169,6 @@ def evaluate(
     within_m: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | Mapping[str, Any] | None = None,
-    unit: UnitKind | None = None,
     jobs: int | None = 1,
     out: AnyPath | None = None,
 ) -> Evaluation:
@@ -205,13 +198,12 @@ def evaluate(
     0 to 1 and no false claim is free.
 
     method: one or several to score; default: all, the framework first.
-    unit: what is independent, "pass" or "log"; default: logs if there are ten or more. jobs: how
-    many logs are read at once, each in its own process.
+    jobs: how many logs are read at once, each in its own process.
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
-    scoring = _scoring(method, min_visible, tolerance_s, landmarks, sonar, within_m)
+    scoring = scoring_options(method, min_visible, tolerance_s, landmarks, sonar, within_m)
     logs = str(results) if pairs is None else read_pairs(Path(pairs))
-    found = evaluate_logs(logs, ground_truth, scoring, unit=unit, jobs=jobs)
+    found = evaluate_logs(logs, ground_truth, scoring, jobs=jobs)
     if out is not None:
         from sonarrec.evaluation.write import write_evaluation  # brings matplotlib
 
@@ -225,8 +217,6 @@ def compare(
     ground_truth: AnyPath | None = None,
     *,
     pairs: AnyPath | None = None,
-    baseline: bool = False,
-    unit: UnitKind | None = None,
     jobs: int | None = 1,
     **scoring: Any,
 ) -> Comparison:
@@ -235,85 +225,11 @@ def compare(
     `verdict` of the result says it in a sentence; `table` has a row per method, `figures` all rates
     with their tests, `changes` every frame and ID that is counted otherwise. Nothing is written.
     ground_truth: one table; default: that beside each log. pairs: a CSV that names the truth of
-    each log. baseline: also methods without tracks, such as smi. scoring: as `evaluate`
-    takes it, `method` to `sonar`.
+    each log. scoring: as `evaluate` takes it, `method` to `sonar`.
     """
-    truth = _path(ground_truth) if pairs is None else read_pairs(Path(pairs))
-    options, sides = _scoring(**scoring), (Path(old), Path(new))
-    return comparing.compare(*sides, truth, options, baseline=baseline, unit=unit, jobs=jobs)
-
-
-def report(
-    results: AnyPath | Comparison = "sonarrec_out",
-    out: AnyPath | None = None,
-    *,
-    ground_truth: AnyPath | None = None,
-    pairs: AnyPath | None = None,
-    logs: AnyPath | Sequence[AnyPath] = (),
-    topic: str | None = None,
-    **scoring: Any,
-) -> Report:
-    """Write results, or what `compare` gave, as one HTML page; returns what was written.
-
-    out: default: report.html in `results` (compare.html in the new results). logs: the recordings,
-    to show frames. Without ground_truth and pairs nothing is scored. scoring: as `evaluate` takes
-    it, `method` to `sonar`.
-    """
-    if isinstance(results, Comparison):
-        path = Path(local(out or Path(results.new) / "compare.html"))
-        check_output(path, "comparison")
-        write_comparison_page(path, results)
-        return Report(path, 0, 0, results.unused)
-    beside = Path(results) if pairs is None else Path(pairs).parent
-    return write_report(
-        Path(local(out or beside / "report.html")),
-        None if pairs is not None else Path(results),
-        ground_truth=_path(ground_truth),
-        pairs=_path(pairs),
-        recordings=_paths(logs),
-        options=_scoring(**scoring),
-        topic=topic,
-    )
-
-
-def overlay(
-    log: AnyPath,
-    results: AnyPath = "sonarrec_out",
-    *,
-    mcap: AnyPath | None = None,
-    video: AnyPath | None = None,
-    images: AnyPath | None = None,
-    foxglove_layout: AnyPath | None = None,
-    method: str | None = None,
-    frames: tuple[int, int | None] | None = None,
-    ground_truth: AnyPath | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | Mapping[str, Any] | None = None,
-    sonar_file: AnyPath | None = None,
-    topic: str | None = None,
-    grid: bool = False,
-) -> OverlayReport:
-    """Draw results onto the frames of their log: an MCAP file, an MP4, a folder of PNGs.
-
-    At least one of `mcap`, `video` and `images` must be given. results: the folder of this log's
-    results, or one that holds it. method: default: the framework.
-    """
-    targets = [_path(target) for target in (mcap, video, images, foxglove_layout)]
-    if not any(targets[:3]):
-        raise UsageError("nothing to write: give mcap, video or images")
-    return write_overlay(
-        log,
-        Targets(*targets),
-        results=Path(results),
-        method=method,
-        span=None if frames is None else frame_span(span_text(frames)),
-        ground_truth=_path(ground_truth),
-        landmarks=landmarks,
-        sonar=sonar_from(sonar),
-        sonar_file=_path(sonar_file),
-        topic=topic,
-        grid=grid,
-    )
+    truth = read_pairs(Path(pairs)) if pairs else Path(ground_truth) if ground_truth else None
+    options, sides = scoring_options(**scoring), (Path(old), Path(new))
+    return comparing.compare(*sides, truth, options, jobs=jobs)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -370,22 +286,5 @@ def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> pd.DataFr
     return pd.read_csv(text, dtype={"log": str})
 
 
-def _path(path: AnyPath | None) -> Path | None:
-    return None if path is None else Path(local(path))
-
-
 def _paths(paths: AnyPath | Sequence[AnyPath]) -> list[Path]:
     return [Path(paths)] if isinstance(paths, str | Path) else [*map(Path, paths)]
-
-
-def _scoring(
-    method: str | Sequence[str] = (),
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | Mapping[str, Any] | None = None,
-    within_m: float | None = None,
-) -> ScoringOptions:
-    methods = (method,) if isinstance(method, str) else tuple(method)
-    geometry = sonar_from(sonar)
-    return ScoringOptions(min_visible, tolerance_s, landmarks, geometry, within_m, methods)

@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, fields
-from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal, Protocol
-
-from sonarrec.errors import SonarrecError
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol
 
 if TYPE_CHECKING:  # a command's --help needs no numpy, whose import takes longer than all the rest
     from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage, IntArray
@@ -20,31 +15,6 @@ PART = ".part"
 """Ending of the name of a results folder whose run is not finished; no other folder has it."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 """How the names of images end; a folder that holds some is a log."""
-
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """The server that the files in a local folder were fetched from.
-
-    url: of the log or the results, as given, without secrets. here: the local folder. there: the
-    folder on the server that it stands for.
-    """
-
-    url: str
-    here: str
-    there: str
-
-    def with_server_names(self, text: str) -> str:
-        """A line with the server's names in place of the local ones."""
-        return text.replace(self.here, self.there)
-
-    @contextmanager
-    def translated(self) -> Iterator[None]:
-        """A SonarrecError raised inside is raised with the server's names."""
-        try:
-            yield
-        except SonarrecError as error:
-            raise type(error)(self.with_server_names(str(error))) from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,20 +47,10 @@ class Fan:
 Clock = Literal["log", "publish", "header"]
 """Which of the times in Stamps names a frame."""
 ColourMap = Literal[
-    "luminance",
-    "hot", "hot_r", "hot_bgr",
-    "inferno", "inferno_r", "inferno_bgr",
-    "jet", "jet_r", "jet_bgr",
-    "magma", "magma_r", "magma_bgr",
-    "ocean", "ocean_r", "ocean_bgr",
-    "parula", "parula_r", "parula_bgr",
-    "plasma", "plasma_r", "plasma_bgr",
-    "rainbow", "rainbow_r", "rainbow_bgr",
-    "turbo", "turbo_r", "turbo_bgr",
-    "viridis", "viridis_r", "viridis_bgr",
+    "luminance", "hot", "inferno", "jet", "magma", "ocean", "parula", "plasma", "rainbow", "turbo",
+    "viridis",
 ]  # fmt: skip
-"""The colours in which a picture of the sonar was drawn; luminance: grey, or none of the others.
-_r: from the map's end to its beginning, _bgr: with red and blue exchanged."""
+"""The colours in which a picture of the sonar was drawn; luminance: grey, or none of the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,13 +234,6 @@ class Estimate:
     def followed(self) -> bool:
         """Whether the object is one that is followed from frame to frame."""
         return self.object >= 0 and follows(self.method)
-
-    def __reduce__(self) -> tuple[type[Estimate], tuple[Any, ...]]:
-        """For pickle, in half the time that a dataclass takes: all go from process to process."""
-        return Estimate, _of_estimate(self)
-
-
-_of_estimate = attrgetter(*(field.name for field in fields(Estimate)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ def _one_core() -> Iterator[None]:
         yield
 
 
-PICTURES = ("draw_roc", "draw_roc_by_id", "draw_det", "draw_reliability")
+PICTURES = ("draw_roc",)
 
 
 @pytest.fixture(scope="session", autouse=True)

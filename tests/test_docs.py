@@ -3,7 +3,7 @@
 In README.md and sonarrec/help/*.md a line `$ COMMAND` of a code block is run, in order, in a fresh
 copy of the sample data. Lines under it are what it prints, in order, `...` standing for anything.
 `$ cat FILE` of a file that is not there yet makes it. A command that names a server is not run
-here: tests/remote has servers.
+here: tests/test_remote.py has servers.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from click.testing import CliRunner
 
 from sonarrec.cli import COMMANDS as COMMAND_NAMES
 from sonarrec.cli import main
+from sonarrec.config import setting_names
 
 ROOT = next(folder for folder in Path(__file__).parents if (folder / "pyproject.toml").exists())
 README = ROOT / "README.md"
@@ -246,12 +247,6 @@ def test_the_page_of_the_settings_names_the_commands_that_have_them() -> None:
     assert set(re.findall("`(.*?)`", told[1])) == taking
 
 
-@pytest.mark.parametrize(("command", "contrast"), [("simulate", "6"), ("site", "0,3,6,10")])
-def test_help_tells_a_commands_own_default(command: str, contrast: str) -> None:
-    told = " ".join(CliRunner().invoke(main, [command, "--help"]).stdout.split())
-    assert f"make a series. [default: {contrast}]" in told
-
-
 def test_help_names_its_page_however_it_is_started() -> None:
     for command, page in (("run", "run"), ("truth check", "truth")):
         words = [*command.split(), "--help"]
@@ -291,7 +286,7 @@ def test_the_columns_listed_are_the_columns_written(
     for name, path in written.items():
         with path.open(newline="", encoding="utf-8") as file:
             header = next(csv.reader(file))
-        listed = listed_columns("status" if name == "logs.csv" else "results", name)
+        listed = listed_columns("results", name)
         if "p_1 ... p_K" in listed:
             place = listed.index("p_1 ... p_K")
             listed[place : place + 1] = ["p_1", "p_2", "p_3", "p_4"]
@@ -299,27 +294,32 @@ def test_the_columns_listed_are_the_columns_written(
 
 
 def test_the_columns_of_a_map_are_those_listed() -> None:
-    from sonarrec.mapping.factors import FACTOR_COLUMNS
+
     from sonarrec.mapping.write import MAP_COLUMNS, PASS_COLUMNS
 
     assert listed_columns("map", "map.csv") == [*MAP_COLUMNS]
     assert listed_columns("map", "passes.csv") == [*PASS_COLUMNS]
-    assert listed_columns("map", "factors.csv") == [*FACTOR_COLUMNS]
-
-
-def test_the_columns_of_a_site_are_those_listed() -> None:
-    from sonarrec.simulation.site.results import COLUMNS
-
-    text = PAGES["site"].read_text(encoding="utf-8")
-    _, _, lines = text.partition("site.csv has a row")
-    listed = [
-        name
-        for line in lines.partition("## ")[0].splitlines()
-        if line.startswith("    ")
-        for name in re.split(r", ", re.split(r"  +", line.strip())[0])
-    ]
-    assert listed == [*COLUMNS]
 
 
 def test_the_readme_is_at_most_150_lines() -> None:
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_help_is_short_and_options_are_few() -> None:
+    """The ceilings of the last cut; they only fall."""
+    counts = {}
+    for name, command in COMMANDS.items():
+        words = [*name.split(), "--help"]
+        text = CliRunner().invoke(main, words, terminal_width=80).stdout
+        assert len(text.splitlines()) <= (110 if name == "run" else 60), name
+        counts[name] = sum(isinstance(p, click.Option) for p in command.params)
+    assert counts["run"] <= 36
+    assert sum(counts.values()) <= 190
+    assert len(setting_names()) <= 42
+
+
+def test_what_is_gone_is_answered_with_what_to_use() -> None:
+    for words in (["status"], ["run", "x", "--tables", "parquet"], ["overlay", "x", "--grid"]):
+        done = CliRunner().invoke(main, words)
+        assert done.exit_code == 2
+        assert "Gone: " in done.stderr

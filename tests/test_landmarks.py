@@ -197,21 +197,6 @@ def test_drawings_that_no_image_tells_apart_are_refused() -> None:
             drawn(landmark=[left, other], mirrored=hand)
 
 
-def test_families_keep_their_published_hamming_distance() -> None:
-    """AcTag24hN: N of the 24 data cells at least, in every quarter turn."""
-    for name, least, take in (("actag24h10", 10, 7), ("actag24h4", 4, 150)):
-        family = load_landmarks(name)
-        assert isinstance(family, DrawnSet)
-        tags = np.stack(family.drawings()[:take])
-        assert tags.shape[1:] == (7, 7)
-        assert tags[:, 2:5, 2:5].all()
-        for turn in range(4):
-            other = np.rot90(tags, turn, axes=(1, 2))
-            differ = (tags[:, None] != other[None]).sum(axis=(2, 3))
-            np.fill_diagonal(differ, 49)
-            assert differ.min() >= least
-
-
 def test_codes_stand_in_the_cells_that_are_left_open() -> None:
     words = drawn(landmark=[], cells=["1?", "??"], codes="5 4")
     assert words.ids == (0, 1)
@@ -219,8 +204,8 @@ def test_codes_stand_in_the_cells_that_are_left_open() -> None:
 
 
 def test_a_family_lends_its_drawings() -> None:
-    few = drawn(family="actag24h4", landmark=[], ids=[31, 0], mirrored="yes")
-    family = load_landmarks("actag24h4")
+    few = drawn(family="actag24h10", landmark=[], ids=[5, 0], mirrored="yes")
+    family = load_landmarks("actag24h10")
     assert isinstance(family, DrawnSet)
-    assert few.ids == (31, 0)
-    assert few.cells == (family.cells[31], family.cells[0])
+    assert few.ids == (5, 0)
+    assert few.cells == (family.cells[5], family.cells[0])

@@ -36,32 +36,26 @@ STAGES = ("stage1", "stage2", "stage3")
 MAY_IMPORT = {
     "click": ("cli",),
     "tqdm": ("cli",),
-    "mcap": ("readers.containers.mcap", "simulation.mcap_writer", "overlays.foxglove"),
+    "mcap": ("readers.containers.mcap", "simulation.mcap", "overlays.foxglove"),
     "lz4": ("readers.containers.mcap", "readers.containers.ros_bag"),
-    "zstandard": ("readers.containers.mcap", "readers.containers.packed", "readers.messages.ros"),
-    "rosbags": (
-        *("readers.messages.ros", "readers.containers.ros_bag"),
-        *("simulation.mcap_writer", "overlays.detections"),
-    ),
+    "zstandard": ("readers.containers.mcap", "readers.messages.ros"),
+    "rosbags": (*("readers.messages.ros", "readers.containers.ros_bag"),),
     "ruamel": ("readers.containers.bag_folder",),
     "google": ("readers.messages.foxglove",),  # protobuf
     "distributed": ("runs.cluster",),
-    "msgspec": ("tables.toml",),
+    "msgspec": ("tables.toml", "truth.convert"),
     "tomllib": ("tables.toml",),
     "pandas": (
         "tables.read",
-        "tables.parquet",
         "results.read",
         "reports.mistakes",
         "evaluation.tables",
         "evaluation.comparison",
         "functions",
     ),
-    "pyarrow": ("tables.parquet",),
-    "matplotlib": ("evaluation.plots", "mapping.picture", "reports.svg", "truth.contact_sheet"),
-    "fsspec": ("remote.store",),
-    "aiohttp": ("remote.store",),
-    "sshfs": ("remote.store",),
+    "matplotlib": ("evaluation.plots", "mapping.picture", "reports.svg"),
+    "fsspec": ("remote",),
+    "sshfs": ("remote",),
     "jinja2": ("reports.page",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
@@ -75,13 +69,11 @@ MAY_IMPORT = {
         "readers.decode.grey",
         "readers.decode.pixels",
         "readers.containers.video",
-        "truth.contact_sheet",
+        "truth.convert",
         "simulation",
         "overlays",
-        "mapping.mosaic",
-        "reports.pictures",
+        "reports.frames",
         "results.run_file",  # its version
-        "runs.two_cores",  # its threads
     ),
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""
@@ -89,14 +81,13 @@ MAY_IMPORT = {
 LIGHT = (
     "cli",
     "runs",
-    "remote.run",
     "simulation.simulate",
     "readers.messages.images",
     "readers.messages.poses",
 )
 HEAVY = {
     *("pandas", "matplotlib", "scipy", "rosbags", "google", "ruamel"),
-    *("fsspec", "distributed", "pyarrow"),
+    *("fsspec", "distributed"),
 }
 
 Sources = dict[str, str]

@@ -118,7 +118,7 @@ def test_estimates_keep_the_contract(pings: Path) -> None:
 
 
 def test_run_toml_gives_the_same_bytes_again(pings: Path) -> None:
-    settings = ("--seed", "7", "--set", "continuity.particles=1200", "--preset", "paper")
+    settings = ("--set", "seed=7", "--set", "continuity.particles=1200", "--preset", "paper")
     sonarrec("run", pings, "--tilt-deg", "19", *settings)
     first = Path("sonarrec_out/pings")
     run = tomllib.loads((first / "run.toml").read_text())

@@ -124,13 +124,11 @@ def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPa
     [
         "run LOCKED/pan.mcap",
         "info LOCKED/pan.mcap",
-        "status LOCKED/out",
         "report LOCKED/out",
-        "overlay LOCKED/pan.mcap --images o",
+        "overlay LOCKED/pan.mcap -o o",
         "map LOCKED/out",
         "calibrate LOCKED/pan.mcap --ground-truth GT -o m.toml",
         "truth check GT LOCKED/pan.mcap",
-        "truth convert LOCKED/gt.xml",
     ],
 )
 def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> None:
@@ -152,13 +150,6 @@ def test_a_current_folder_that_is_gone_is_one_line(
     assert sonarrec("run", SAMPLE, code=1).stderr == f"sonarrec: {line}\n"
     none = sonarrec("run", "none.mcap", "-o", tmp_path, code=2)
     assert none.stderr == "sonarrec: none.mcap: no such file or folder\n"
-
-
-def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:
-    done = sonarrec("run", "-q", "-v", TEN, "-o", tmp_path)
-    assert re.search(r"\*\.png: done, 10 frames, \d+ candidates, 1 pass, \d+\.\d s", done.stderr)
-    assert not done.stdout
-    assert len(done.stderr.splitlines()) == 1
 
 
 def test_the_bar_names_the_log_and_which_of_how_many(tmp_path: Path) -> None:

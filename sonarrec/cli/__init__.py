@@ -17,7 +17,7 @@ from sonarrec.errors import SonarrecError, UsageError, name_as_text, printable
 from sonarrec.nouns import VERSION
 
 COMMANDS = (
-    *("run", "status", "info", "evaluate", "check", "report", "overlay", "map", "simulate", "site"),
+    *("run", "info", "evaluate", "check", "report", "overlay", "map", "simulate"),
     *("calibrate", "landmarks", "config", "truth", "help"),
 )
 """Each is in the module of its name, and loaded where it is asked for."""

@@ -62,8 +62,3 @@ def progress_of_logs(quiet: bool, logs: int) -> AbstractContextManager[Move]:
     """A progress bar over logs that run in parallel; done: includes fractions of running ones."""
     layout = "{percentage:3.0f}%|{bar}| {postfix} [{elapsed}<{remaining}]"
     return _bar(quiet, total=logs, bar_format=layout)
-
-
-def fetching(quiet: bool, name: str) -> AbstractContextManager[Move]:
-    """A progress bar over the bytes of a log that is being fetched."""
-    return _bar(quiet, desc=f"fetch {name}", unit="B", unit_scale=True)

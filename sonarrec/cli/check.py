@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Record the new results, in place of those on record, whether better or worse.",
 )
-@in_output("--markdown", is_flag=True, help="Print the table in Markdown, for a pull request.")
 @options.out(
     FOLDER,
     "Folder for the new results, and for the comparison in OUT/evaluation.  [default: a temporary "
@@ -78,7 +77,6 @@ def check(
     methods: tuple[str, ...],
     jobs: int | None,
     update: bool,
-    markdown: bool,
     out: Path | None,
     quiet: bool,
 ) -> None:
@@ -94,7 +92,7 @@ def check(
       sonarrec check --update
       sonarrec check
       sonarrec check --set features.declare=0.9
-      sonarrec check tests/sonar.toml --least-tpr 0.95 --markdown -o check
+      sonarrec check tests/sonar.toml --least-tpr 0.95 -o check
     """
     from sonarrec.evaluation.check_file import is_recorded, read_check
 
@@ -130,7 +128,7 @@ def check(
             _compare(one, logs, folder, folder)  # raises if the truth cannot be used
         else:
             judged = _judge(one, compared, replace(limits, methods=methods), band)
-            _print(judged, compared, out, markdown, quiet)
+            _print(judged, compared, out, quiet)
             if not update:
                 partial = partial or bool(new or compared.unused)
                 worse = judged.faults
@@ -153,7 +151,6 @@ def _tasks(
             "preset": given["preset"] or file.preset,
             "config_file": given["config_file"] or one.beside(file.config),
             "assignments": (*file.set, *given["assignments"]),
-            "seed": given["seed"],
         }
     )
     run_options = RunOptions(chosen.configs(), one.landmarks, one.beside(file.model), chosen.file)
@@ -178,7 +175,7 @@ def _run(
 
     jobs, out = min(jobs or cores(), len(tasks)), Path(tasks[0].out)
     table = LogsTable(out, tasks)
-    watch = RunWatch(tasks, table, out, None, jobs, quiet, False, False, briefly=True)
+    watch = RunWatch(tasks, table, out, "", jobs, quiet, False, briefly=True)
     with stoppable([]), watch:
         run_tasks(tasks, jobs, watch)
     done = [logs[i] for i in watch.with_results]
@@ -235,23 +232,16 @@ def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None)
     return judge_by(compared, chosen)
 
 
-def _print(
-    judged: Judgement, compared: Comparison, out: Path | None, markdown: bool, quiet: bool
-) -> None:
+def _print(judged: Judgement, compared: Comparison, out: Path | None, quiet: bool) -> None:
     """Print the judgement and, if the results are kept, write the comparison's files."""
     from sonarrec.evaluation.compare_screen import judgement_screen, settings_lines
-    from sonarrec.evaluation.compare_screen import markdown as in_markdown
     from sonarrec.evaluation.compare_write import write_comparison
 
     tell(compared.unused)
     files = () if out is None else write_comparison(out / "evaluation", compared)
     changed = [*settings_lines(compared)] if compared.settings else []
-    if quiet or markdown:  # then nobody sees the sentence where the command runs
-        tell([judged.sentence] if judged.faults else [])
     if quiet:
-        return
-    if markdown:
-        click.echo(in_markdown(judged, changed))
+        tell([judged.sentence] if judged.faults else [])
         return
     click.echo(judgement_screen(judged))
     lines = [*changed, *(f"note: {note}" for note in compared.notes)]

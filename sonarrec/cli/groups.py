@@ -13,17 +13,13 @@ import click
 from click.shell_completion import CompletionItem
 
 from sonarrec.cli.removed import with_advice
-from sonarrec.errors import UsageError
-
-FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+from sonarrec.errors import UsageError, local
 
 
 class _Local(click.Path):
     """A local path; URLs are refused, as they would create a local folder `s3:`."""
 
     def convert(self, value: Any, *context: Any) -> Any:
-        from sonarrec.remote.urls import local
-
         return super().convert(local(value), *context)
 
 
@@ -36,6 +32,7 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+FILE = _Local(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = _Local(dir_okay=False, path_type=Path)
 FOLDER = _Local(file_okay=False, path_type=Path)
 ANY = _Local(path_type=Path)
@@ -43,7 +40,7 @@ ANY = _Local(path_type=Path)
 
 FIRST = "Most used"
 GROUPS = (
-    *("Input", "Into a recording", "Scoring", "Learning", "Settings"),
+    *("Input", "Scoring", "Settings"),
     *("Geometry", "Many logs", "Output"),
 )
 """Of --help, in this order."""
@@ -125,10 +122,9 @@ def _option(group: str, names: str, **options: Any) -> Decorator:
 
 
 # `click.option` in a group of --help; its names stand in one text.
-in_input, in_background, in_scoring, in_learning, in_settings = (
-    partial(_option, group) for group in GROUPS[:5]
+in_input, in_scoring, in_settings, in_geometry, in_batch, in_output = (
+    partial(_option, group) for group in GROUPS
 )
-in_geometry, in_batch, in_output = (partial(_option, group) for group in GROUPS[5:])
 
 
 def as_one(

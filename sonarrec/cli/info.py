@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.bars import fetching, progress
+from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, leave, say, tell
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
-from sonarrec.cli.info_lines import HEAD, lines, radii_lines, write_sonar_toml
+from sonarrec.cli.info_lines import HEAD, lines, write_sonar_toml
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
-from sonarrec.errors import MissingError, SonarrecError, UsageError, name_as_text
+from sonarrec.errors import MissingError, SonarrecError, UsageError, local, name_as_text
 
 if TYPE_CHECKING:
     from sonarrec.readers.named_logs import NamedLog
-    from sonarrec.remote.find import RemoteLog
 
 
 @command(short_help="Show what is in a log, and whether it is complete.")
@@ -38,7 +35,7 @@ if TYPE_CHECKING:
     "--preview",
     type=NEW_FILE,
     metavar="FILE.png",
-    help="Draw the stated geometry, and landmarks to scale, onto the first usable frame.",
+    help="Draw range rings, bearings, the floor and three discs onto the first usable frame.",
 )
 @in_output(
     "--write-sonar",
@@ -46,14 +43,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Write a sonar.toml from what is known; what is missing is marked.",
 )
-@in_output(
-    "--try-radii",
-    is_flag=True,
-    help="Recognise a part of the log with radii from half to twice the landmark set's, and with "
-    "other rings, and print in how many frames landmarks are declared with each.",
-)
 @options.json("Print JSON. Keys: sonarrec help info.")
-@options.cache
 @options.quiet
 def info(
     log: tuple[str, ...],
@@ -64,23 +54,14 @@ def info(
     landmarks: str | None,
     preview: Path | None,
     write_sonar: Path | None,
-    try_radii: bool,
     as_json: bool,
-    cache: options.GetCache,
     quiet: bool,
 ) -> None:
     """Show what is in LOG, whether it is complete, and how `run` would read it.
 
-    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file (ARIS,
-    DIDSON, Oculus, Gemini), a folder of logs, or a quoted glob of these. Every frame is read and
-    every checksum compared to see how many frames can be used; --quick leaves that out. An
-    incomplete geometry is reported but is not a fault. Exit code 3: part of the log cannot be used;
-    1: none of it can. LOG may be on a server (`sonarrec help remote`).
-
-    --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
-    landmark set onto the first usable frame, so that a wrong geometry is easy to see. --try-radii
-    is for logs in which `run` declares nothing: it shows whether it would with discs of another
-    size.
+    LOG is as in `sonarrec run`. Every frame is read and every checksum compared to see how many
+    frames can be used; --quick leaves that out. An incomplete geometry is no fault. Exit code 3:
+    part of the log cannot be used; 1: none of it can.
 
     \b
     Examples:
@@ -88,15 +69,12 @@ def info(
       sonarrec info --quick *.mcap
       sonarrec info pings/ --tilt-deg 22 --preview pings.png
       sonarrec info dive.avi --range-max-m 8 --write-sonar dive.sonar.toml
-      sonarrec info dive.mcap --landmarks ours.toml --try-radii
-      sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
-    from sonarrec.remote.find import RemoteLog
     from sonarrec.results.run_file import PROGRAM
     from sonarrec.tables.outputs import check_output
 
     logs = named_logs(log, from_file, recursive)
-    names = [one.url.redacted if isinstance(one, RemoteLog) else one.path for one in logs]
+    names = [local(one.path) for one in logs]
     for option, file in (("--preview", preview), ("--write-sonar", write_sonar)):
         if file is not None and len(logs) > 1:
             raise UsageError(f"{option} {file}: for one log, but {len(logs)} are given")
@@ -114,9 +92,7 @@ def info(
             quick=quick,
             preview=preview,
             write_sonar=write_sonar,
-            try_radii=try_radii,
             as_json=as_json,
-            cache=cache,
             quiet=quiet,
         )
         for number, (one, name) in enumerate(zip(logs, names, strict=True))
@@ -154,7 +130,7 @@ class _Shown:
 
 
 def _show(
-    log: NamedLog | RemoteLog,
+    log: NamedLog,
     name: str,
     number: int,
     *,
@@ -163,9 +139,7 @@ def _show(
     quick: bool,
     preview: Path | None,
     write_sonar: Path | None,
-    try_radii: bool,
     as_json: bool,
-    cache: options.GetCache,
     quiet: bool,
 ) -> _Shown:
     """Describe a log and print it. number: how many logs come before. reading: as for `open_log`.
@@ -175,77 +149,49 @@ def _show(
     from sonarrec.readers import open_log
     from sonarrec.readers.info import describe
     from sonarrec.readers.open import find_log
-    from sonarrec.remote.fetch import fetched
-    from sonarrec.remote.find import RemoteLog
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.basis import chosen_landmarks
 
-    with ExitStack() as stack:
-        try:
-            path, up_to, origin = str(log.path), log.up_to, None
-            if isinstance(log, RemoteLog):
-                with fetching(quiet, name) as bar:
-                    copy = stack.enter_context(fetched(log, cache(), bar))
-                path, up_to, origin = str(copy.path), copy.up_to, copy.origin
-            reading = {**reading, "up_to": up_to}
-            with progress(quiet) as step, origin.translated() if origin else nullcontext():
-                log_info = describe(path, **reading, quick=quick, observe=step)
-        except SonarrecError as error:
-            is_missing = isinstance(error, MissingError)
-            if isinstance(error, UsageError) and not is_missing:
-                raise
-            tell([str(error)])
-            return _Shown({"path": name, "error": str(error)}, True, is_missing)
-        renamed = origin.with_server_names if origin else str
-        if origin:
-            log_info = replace(log_info, path=origin.url)
-        table = _renamed(asdict(log_info), renamed)
-        shown = _Shown(table, log_info.has_no_frame, is_faulty=log_info.has_problems)
-        if not as_json:
-            say(*([""] if number else []), *map(renamed, lines(log_info)))
-        try:
-            with origin.translated() if origin else nullcontext():
-                if write_sonar is not None:
-                    missing = write_sonar_toml(write_sonar, log_info)
-                    lacks = f"complete {', '.join(missing)}" if missing else "nothing is missing"
-                    if not quiet:
-                        inform(f"{write_sonar}: written; {lacks}")
-                if preview is not None or try_radii:
-                    source = find_log(path, reading["up_to"])
-                    landmark_set, _ = chosen_landmarks(source, landmarks, read_run(None))
-                if preview is not None:
-                    from sonarrec.drawing.geometry import draw_preview
-                    from sonarrec.drawing.pen import write_png
+    path, reading = log.path, {**reading, "up_to": log.up_to}
+    try:
+        with progress(quiet) as step:
+            log_info = describe(path, **reading, quick=quick, observe=step)
+    except SonarrecError as error:
+        is_missing = isinstance(error, MissingError)
+        if isinstance(error, UsageError) and not is_missing:
+            raise
+        tell([str(error)])
+        return _Shown({"path": name, "error": str(error)}, True, is_missing)
+    table = _as_text(asdict(log_info))
+    shown = _Shown(table, log_info.has_no_frame, is_faulty=log_info.has_problems)
+    if not as_json:
+        say(*([""] if number else []), *lines(log_info))
+    try:
+        if write_sonar is not None:
+            missing = write_sonar_toml(write_sonar, log_info)
+            lacks = f"complete {', '.join(missing)}" if missing else "nothing is missing"
+            if not quiet:
+                inform(f"{write_sonar}: written; {lacks}")
+        if preview is not None:
+            from sonarrec.drawing.geometry import draw_preview
+            from sonarrec.drawing.pen import write_png
 
-                    with open_log(path, **reading) as opened:
-                        first = next(iter(opened))
-                        stated = opened.sonar.height_m is not None
-                    picture = draw_preview(
-                        first.image, first.fan, landmark_set, height_stated=stated
-                    )
-                    write_png(preview, picture)
-                if try_radii:
-                    from sonarrec.runs.radii import try_radii as try_each
-
-                    with (
-                        open_log(path, **reading) as opened,
-                        progress(quiet, title="radii") as step,
-                    ):
-                        topic = opened.reading().get("topic")
-                        counts = (i.frames for i in log_info.images if i.topic == topic)
-                        trials = try_each(opened, landmark_set, next(counts, None), step)
-                    shown.table["radii"] = trials.as_table()
-                    if not as_json:
-                        say(*radii_lines(trials))
-        except SonarrecError as error:
-            shown.undone = error  # told after all logs
+            source = find_log(path, reading["up_to"])
+            landmark_set, _ = chosen_landmarks(source, landmarks, read_run(None))
+            with open_log(path, **reading) as opened:
+                first = next(iter(opened))
+                stated = opened.sonar.height_m is not None
+            picture = draw_preview(first.image, first.fan, landmark_set, height_stated=stated)
+            write_png(preview, picture)
+    except SonarrecError as error:
+        shown.undone = error  # told after all logs
     return shown
 
 
-def _renamed(value: Any, rename: Callable[[str], str]) -> Any:
-    """A table for JSON with other names of files in its texts, which become valid Unicode."""
+def _as_text(value: Any) -> Any:
+    """A table for JSON whose names of files are valid Unicode."""
     if isinstance(value, dict):
-        return {key: _renamed(one, rename) for key, one in value.items()}
+        return {key: _as_text(one) for key, one in value.items()}
     if isinstance(value, list):
-        return [_renamed(one, rename) for one in value]
-    return rename(name_as_text(value)) if isinstance(value, str) else value
+        return [*map(_as_text, value)]
+    return name_as_text(value) if isinstance(value, str) else value

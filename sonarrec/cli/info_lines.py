@@ -14,7 +14,6 @@ from sonarrec.times import date_text, is_date
 if TYPE_CHECKING:
     from sonarrec.readers.guess.outline import FanOutline
     from sonarrec.readers.info import Container, Images, LogInfo
-    from sonarrec.runs.radii import RadiusTrials
 
 HEAD = "# Written by sonarrec info"
 MOST_NUMBERS = 16
@@ -200,34 +199,6 @@ def _origin_lines(images: Images) -> list[str]:
         text = f"[{text}]" if isinstance(value, list) else text
         lines.setdefault(names["default"], []).append(f"{key} = {text}")
     return [f"{origin}: {', '.join(keys)}" for origin, keys in lines.items()]
-
-
-def radii_lines(trials: RadiusTrials) -> list[str]:
-    """In how many frames landmarks are declared, by radius and ring."""
-    rows = [["radius_m", "ring from", "frames", "of which with"]]
-    for trial in trials.trials:
-        if trials.is_stated(trial) or trial.frames_declared:
-            ids = ", ".join(f"ID.{one}: {count}" for one, count in trial.ids.items())
-            remark = "  (stated)" if trials.is_stated(trial) else ""
-            size = f"{trial.radius_m:.3g}", f"{trial.ring_from:.3g}"
-            rows.append([*size, str(trial.frames_declared), ids + remark])
-    radii = [trial.radius_m for trial in trials.trials]
-    texts = [
-        f"frames of {trials.frames} with a landmark declared ({min(radii):.3g} to {max(radii):.3g} "
-        "m tried; not listed: 0)",
-        *_columns(rows),
-    ]
-    if (best := trials.better) is not None and best.radius_m != trials.stated_m:
-        texts.append(
-            f"about {best.radius_m:.3g} m fits better than the {trials.stated_m:g} m "
-            "stated: check radius_m and the range window"
-        )
-    elif best is not None:
-        texts.append(
-            f"a ring from about {best.ring_from:.3g} of the radius fits better than from the "
-            f"{trials.stated_from:g} stated: check ring"
-        )
-    return _entry("radii", texts)
 
 
 def write_sonar_toml(path: Path, info: LogInfo) -> list[str]:

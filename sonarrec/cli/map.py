@@ -10,7 +10,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import finish
-from sonarrec.cli.groups import ANY, FILE, FOLDER, NEW_FILE, command, in_input, in_output
+from sonarrec.cli.groups import ANY, FILE, FOLDER, command, in_input, in_output
 from sonarrec.cli.options_log import sonar_option
 from sonarrec.errors import UsageError, number_of
 
@@ -45,13 +45,6 @@ from sonarrec.errors import UsageError, number_of
     help="Position of the poses' origin on Earth, deg, and the compass heading of yaw 0; writes "
     "map.geojson.",
 )
-@in_output(
-    "--mosaic",
-    type=NEW_FILE,
-    metavar="FLOOR.png",
-    help="Draw the floor from all frames, the landmarks on it, with a world file; map.png has it "
-    "as its background. Each log is read again.",
-)
 @options.out(FOLDER, "Folder of the files.  [default: RESULTS/map]")
 @options.quiet
 def map_(
@@ -63,7 +56,6 @@ def map_(
     min_frames: int,
     sonar: Any,
     origin: str | None,
-    mosaic: Path | None,
     out: Path | None,
     quiet: bool,
 ) -> None:
@@ -73,20 +65,16 @@ def map_(
     sonarrec_out). Logs of one site, with poses in one coordinate frame, make one map. Without poses
     the map of a log is relative to the sonar at its first frame, and uses the measured motion.
 
-    \b
-    Writes map.csv, passes.csv, factors.csv (measurements for a SLAM back end),
-    graph.g2o, map.png and, with --origin, map.geojson.
+    Writes map.csv, passes.csv, map.png and, with --origin, map.geojson.
 
     \b
     Examples:
       sonarrec map sonarrec_out/dive
       sonarrec map day1/dive day2/dive -o site
       sonarrec map sonarrec_out/dive --drift 0.1,5 --origin 54.3233,10.1394,87
-      sonarrec map sonarrec_out/dive --mosaic floor.png
     """
     from sonarrec.mapping.axes import GeographicOrigin
     from sonarrec.mapping.build import MapOptions, make_map
-    from sonarrec.mapping.mosaic import write_mosaic
     from sonarrec.mapping.path import Drift
     from sonarrec.mapping.write import lines, write_all
 
@@ -108,10 +96,9 @@ def map_(
     site = make_map(
         folders, MapOptions(odometry, errors, method, landmarks, sonar, least_frames=min_frames)
     )
-    drawn = None if mosaic is None else write_mosaic(mosaic, site, sonar, on_earth)
-    write_all(out, site, on_earth, drawn)
+    write_all(out, site, on_earth)
     told = [f"{out}: {number_of(len(site.logs), 'log')}", *(f"  {line}" for line in lines(site))]
-    finish(site.diagnostics, quiet, told if mosaic is None else [*told, f"{mosaic}: the floor"])
+    finish(site.diagnostics, quiet, told)
 
 
 def _numbers(flag: str, text: str, count: int) -> list[float]:

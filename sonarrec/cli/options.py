@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli.groups import (
+    ANY,
     FILE,
-    FOLDER,
     Decorator,
     FiniteRange,
     as_one,
@@ -30,23 +29,7 @@ if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.evaluation.limits import Limits
     from sonarrec.evaluation.match import ScoringOptions
-    from sonarrec.remote.cache import Cache
 
-
-class _OrUrl(click.Path):
-    """A local path as in click.Path, or a URL as text."""
-
-    def convert(self, value: Any, *context: Any) -> Any:
-        from sonarrec.remote.urls import is_url
-
-        return str(value) if is_url(value) else super().convert(value, *context)
-
-
-GetCache = Callable[[], "Cache"]
-FILE_OR_URL = _OrUrl(exists=True, dir_okay=False, path_type=Path)
-NEW_FILE_OR_URL = _OrUrl(dir_okay=False, path_type=Path)
-FOLDER_OR_URL = _OrUrl(file_okay=False, path_type=Path)
-ANY_OR_URL = _OrUrl(path_type=Path)
 
 # Results and truth
 
@@ -102,7 +85,7 @@ methods = in_scoring(
     "--method methods",
     multiple=True,
     metavar="NAME",
-    help=f"Method of estimates.csv; repeatable. The first leads.  [default: all; first {_LEADING}]",
+    help="Method of estimates.csv; repeatable, the first leads.  [default: all]",
 )
 model = in_input(
     "--model",
@@ -117,22 +100,14 @@ def frames(text: str, default: str | None = None) -> Decorator:
     return in_input("--frames", metavar="A:B", help=text)
 
 
-def ground_truth(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
-    """--ground-truth. text: what it is for. kind: FILE_OR_URL if it may be on a server."""
-    text = f"{text} Columns: sonarrec help truth."
-    return in_input("--ground-truth", type=kind, required=required, help=text)
-
-
-baseline = in_scoring(
-    "--baseline",
-    is_flag=True,
-    help="With --compare: also compare the methods without tracks, such as smi.",
-)
+def ground_truth(text: str) -> Decorator:
+    """--ground-truth. text: what it is for."""
+    return in_input("--ground-truth", type=FILE, help=f"{text} Columns: sonarrec help truth.")
 
 
 def compare(text: str) -> Decorator:
     """--compare OLD NEW. text: what is made of the two."""
-    kind = ANY_OR_URL, ANY_OR_URL
+    kind = ANY, ANY
     words: dict[str, Any] = {"metavar": "OLD NEW", "shell_complete": file_names, "help": text}
     return in_input("--compare", type=kind, **words)
 
@@ -142,22 +117,19 @@ _SCORING = {
         "--min-visible",
         type=float,
         default=0.9,
-        help="Protocol strict: share of the disc that must be in view for a landmark to count; "
-        "with less it is ignored.",
+        help="Strict: least share of the disc in view; with less a landmark is ignored.",
     ),
     "within_m": in_scoring(
         "--within within_m",
         type=float,
         metavar="M",
-        help="Protocol strict: how far a claim may lie from the truth, m.  "
-        "[default: half a disc or plate]",
+        help="Strict: how far a claim may lie from the truth, m.  [default: half a disc]",
     ),
     "tolerance_s": in_scoring(
         "--tolerance tolerance_s",
         type=float,
         metavar="SECONDS",
-        help="Longest time between a row of truth with timestamp_ns and its frame.  "
-        "[default: half the time between frames]",
+        help="Longest time from a row of truth to its frame.  [default: half a frame]",
     ),
     "landmarks": landmarks,
     "methods": methods,
@@ -186,7 +158,7 @@ _LIMITS = {
         "--least-tpr",
         type=_MethodRate(),
         multiple=True,
-        help="Exit with 4 if the TPR over all IDs is lower (protocol strict, if it is scored).",
+        help="Exit with 4 if the TPR over all IDs is lower.",
     ),
     "most_fpr": in_scoring(
         "--most-fpr",
@@ -232,9 +204,6 @@ _SETTINGS = {
         shell_complete=names_of(_settings),
         help="Change one setting; repeatable. All: `sonarrec config`.",
     ),
-    "seed": in_settings(
-        "--seed", type=click.IntRange(min=0), help="Seed of the random numbers.  [default: 0]"
-    ),
 }
 
 
@@ -251,13 +220,12 @@ class SettingsChoice:
         return file
 
     def configs(self) -> list[Config]:
-        """A Config per preset, changed by the file, then by --set, then by --seed."""
+        """A Config per preset, changed by the file, then by --set."""
         from sonarrec import config
 
-        preset, seed = self.values["preset"], self.values["seed"]
+        preset = self.values["preset"]
         chosen = config.configs(preset.split(",") if preset else [], self.file)
-        chosen = [config.with_assignments(c, self.values["assignments"]) for c in chosen]
-        return [c if seed is None else replace(c, seed=seed) for c in chosen]
+        return [config.with_assignments(c, self.values["assignments"]) for c in chosen]
 
     def config(self) -> Config:
         """The only Config. Raises UsageError if several presets are given."""
@@ -288,37 +256,3 @@ def json(text: str = "Print one JSON document on stdout.") -> Decorator:
 def out(kind: click.Path, text: str, **options: Any) -> Decorator:
     """-o, --out. text: what it names."""
     return in_output("-o --out", type=kind, help=text, **options)
-
-
-# Servers
-
-
-def _bytes(_: click.Context, __: click.Parameter, size: str) -> int:
-    from sonarrec.remote.cache import size_bytes
-
-    return size_bytes(size)
-
-
-def _cache(folder: Path | None, limit: int) -> Cache:
-    from sonarrec.remote.cache import Cache, default_folder
-
-    return Cache((folder or default_folder()).resolve(), limit)
-
-
-_CACHE = {
-    "cache_folder": in_input(
-        "--cache cache_folder",
-        type=FOLDER,
-        help="Folder for logs and results fetched from s3://, gs://, https:// and sftp://.  "
-        "[default: sonarrec in the user's cache folder]",
-    ),
-    "cache_size": in_input(
-        "--cache-size",
-        callback=_bytes,
-        metavar="SIZE",
-        default="20GB",
-        help="Maximum size of the cache; the least recently used logs are deleted first.",
-    ),
-}
-# As `cache`, a function that gives the Cache; raises SonarrecError if its folder is not found.
-cache = as_one("cache", _CACHE, lambda values: partial(_cache, *values.values()))

@@ -10,10 +10,11 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 import click
 
 from sonarrec.cli.groups import FILE, Decorator, as_one, in_geometry, in_input
-from sonarrec.errors import UsageError
+from sonarrec.errors import UsageError, is_url
 from sonarrec.nouns import Clock
 
 if TYPE_CHECKING:
+    from sonarrec.readers.named_logs import NamedLog
     from sonarrec.results.run_file import LogOptions
 
 GEOMETRY_TEXTS = {
@@ -91,12 +92,12 @@ def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return in_input("--recursive", is_flag=True, help=text)(from_file(function))
 
 
-def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
-    """The logs of a command that takes many: NamedLogs, and RemoteLogs for those on servers.
+def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> list[NamedLog]:
+    """The logs of a command that takes many, also those on servers.
 
     Raises click's UsageError if there are none, ours if the list is not text.
     """
-    from sonarrec.remote.run import all_logs
+    from sonarrec.readers.named_logs import NamedLog, log_arguments, logs_named
 
     if not logs and from_file is None:
         missing = "Missing argument 'LOG...' (or --from-file LIST)"
@@ -112,7 +113,15 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
                 )
             yield line
 
-    return all_logs(logs, listed(), recursive=recursive)
+    found: list[NamedLog] = []
+    for name in log_arguments(logs, listed()):
+        if is_url(name):
+            from sonarrec.remote import logs_at  # with fsspec, only where needed
+
+            found += map(NamedLog, logs_at(name, recursive=recursive))
+        else:
+            found += logs_named(name, recursive=recursive)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

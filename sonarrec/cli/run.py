@@ -1,4 +1,4 @@
-"""`sonarrec run`: recognise the landmarks in recorded logs."""
+"""`sonarrec run`: recognise the landmarks in logs."""
 
 from __future__ import annotations
 
@@ -9,27 +9,30 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import TIMEOUT_MAX
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli import options, options_log
 from sonarrec.cli.endings import FAILED, INTERRUPTED, PARTLY, TERMINATED, leave, say, tell
-from sonarrec.cli.groups import NEW_FILE, command, file_names, in_batch, in_input, in_output
-from sonarrec.errors import SonarrecError, UsageError, name_as_text, number_of
+from sonarrec.cli.groups import command, file_names, in_batch, in_input, in_output
+from sonarrec.errors import SonarrecError, UsageError, hidden, is_url, name_as_text
 
 if TYPE_CHECKING:
     from sonarrec.cli.run_watch import RunWatch
     from sonarrec.readers.named_logs import NamedLog
-    from sonarrec.remote.find import RemoteLog
-    from sonarrec.remote.upload import Outbox
     from sonarrec.results.run_file import LogOptions
     from sonarrec.runs.prepare import RunOptions
     from sonarrec.runs.task import Task
 
-
 _ODOMETRY = options_log.odometry_options(in_input)
+
+
+class _FolderOrUrl(click.Path):
+    def convert(self, value: Any, *context: Any) -> Any:
+        return str(value) if is_url(value) else super().convert(value, *context)
 
 
 @command(short_help="Recognise the landmarks in logs.", first=("--sonar", "--landmarks", "--out"))
@@ -42,20 +45,7 @@ _ODOMETRY = options_log.odometry_options(in_input)
 @options.frames("Process only the frames from A up to, not including, B.")
 @options.model
 @options.settings
-@options.out(options.FOLDER_OR_URL, "Results go to OUT/<log name>.", default=Path("sonarrec_out"))
-@in_output(
-    "--tables",
-    type=click.Choice(["csv", "parquet"]),
-    default="csv",
-    help="Format of the estimates; parquet needs `pip install 'sonarrec[parquet]'`.",
-)
-@in_output(
-    "--odometry-out",
-    type=NEW_FILE,
-    metavar="FILE",
-    help="Also write the sonar's path, from the poses or measured between the images, as a CSV "
-    "that --odometry reads; for one log only.",
-)
+@options.out(_FolderOrUrl(file_okay=False), "Results go to OUT/<log name>.", default="sonarrec_out")
 @in_output(
     "--overwrite",
     is_flag=True,
@@ -66,11 +56,6 @@ _ODOMETRY = options_log.odometry_options(in_input)
     type=click.IntRange(min=1),
     help="How many logs run at once, each in its own process; 1: one after the other, in this "
     "process.  [default: the number of cores]",
-)
-@in_batch(
-    "--retry-failed",
-    is_flag=True,
-    help="Run only the logs that are failed or partial in OUT/logs.csv, from the start.",
 )
 @in_batch(
     "--dry-run", is_flag=True, help="Print what would be done with each log and why; write nothing."
@@ -91,8 +76,6 @@ _ODOMETRY = options_log.odometry_options(in_input)
     "cluster.",
 )
 @options.json()
-@options.cache
-@in_output("-v --verbose", is_flag=True, help="Print a line on stderr for each finished log.")
 @options.quiet
 # Long by its options and its help.
 def run(
@@ -106,19 +89,14 @@ def run(
     frames: str | None,
     model: Path | None,
     settings: options.SettingsChoice,
-    out: Path | str,
-    tables: str,
-    odometry_out: Path | None,
+    out: str,
     overwrite: bool,
     jobs: int | None,
-    retry_failed: bool,
     dry_run: bool,
     timeout: float | None,
     shard: str | None,
     scheduler: str | None,
     as_json: bool,
-    cache: options.GetCache,
-    verbose: bool,
     quiet: bool,
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
@@ -140,27 +118,17 @@ def run(
       sonarrec run dive.mcap --topic /oculus/ping --tilt-deg 20 --time header
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
-      sonarrec run rosbag2_2026_11_20-10_00_00/
       sonarrec run campaign/ --recursive
       sonarrec run 'dives/**/*.mcap'
-      sonarrec run --from-file dives.txt
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
     from sonarrec.cli.run_watch import RunWatch
-    from sonarrec.remote.run import RemoteFiles, inside
-    from sonarrec.remote.urls import is_url, parse_url
     from sonarrec.runs.cores import cores
-    from sonarrec.runs.logs_table import NAME, LogsTable, again
+    from sonarrec.runs.logs_table import NAME, LogsTable
     from sonarrec.runs.prepare import RunOptions
-    from sonarrec.tables.outputs import check_output
-    from sonarrec.tables.parquet import check_parquet
 
     log_options = log_choice.log_options(odometry, odometry_topic, frames)
-    if tables == "parquet":
-        check_parquet()
-    run_options = RunOptions(
-        settings.configs(), landmarks, model, settings.file, tables == "parquet"
-    )
+    run_options = RunOptions(settings.configs(), landmarks, model, settings.file)
     run_options.check()
     if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
         raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
@@ -170,54 +138,40 @@ def run(
         from sonarrec.readers.poses_csv import read_poses
 
         read_poses(odometry)  # so that a fault is reported once, not for each log
-    outbox, local_out = None, Path(out)
-    if is_url(out):
-        from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
-
-        outbox = Outbox(parse_url(out), cache())
-        local_out = outbox.folder
-    tasks = _tasks(logs, local_out, log_options, run_options, overwrite, outbox, cache)
+    tasks = _tasks(logs, out, log_options, run_options, overwrite)
     if shard is not None:
         i, _, n = shard.partition("/")
         if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
             raise UsageError(f"--shard {shard}: expected I/N with I from 1 to N, such as 2/8")
         tasks = tasks[int(i) - 1 :: int(n)]
-    unfinished = 0
-    if retry_failed:
-        if outbox is not None:
-            outbox.fetch(NAME)
-        tasks, unfinished = again(tasks, local_out)
     if not tasks:
-        hint = f"; {number_of(unfinished, 'log')} not finished: run without --retry-failed"
-        click.echo(f"nothing to do{hint if unfinished else ''}", err=True)
+        click.echo("nothing to do", err=True)
         return
-    if odometry_out is not None:
-        if len(tasks) > 1:
-            raise UsageError(
-                f"--odometry-out is for one log, but {len(tasks)} are given; run that log alone"
-            )
-        read = [tasks[0].path, odometry]
-        check_output(odometry_out, "table", read, header="timestamp_ns,yaw,x,y")
     if dry_run:
         _plan(tasks)
         return
     jobs = min(jobs or cores(), len(tasks))
-    table = LogsTable(local_out, tasks, alone=len(logs) == 1)
-    watch = RunWatch(tasks, table, local_out, outbox, jobs, quiet, verbose, as_json)
-    with stoppable([local_out / task.name for task in tasks]), watch:
-        if scheduler is not None:
-            from sonarrec.runs.cluster import run_on_cluster
+    with ExitStack() as stack:
+        local_out = Path(out)
+        if is_url(out):
+            from sonarrec.remote import check_out, get  # with fsspec, only where needed
 
-            run_on_cluster(tasks, scheduler, watch, timeout)
-        else:
-            run_tasks(tasks, jobs, watch, timeout)
+            check_out(out)
+            local_out = Path(stack.enter_context(TemporaryDirectory(prefix="sonarrec-")))
+            get(f"{out.rstrip('/')}/{NAME}", local_out / NAME)  # with the rows of other calls
+        table = LogsTable(local_out, tasks, alone=len(logs) == 1)
+        server_out = out if is_url(out) else ""
+        watch = RunWatch(tasks, table, local_out, server_out, jobs, quiet, as_json)
+        folders = [] if server_out else [local_out / task.name for task in tasks]
+        with stoppable(folders), watch:
+            if scheduler is not None:
+                from sonarrec.runs.cluster import run_on_cluster
+
+                run_on_cluster(tasks, scheduler, watch, timeout)
+            else:
+                run_tasks(tasks, jobs, watch, timeout)
     if len(tasks) == 1 and watch.error is not None:
         raise watch.error
-    if odometry_out is not None:
-        from sonarrec.mapping.path import write_path
-
-        with ExitStack() as stack:
-            write_path(RemoteFiles(stack, cache).results(inside(out, tasks[0].name)), odometry_out)
     watch.count()
     leave(watch.exit_code())
 
@@ -225,18 +179,16 @@ def run(
 def run_tasks(
     tasks: Sequence[Task], jobs: int, watch: RunWatch, timeout_s: float | None = None
 ) -> None:
-    """Run the tasks here, `jobs` at a time; each uses a second core if cores are free."""
-    from sonarrec.runs.cores import cores
+    """Run the tasks here, `jobs` at a time."""
     from sonarrec.runs.many import run_apart, run_here
 
-    tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
     if jobs > 1 or timeout_s is not None:
-        run_apart(tasks, jobs, watch, timeout_s)
+        run_apart([*tasks], jobs, watch, timeout_s)
     else:
-        run_here(tasks, watch)
+        run_here([*tasks], watch)
 
 
-def _unquoted_glob_notes(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
+def _unquoted_glob_notes(logs: Sequence[NamedLog]) -> Iterator[str]:
     """A note for each folder of which several images are given as logs of their own."""
     from sonarrec.readers.containers.images import names_an_image
 
@@ -251,30 +203,23 @@ def _unquoted_glob_notes(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
 
 
 def _tasks(
-    logs: Sequence[NamedLog | RemoteLog],
-    out: Path,
+    logs: Sequence[NamedLog],
+    out: str,
     log_options: LogOptions,
     run_options: RunOptions,
     overwrite: bool,
-    outbox: Outbox | None,
-    cache: options.GetCache,
 ) -> list[Task]:
-    """A task for each log. out: the local folder of the results."""
-    from sonarrec.remote.find import RemoteLog
+    """A task for each log. out: the folder of the results, or its URL."""
     from sonarrec.runs.one import result_names
     from sonarrec.runs.task import Task
 
     tasks = []
-    names = result_names([log if isinstance(log, RemoteLog) else log.path for log in logs])
+    names = result_names([hidden(log.path) if is_url(log.path) else log.path for log in logs])
+    local_out, server_out = ("", out) if is_url(out) else (out, "")
     for log, name in zip(logs, names, strict=True):
-        if isinstance(log, RemoteLog):
-            remote, path, reading = log, log.url.redacted, log_options
-        else:
-            remote, path, reading = None, log.path, replace(log_options, up_to=log.up_to)
-        task = Task(path, name, str(out), reading, run_options, overwrite)
-        if remote or outbox:
-            to = outbox.url if outbox else None
-            task = replace(task, cache=cache(), server_log=remote, server_out=to)
+        url = log.path if is_url(log.path) else ""
+        path, reading = hidden(url) or log.path, replace(log_options, up_to=log.up_to)
+        task = Task(path, name, local_out, reading, run_options, overwrite, url, server_out)
         tasks.append(task)
     return tasks
 

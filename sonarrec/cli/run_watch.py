@@ -9,15 +9,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from shlex import quote
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.bars import fetching, progress_of_frames, progress_of_logs
+from sonarrec.cli.bars import progress_of_frames, progress_of_logs
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, say, tell
-from sonarrec.errors import MissingError, SonarrecError, number_of, printable
+from sonarrec.errors import MissingError, SonarrecError, hidden, number_of, printable
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import PROGRAM
 from sonarrec.runs.logs_table import NAME, LogsTable
@@ -27,7 +26,6 @@ from sonarrec.runs.task import Outcome, Task
 from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:
-    from sonarrec.remote.upload import Outbox
     from sonarrec.results.sightings import Sighting
 
 MOST_SHOWN = 10
@@ -40,17 +38,16 @@ MOST_ROWS = 100
 class RunWatch(Watch):
     """Prints the progress and outcomes of a call, and writes logs.csv. A context manager.
 
-    table: logs.csv of the tasks. out: folder of the results. box: uploads them to a server.
-    jobs: how many tasks run in parallel.
+    table: logs.csv of the tasks. out: folder of the results. server_out: its URL, if it stands for
+    one on a server. jobs: how many tasks run in parallel.
     """
 
     tasks: Sequence[Task]
     table: LogsTable
     out: Path
-    box: Outbox | None
+    server_out: str
     jobs: int
     quiet: bool
-    verbose: bool
     json: bool
     briefly: bool = False
     """Whether to tell problems only: not the geometry, notes and passes."""
@@ -63,7 +60,6 @@ class RunWatch(Watch):
         self._start_time_s = monotonic()
         self._bars = ExitStack()
         self._show_frame: Callable[..., None] | None = None  # moves the bar of frames
-        self._show_bytes: Callable[..., None] | None = None  # moves that of bytes
         self._show_logs: Callable[..., None] | None = None  # that of logs; None if one runs at once
 
     def __enter__(self) -> RunWatch:
@@ -78,13 +74,12 @@ class RunWatch(Watch):
         if kind is not None:
             self.table.stopped()
         try:
-            if self.box is not None and kind is None:  # a stopped run does not wait for a server
-                self.box.fetch(NAME)  # with the rows of other calls
             self.table.write()
-            if self.box is not None and kind is None:
-                self.box.put(NAME)
+            if self.server_out and kind is None:  # a stopped run does not wait for a server
+                from sonarrec.remote import put  # with fsspec, only where needed
+
+                put(self.out / NAME, f"{self.server_out.rstrip('/')}/{NAME}")
         except SonarrecError as error:
-            self.table.write()
             tell([str(error)])
         if self.table.fault and all(o.status != "failed" for o in self._outcomes.values()):
             tell([self.table.fault])  # else the disk is full, which was reported
@@ -103,16 +98,11 @@ class RunWatch(Watch):
             self._bars.close()
             bar = progress_of_frames(self.quiet, title=f"{self.tasks[i].name}{self._prefix(i)}")
             self._show_frame = self._bars.enter_context(bar)
-            self._show_bytes = self._bars.enter_context(fetching(self.quiet, self.tasks[i].path))
 
     def goes_by(self, i: int, line: str) -> None:
         if not (self.quiet or self.briefly):
             with self._over_the_bar():
                 inform(f"{self.tasks[i].name}: {line}")
-
-    def fetching(self, i: int, arrived: int, total: int | None) -> None:  # noqa: ARG002
-        if self._show_bytes is not None:
-            self._show_bytes(arrived, total)
 
     def frames(self, i: int, done: int, total: int | None) -> None:
         self._running[i] = done, total
@@ -125,7 +115,7 @@ class RunWatch(Watch):
         self._outcomes[i] = outcome
         self._running.pop(i, None)
         self.table.ended(i, outcome)
-        task, summary = self.tasks[i], outcome.summary
+        summary = outcome.summary
         if self._show_logs is None:
             self._bars.close()  # before printing
         self._move_bar_of_logs()
@@ -138,14 +128,6 @@ class RunWatch(Watch):
                 tell(*(self._named(i, lines) for lines in (summary.problems, notes)))
             elif len(self.tasks) > 1:
                 tell([outcome.message])
-            if self.verbose:
-                text = outcome.message
-                if summary is not None:
-                    passes = number_of(sum(summary.passes.values()), "pass", "es")
-                    text = f"{number_of(summary.candidates, 'candidate')}, {passes}"
-                    text = f"{number_of(summary.frames, 'frame')}, {text}"
-                how = f"{_in_words(outcome)}, {text}, {outcome.seconds:.1f} s"
-                inform(f"{task.path}{self._prefix(i)}: {how}")
             self._print_ended()
 
     @property
@@ -179,8 +161,7 @@ class RunWatch(Watch):
             return
         line = ", ".join(f"{len(paths)} {how}" for how, paths in counts.items() if paths)
         if len(failed) > MOST_SHOWN:
-            out = self.box.origin.url if self.box else self.out
-            line += f"; `sonarrec status {out}` lists them"
+            line += f"; {NAME} in {hidden(self.server_out) or self.out} lists them"
         elif failed:
             line += f": {', '.join(failed)}"
         click.echo(printable(line), err=bool(failed) or self.json)
@@ -205,7 +186,7 @@ class RunWatch(Watch):
     def _report_outdated(self) -> None:
         """Print a note on pages and folders in OUT that were made from results replaced now."""
         summaries = [outcome.summary for outcome in self._outcomes.values()]
-        if self.box is not None or all(s is None or s.up_to_date for s in summaries):
+        if self.server_out or all(s is None or s.up_to_date for s in summaries):
             return
         older = [name for name in PAGES if (self.out / name).exists()]
         older += [name for name, made in MADE.items() if (self.out / name / made[-1]).is_file()]
@@ -256,10 +237,6 @@ class RunWatch(Watch):
                 continue
             frames = number_of(summary.frames, "frame")
             lines = [] if summary.up_to_date else table(summary, outcome.folder)
-            nothing = summary.discs and not any(summary.passes.values())
-            if lines and len(self.tasks) == 1 and nothing:
-                again = f"sonarrec info {quote(self.tasks[0].path)} --try-radii"
-                lines.append(f"`{again}`, with the same options, looks for discs of another size")
             head = f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}"
             say(head, *(f"  {line}" for line in lines))
 
@@ -272,14 +249,7 @@ class RunWatch(Watch):
         if outcome.summary is None:
             return document | {"message": outcome.message}
         sightings = outcome.summary.folder / "sightings.csv"
-        if self.box is not None:  # local results are deleted after the upload
-            sightings = self.box.folder / f".{task.name}.sightings.csv"
-            self.box.fetch(f"{task.name}/sightings.csv", sightings.name)
-        try:
-            return document | as_json(outcome.summary, outcome.folder, sightings)
-        finally:
-            if self.box is not None:
-                sightings.unlink(missing_ok=True)
+        return document | as_json(outcome.summary, outcome.folder, sightings)
 
 
 def _in_words(outcome: Outcome) -> str:
@@ -354,7 +324,9 @@ def as_json(summary: Summary, folder: str, sightings: Path) -> dict[str, Any]:
                 name: None if isinstance(value, float) and math.isnan(value) else value
                 for name, value in asdict(sighting).items()
             }
-            for sighting in sightings_in(sightings)
+            for sighting in (  # of results on a server the longest
+                sightings_in(sightings) if sightings.is_file() else summary.sightings
+            )
         ],
         "problems": summary.problems,
         "notes": summary.notes,

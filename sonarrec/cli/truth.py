@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from functools import partial
 from heapq import nlargest
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from sonarrec.cli.groups import (
     GroupedCommand,
     file_names,
     in_input,
-    in_output,
     in_scoring,
 )
 from sonarrec.cli.options_log import LogChoice, log_options
@@ -39,7 +37,7 @@ def truth() -> None:
 
     \b
     Examples:
-      sonarrec truth convert annotations.xml --log pings/
+      sonarrec truth convert coco.json --log pings/
       sonarrec truth check gt.csv pings/
       sonarrec truth propose sonarrec_out/pings
     """
@@ -56,7 +54,7 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
 
 
 @truth.command(short_help="Write annotations as a gt.csv.", cls=GroupedCommand)
-@click.argument("annotations", type=ANY)
+@click.argument("annotations", type=FILE)
 @in_input("--log", shell_complete=file_names, help="The log that was annotated.")
 @in_input(
     "--map labels",
@@ -69,13 +67,9 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
 @in_input(
     "--first-frame",
     type=int,
+    default=0,
     metavar="N",
-    help="Number of the log's first frame in the annotations.  [default: 0; mot 1]",
-)
-@in_input(
-    "--format format_name",
-    type=click.Choice(["cvat", "coco", "mot", "labelme"]),
-    help="Format of ANNOTATIONS.  [default: detected from the content]",
+    help="Number of the log's first frame in the images' names.",
 )
 @log_options()
 @options.landmarks
@@ -85,8 +79,7 @@ def convert(
     annotations: Path,
     log: str | None,
     labels: dict[str, int | None],
-    first_frame: int | None,
-    format_name: str | None,
+    first_frame: int,
     log_choice: LogChoice,
     landmarks: str | None,
     out: Path,
@@ -94,15 +87,14 @@ def convert(
 ) -> None:
     """Write ANNOTATIONS as a gt.csv.
 
-    ANNOTATIONS is a CVAT XML 1.1 (video or images), a COCO JSON, a MOTChallenge gt.txt, or a
-    LabelMe JSON or a folder of them. With --log, frames are found by image name, shapes drawn on
-    polar images are converted to the fan, and `visible` is at most the share of the disc inside the
-    fan. Exit code 3: labels or images that could not be used were left out, or frames lie beyond
-    the log.
+    ANNOTATIONS is a COCO JSON, as CVAT, Label Studio and LabelMe's converters export it. With
+    --log, frames are found by image name, shapes drawn on polar images are converted to the fan,
+    and `visible` is at most the share of the disc inside the fan. Exit code 3: labels or images
+    that could not be used were left out.
 
     \b
     Examples:
-      sonarrec truth convert annotations.xml --log pings/
+      sonarrec truth convert coco.json --log pings/
       sonarrec truth convert coco.json --map "half ring=none" --map north=3 -o gt.csv
     """
     from sonarrec.readers import open_log
@@ -117,23 +109,16 @@ def convert(
     if log is not None:
         with open_log(log, **log_choice.arguments()) as opened:
             images = look_at(opened)
-    report = convert_annotations(
-        annotations,
-        out,
-        landmark_set,
-        format_name=format_name,
-        labels=labels,
-        first_frame=first_frame,
-        log=images,
+    counts, told = convert_annotations(
+        annotations, out, landmark_set, labels=labels, first_frame=first_frame, log=images
     )
-    tell(report.diagnostics.problems)
-    counts = ", ".join(f"ID.{i} {count}" for i, count in report.counts.items()) or "no landmark"
+    tell(told.problems)
     if not quiet:
-        rows = sum(report.counts.values())
-        say(f"{out}: {number_of(rows, 'row')} from {report.format} ({counts})")
-    for line in report.diagnostics.notes:
+        by_id = ", ".join(f"ID.{i} {count}" for i, count in counts.items()) or "no landmark"
+        say(f"{out}: {number_of(sum(counts.values()), 'row')} ({by_id})")
+    for line in told.notes:
         say(f"note: {line}")
-    end(report.diagnostics.problems)
+    end(told.problems)
 
 
 @truth.command(short_help="Find errors in a gt.csv.", cls=GroupedCommand)
@@ -148,9 +133,6 @@ def convert(
     metavar="DEG",
     help="Largest turn of the sonar from one frame to the next that counts as possible.",
 )
-@in_output(
-    "-o --sheet", type=NEW_FILE, default=Path("truth_check.png"), help="File for the contact sheet."
-)
 @options.quiet
 def check(
     ground_truth: Path,
@@ -158,37 +140,30 @@ def check(
     log_choice: LogChoice,
     landmarks: str | None,
     max_pan_deg: float,
-    sheet: Path,
     quiet: bool,
 ) -> None:
-    """Find errors in GT.CSV, and draw its landmarks on frames of LOG.
+    """Find errors in GT.CSV, the ground truth of LOG.
 
     It reports, with the line: IDs not in the set, frames not in the log, discs wholly outside the
     fan, `visible` outside 0 to 1 or above the share of the disc in the fan image, repeated rows,
     landmarks that overlap or change their ID, pixels that contradict range and bearing, and jumps
-    that no turn of the sonar explains. The contact sheet shows every pass of a landmark at a few
-    frames, outlined. Exit code 3: something was found.
+    that no turn of the sonar explains. `overlay --ground-truth` draws it.
+    Exit code 3: something was found.
 
     \b
     Examples:
       sonarrec truth check sample_data/pan.gt.csv sample_data/pan.mcap
-      sonarrec truth check gt_proposed.csv pings/ --sheet look.png --max-pan 10
+      sonarrec truth check gt_proposed.csv pings/ --max-pan 10
     """
     from sonarrec.readers import open_log
     from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.basis import chosen_landmarks
-    from sonarrec.tables.outputs import check_output
     from sonarrec.truth.check import check_truth
-    from sonarrec.truth.contact_sheet import draw_contact_sheet
 
-    check_output(sheet, "picture", [ground_truth, log])
     landmark_set, _ = chosen_landmarks(find_log(log), landmarks, read_run(None))
-    reopen = partial(open_log, log, **log_choice.arguments())
-    with reopen() as opened:
+    with open_log(log, **log_choice.arguments()) as opened:
         checked = check_truth(ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg)
-    with reopen() as opened:
-        strips = draw_contact_sheet(checked, opened, sheet)
     counts = Counter[str]()
     for fault in checked.faults:
         counts[fault.kind] += 1
@@ -204,10 +179,6 @@ def check(
         say(f"note: {line}")
     if checked.others:
         say(f"note: {number_of(checked.others, 'row')} of other logs not checked")
-    if strips and not quiet:
-        say(f"{sheet}: contact sheet")
-    elif not strips:
-        say("note: no row has a position on a frame of the log, so there is no sheet")
     end(checked.faults or checked.diagnostics.problems)
 
 

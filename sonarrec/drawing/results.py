@@ -12,7 +12,6 @@ from typing import TypeVar
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.drawing.geometry import draw_grid
 from sonarrec.drawing.pen import (
     TRUTH,
     UNNAMED,
@@ -105,19 +104,16 @@ def draw_frame(
     *,
     paths: Mapping[int, FloatArray] | None = None,
     truth: Sequence[Mark] = (),
-    grid: bool = False,
     score: bool = False,
 ) -> ByteImage:
     """The frame with an outline, ID and probability for every estimate: one method's (Figure 13).
 
     image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
-    and grey. paths: as `trails` gives them. truth: dashed white. grid: range rings and bearings
+    and grey. paths: as `trails` gives them. truth: dashed white.
     below all that. score: scores in place of probabilities.
     Returns (rows, columns, 3) uint8 BGR, both sides `enlargement` times the fan's.
     """
     pen = pen_on(image, fan)
-    if grid:
-        draw_grid(pen, fan)
     colours = landmark_colours(landmarks.ids)
     # The declared last, on top of the others.
     for e in sorted(estimates, key=lambda e: (e.declared, e.score)):

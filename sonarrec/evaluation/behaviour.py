@@ -14,8 +14,6 @@ from sonarrec.evaluation.match import Matched, distance
 from sonarrec.evaluation.passes import Passes
 from sonarrec.nouns import follows
 
-DECLARES = (0.99, 0.97, 0.95, 0.925, 0.9, 0.85, 0.8, 0.75, 0.7, 0.6, 0.5)
-"""The thresholds among which a bound is sought."""
 BINS = 10
 """Of the probability that an estimate states."""
 
@@ -62,43 +60,6 @@ def pass_outcomes(judged: Judged, log: Matched, passes: Passes) -> PassOutcomes:
         right=np.bincount(number[right], minlength=count),
         wait=np.where(frames > 0, settled - passes.first_frame_index, np.nan),
     )
-
-
-def false_claims(log: Matched, beneath: IntArray, passes: Passes, method: int) -> IntArray:
-    """(U, K, 2) declared claims of a method on no landmark, and on a landmark of another ID.
-
-    Those in frames of unknown duration are left out, as in `minutes`. K: the claimed ID. beneath:
-    from `match.truth_beneath`.
-    """
-    k = len(log.ids)
-    timed = ~np.isnan(log.seconds)[log.claim_frame_index]
-    declared = np.flatnonzero(log.declared & timed & (log.method_index == method))
-    truth, claimed = beneath[declared], log.claim_landmark_index[declared]
-    nowhere = truth < 0
-    on_other, unit = ~nowhere, passes.unit_of_frame[log.claim_frame_index[declared]]
-    if len(log.truth_landmark_index):
-        on_other &= log.truth_landmark_index[truth] != claimed
-        unit = np.where(nowhere, unit, passes.unit_of_truth[truth])
-    cell = unit * k + claimed
-    kinds = [np.bincount(cell[kind], minlength=passes.units * k) for kind in (nowhere, on_other)]
-    return np.stack(kinds, axis=1).reshape(passes.units, k, 2)
-
-
-def claimed(judged: Judged, passes: Passes) -> IntArray:
-    """(U, D + 1, 2) declared claims, right and false, whose score reaches each of D DECLARES; the
-    last are all."""
-    of_claim = judged.group(passes.unit_of_frame, passes.unit_of_truth)[judged.declared_claim]
-    score, effect = judged.score[judged.declared_claim], judged.declared_effect[:, [0, 2]]
-    counts = np.zeros((passes.units, len(DECLARES) + 1, 2), dtype=np.int64)
-    for column, least in enumerate((*DECLARES, 0.0)):
-        np.add.at(counts[:, column], of_claim[score >= least], effect[score >= least])
-    return counts
-
-
-def minutes(log: Matched, passes: Passes) -> FloatArray:
-    """(U,) duration of the units' frames, without those of which it is not known."""
-    seconds = np.nan_to_num(log.seconds)
-    return np.bincount(passes.unit_of_frame, seconds, minlength=passes.units) / 60
 
 
 def switches(log: Matched, beneath: IntArray, passes: Passes) -> dict[str, Switches]:

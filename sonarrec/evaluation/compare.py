@@ -26,8 +26,7 @@ from sonarrec.evaluation.logs import UnreadableLog, check_logs, first_ids, map_l
 from sonarrec.evaluation.match import DEFAULT, ScoringOptions
 from sonarrec.evaluation.metrics import MAIN
 from sonarrec.evaluation.pairing import CountedPair, LogPair, count_pair, pair_logs
-from sonarrec.evaluation.pairs import FindBeside, Pair
-from sonarrec.evaluation.passes import UnitKind
+from sonarrec.evaluation.pairs import Pair
 from sonarrec.evaluation.summary import SEED, units_text
 from sonarrec.nouns import follows
 from sonarrec.results.methods import chosen
@@ -42,9 +41,7 @@ def compare(
     options: ScoringOptions = DEFAULT,
     *,
     baseline: bool = False,
-    unit: UnitKind | None = None,
     jobs: int | None = None,
-    find_beside: FindBeside | None = None,
 ) -> Comparison:
     """Compare two results folders, each of one log or of several, on their common frames.
 
@@ -54,14 +51,14 @@ def compare(
     old, new: their logs are paired by name or SHA-256; if each holds one log, these are paired.
     ground_truth: one table for all logs, or pairs that name a truth per log; None: the truth
     beside each log. baseline: whether methods without tracks, which changes of stages 2 and 3 leave
-    as they were, are compared too, if none is named in options. unit: as in `summary.summarise`.
-    jobs, find_beside: as in `evaluate.evaluate_logs`.
+    as they were, are compared too, if none is named in options.
+    jobs: as in `evaluate.evaluate_logs`.
     Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
     read.
     """
     options.check()
     told = Diagnostics()
-    pairs = pair_logs(old, new, ground_truth, options, find_beside, told)
+    pairs = pair_logs(old, new, ground_truth, options, told)
     used, before, after, changed = _count_pairs(pairs, options, jobs, told)
     methods = _compared_methods(before, after, options.methods, baseline)
     told.note(*_incomplete(used, before, after, methods))
@@ -70,7 +67,7 @@ def compare(
         (name, read_run(pair.old / "run.toml"), read_run(pair.new / "run.toml"))
         for name, pair in zip(after.logs, used, strict=True)
     )
-    units = after.units(unit)
+    units = after.units()
     scored = {(s.protocol, s.method): s for s in before.scored}
     both = [
         s

@@ -1,4 +1,4 @@
-"""A comparison, and a judgement by limits, as text: for the terminal, and in Markdown."""
+"""A comparison, and a judgement by limits, as text for the terminal."""
 
 from __future__ import annotations
 
@@ -91,18 +91,6 @@ def judgement_screen(judged: Judgement) -> str:
     return "\n".join(map(printable, [judged.sentence, *(lines if rows else []), *left_out]))
 
 
-def markdown(judged: Judgement, changed: Sequence[str] = ()) -> str:
-    """The same in Markdown. changed: settings that differ, a line each."""
-    rows, left_out = _shown(judged.rows)
-    lines = [f"**{_escaped(judged.sentence)}**", ""]
-    if rows:
-        lines += [_line(HEADING), "|---|---|---|---:|---:|---:|---:|---|"]
-        lines += [_line([_escaped(cell) for cell in _cells(row)]) for row in rows]
-    lines += ["", *left_out] if left_out else []
-    lines += ["", *(f"- {_escaped(line)}" for line in changed)] if changed else []
-    return "\n".join(map(printable, lines))
-
-
 def _shown(rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
     """The rows to show, and a line on those left out."""
     if len(rows) <= MOST_ROWS:
@@ -118,12 +106,3 @@ def _shown(rows: Sequence[Row]) -> tuple[Sequence[Row], list[str]]:
 
 def _cells(row: Row) -> tuple[str, ...]:
     return (row.log, row.method, row.protocol, *row.texts, row.mark)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _escaped(text: str) -> str:
-    """Names that hold marks of Markdown stay as they are."""
-    return "".join(f"\\{c}" if c in r"\|*_`<[]" else c for c in text)

@@ -17,10 +17,7 @@ from sonarrec.evaluation.behaviour import (
     PassOutcomes,
     Switches,
     calibration,
-    claimed,
     errors,
-    false_claims,
-    minutes,
     pass_outcomes,
     switches,
 )
@@ -65,7 +62,6 @@ class LogCounts:
     """Whether positions are known wherever the strict protocol needs them."""
     rounded: bool
     """Whether its scores had more than six digits."""
-    timed: bool
     """Whether the duration of its frames is known."""
     frames: int
     positives: int
@@ -96,7 +92,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
     """Count one log. rates_only: leave out what needs `truth_beneath`, and errors."""
     passes = find_passes(log)
     groups = passes.unit_of_frame, passes.unit_of_truth
-    sums: dict[Key, FloatArray | IntArray] = {("minutes",): minutes(log, passes)}
+    sums: dict[Key, FloatArray | IntArray] = {}
     outcomes: dict[Key, PassOutcomes] = {}
     values: dict[Key, Rows] = {}
     for protocol in PROTOCOLS if log.placed else PROTOCOLS[:1]:
@@ -112,7 +108,6 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
                 rows = sum_by_unit(judged.score[of_id], group[of_id], judged.effect[of_id])
                 values["claims", protocol, method, k] = rows
             if protocol == "strict" and not rates_only:
-                sums["claimed", method] = claimed(judged, passes)
                 for (name, k), found in errors(judged, log, passes.unit_of_truth).items():
                     values[name, method, k] = found
     switched: dict[str, Switches] = {}
@@ -120,7 +115,6 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         beneath = truth_beneath(log)
         switched = switches(log, beneath, passes)
         for m, method in enumerate(log.methods):
-            sums["false_claims", method] = false_claims(log, beneath, passes, m)
             if (stated := calibration(log, beneath, passes, m)) is not None:
                 sums["calibration", method] = stated
             if (followed := tracking(log, beneath, m)) is not None:
@@ -131,7 +125,6 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         methods=log.methods,
         placed=log.placed,
         rounded=log.rounded,
-        timed=not np.isnan(log.seconds).any(),
         frames=len(log.frame),
         positives=int(log.truth_positive.sum()),
         ignored=int((~log.truth_positive).sum()),
@@ -270,9 +263,9 @@ class Counts:
             np.concatenate([s.ids for s in found]), np.concatenate(tracks) if tracked else None
         )
 
-    def units(self, kind: UnitKind | None = None) -> Units:
-        """The independent units of a kind: by default passes, or logs if there are LOGS_ENOUGH."""
-        kind = kind or ("log" if len(self.logs) >= LOGS_ENOUGH else "pass")
+    def units(self) -> Units:
+        """The independent units: passes, or logs if there are LOGS_ENOUGH."""
+        kind: UnitKind = "log" if len(self.logs) >= LOGS_ENOUGH else "pass"
         if kind == "log":
             of_log = np.repeat(np.arange(len(self.parts)), [part.units for part in self.parts])
             return Units(kind, len(self.parts), of_log)

@@ -12,8 +12,6 @@ from sonarrec.arrays import FloatArray, IntArray
 
 FPR_POINTS = (0.01, 0.0276, 0.05)
 """FPRs for which the TPR is reported; .0276 is that of the paper's framework (Table 5)."""
-PARTIAL_FPR = 0.05
-"""End of the partial area under a curve."""
 MOST_CORNERS = 500
 PUBLISHED = (("SMI", 0.0381, 0.8226), ("framework", 0.0276, 0.8648))
 """(method, FPR, TPR) of Tables 4 and 5, Total: the paper's only two points."""
@@ -117,24 +115,18 @@ def ratio(part: FloatArray | IntArray, whole: FloatArray | IntArray) -> FloatArr
         return np.asarray(part / whole)
 
 
-def area(fpr: FloatArray, tpr: FloatArray, end: float = 1.0) -> FloatArray:
-    """(...,) area under curves (..., points) over FPR 0 to `end`, divided by `end`.
+def area(fpr: FloatArray, tpr: FloatArray) -> FloatArray:
+    """(...,) area under curves (..., points).
 
-    This is the mean TPR over that span: 1 is perfect, end / 2 is chance. Points are joined by
-    straight lines, and the last point with (1, 1): beyond it every claim would be a guess.
-    scikit-learn gives the same if frames and IDs without an estimate share the lowest score, but
-    rescales its partial area after McClish.
+    1 is perfect, 0.5 is chance. Points are joined by straight lines, and the last point with
+    (1, 1): beyond it every claim would be a guess. scikit-learn gives the same if frames and IDs
+    without an estimate share the lowest score.
     """
     one = np.ones((*fpr.shape[:-1], 1), dtype=fpr.dtype)
     x = np.concatenate([fpr, one], axis=-1)
     y = np.concatenate([tpr, one], axis=-1)
     x0, x1, y0, y1 = x[..., :-1], x[..., 1:], y[..., :-1], y[..., 1:]
-    if end < 1:
-        cut0, cut1 = np.minimum(x0, end), np.minimum(x1, end)
-        slope = (y1 - y0) / np.where(x1 > x0, x1 - x0, 1)
-        y1 = y0 + slope * (cut1 - x0)
-        x0, x1 = cut0, cut1
-    return np.asarray(((x1 - x0) * (y0 + y1)).sum(axis=-1) / (2 * end))
+    return np.asarray(((x1 - x0) * (y0 + y1)).sum(axis=-1) / 2)
 
 
 def tpr_at(fpr: FloatArray, tpr: FloatArray, most: float) -> FloatArray:

@@ -19,8 +19,7 @@ from sonarrec.evaluation.logs import (
     score_log,
 )
 from sonarrec.evaluation.match import DEFAULT, ScoringOptions
-from sonarrec.evaluation.pairs import FindBeside, Pair, find_truths_beside, truth_note, usable_pairs
-from sonarrec.evaluation.passes import UnitKind
+from sonarrec.evaluation.pairs import Pair, find_truths_beside, truth_note, usable_pairs
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.tables import Evaluation
 from sonarrec.results.read import find_logs, read_frames
@@ -34,20 +33,17 @@ def evaluate_logs(
     ground_truth: str | Path | None = None,
     options: ScoringOptions = DEFAULT,
     *,
-    unit: UnitKind | None = None,
     jobs: int | None = None,
-    find_beside: FindBeside | None = None,
 ) -> Evaluation:
     """Score a results folder, of one log or of several, or pairs of results and truth.
 
     Each log is read, matched and counted by itself, so that memory does not grow with the logs.
-    jobs: number of processes, as in `logs.map_logs`; it does not change the result. find_beside:
-    finds truth beside logs on servers, as in `pairs.find_truths_beside`. Logs of equal name get
-    the names of their folders.
+    jobs: number of processes, as in `logs.map_logs`; it does not change the result.
+    Logs of equal name get the names of their folders.
     """
     options.check()
     found, told, others = Diagnostics(), Diagnostics(), Diagnostics()
-    pairs = _pairs(results, ground_truth, find_beside, found)
+    pairs = _pairs(results, ground_truth, found)
     folders = [pair.results for pair in pairs]
     table: TruthTable | None = None  # of all logs; None if each has its own
     if ground_truth is not None and isinstance(results, str | Path):
@@ -93,7 +89,7 @@ def evaluate_logs(
         *others.problems * (not alone),
         *told.problems,
     ]
-    summary = summarise(pooled, unit)
+    summary = summarise(pooled)
     return Evaluation(
         counts=pooled,
         summary=summary,
@@ -107,14 +103,13 @@ def evaluate_logs(
 def _pairs(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None,
-    find_beside: FindBeside | None,
     told: Diagnostics,
 ) -> list[Pair]:
     """The logs to read with their truth; the arguments are those of `evaluate_logs`."""
     if not isinstance(results, str | Path):
         pairs, unused = usable_pairs(results)
     elif ground_truth is None:  # each log with the truth beside it
-        pairs, unused = find_truths_beside(find_logs(Path(results)), find_beside)
+        pairs, unused = find_truths_beside(find_logs(Path(results)))
         told.note(*map(truth_note, pairs))
     else:
         return [Pair(folder, Path(ground_truth)) for folder in find_logs(Path(results))]

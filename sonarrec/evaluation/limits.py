@@ -32,8 +32,6 @@ class Limits:
     under protocol paper where strict cannot be scored."""
     methods: tuple[str, ...] = ()
     """Those looked at; empty: all that follow objects, or all if none does."""
-    baseline: bool = False
-    """Whether those that do not, such as smi, are looked at as well."""
 
     @property
     def are_given(self) -> bool:
@@ -46,7 +44,7 @@ class Limits:
         if unknown := sorted(named - set(methods)):
             has = ", ".join(methods)
             raise UsageError(f"method {unknown[0]}: the results have no such method, but {has}")
-        following = () if self.baseline else tuple(filter(follows, methods))
+        following = tuple(filter(follows, methods))
         return self.methods or following or tuple(methods)
 
     def broken(self, scored: Iterable[Scored]) -> list[str]:

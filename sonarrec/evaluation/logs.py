@@ -19,7 +19,7 @@ from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.evaluation.count import LogCounts, count_log
 from sonarrec.evaluation.match import Matched, ScoringOptions, match, nearest_truth
 from sonarrec.evaluation.pairs import Pair
-from sonarrec.results.folders import estimates_of, log_of
+from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, not_whole, read_log
 from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import Recording, TruthOf, recording
@@ -222,5 +222,5 @@ def map_logs(
 
 def _bytes(folder: Path) -> int:
     with suppress(OSError, SonarrecError):  # reported when it is read
-        return estimates_of(folder).stat().st_size
+        return (folder / "estimates.csv").stat().st_size
     return 0

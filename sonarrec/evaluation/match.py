@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import UsageError
 from sonarrec.results.methods import in_order
 from sonarrec.results.read import LogResults
-from sonarrec.sonar import Sonar
+from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.truth.match import Truth
 
 DIGITS = 6
@@ -57,6 +59,20 @@ class ScoringOptions:
 
 
 DEFAULT = ScoringOptions()
+
+
+def scoring_options(
+    method: str | Sequence[str] = (),
+    min_visible: float = 0.9,
+    tolerance_s: float | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | Mapping[str, Any] | None = None,
+    within_m: float | None = None,
+) -> ScoringOptions:
+    """The options that a program passes, by the names of the command's."""
+    methods = (method,) if isinstance(method, str) else tuple(method)
+    geometry = sonar_from(sonar)
+    return ScoringOptions(min_visible, tolerance_s, landmarks, geometry, within_m, methods)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.evaluation.count import Counts, Units
-from sonarrec.evaluation.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
+from sonarrec.evaluation.curves import FPR_POINTS, area, ratio, tpr_at
 from sonarrec.evaluation.intervals import Tally
 from sonarrec.evaluation.tracking import A
 from sonarrec.evaluation.unit_sums import (
@@ -25,7 +25,6 @@ from sonarrec.evaluation.unit_sums import (
     Rates,
     UnitSums,
     calibration,
-    false_claims,
     orientations,
     positions,
     rates,
@@ -60,9 +59,9 @@ def false_positive_rate(r: Rates) -> FloatArray:
     return ratio(*negatives(r))
 
 
-def auc(end: float) -> Callable[[Rates], FloatArray]:
-    """Area under the ROC from FPR 0 to `end`, see `curves.area`."""
-    return lambda r: area(r.fpr, r.tpr, end)
+def auc(r: Rates) -> FloatArray:
+    """Area under the ROC, see `curves.area`."""
+    return area(r.fpr, r.tpr)
 
 
 def tpr_at_fpr(most: float) -> Callable[[Rates], FloatArray]:
@@ -140,26 +139,21 @@ class Metric:
         return np.nan if found is None else float(found[0])
 
 
-_LOW, _PAPER, _HIGH = FPR_POINTS
+_PAPER = FPR_POINTS[1]
 _HALF, _NINE_IN_TEN, _MOST = QUANTILES
 _BOTH = true_positive_rate, false_positive_rate
 METRICS = (
     Metric("tpr", "TPR", 3, rates, true_positive_rate, tested=True, share=positives),
     Metric("fpr", "FPR", 4, rates, false_positive_rate, tested=True, share=negatives),
-    Metric("auc", "AUC", 3, rates, auc(1.0), True, _BOTH),
-    Metric("pauc_0.05", "AUC to FPR 0.05, over 0.05", 3, rates, auc(PARTIAL_FPR), False, _BOTH),
-    Metric("tpr_at_fpr_0.01", "TPR at FPR 0.01", 3, rates, tpr_at_fpr(_LOW), False, _BOTH),
+    Metric("auc", "AUC", 3, rates, auc, True, _BOTH),
     Metric(
         "tpr_at_fpr_0.0276", "TPR at FPR 0.0276 (paper)", 3, rates, tpr_at_fpr(_PAPER), True, _BOTH
     ),
-    Metric("tpr_at_fpr_0.05", "TPR at FPR 0.05", 3, rates, tpr_at_fpr(_HIGH), False, _BOTH),
     Metric("hota", "HOTA", 3, tracking, hota),
     Metric("idf1", "IDF1", 3, tracking, idf1),
     Metric("tracks_per_landmark", "tracks per landmark", 2, tracking, quotient(-2, -1)),
     Metric("frames_to_id_median", "frames to lasting ID, median", 0, waits, quantile(_HALF)),
     Metric("frames_to_id_90", "frames to lasting ID, 90 %", 0, waits, quantile(_NINE_IN_TEN)),
-    Metric("false_claims_per_min", "claims/min on no landmark", 2, false_claims, quotient(0, 2)),
-    Metric("wrong_ids_per_min", "claims/min of a wrong ID", 2, false_claims, quotient(1, 2)),
     Metric("id_switches_per_pass", "ID switches per pass", 2, switches, quotient(1, 0)),
     Metric("track_switches_per_pass", "track switches per pass", 2, switches, track_switches),
     Metric("position_error_median_m", "position error, median, m", 4, positions, quantile(_HALF)),

@@ -17,13 +17,12 @@ from sonarrec.evaluation.count import LogCounts, count_log
 from sonarrec.evaluation.logs import TruthCheck, UnreadableLog, check_fit, truth_table
 from sonarrec.evaluation.match import ScoringOptions, match
 from sonarrec.evaluation.pairs import (
-    FindBeside,
     Pair,
     find_truths_beside,
     truth_by_folder,
     truth_note,
 )
-from sonarrec.results.folders import estimates_of, log_of
+from sonarrec.results.folders import is_file, log_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_frames, read_log, rows_of
 from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import CountedOnce, Recording, check_one_log, recording
@@ -56,7 +55,6 @@ def pair_logs(
     new: Path,
     ground_truth: Path | Sequence[Pair] | None,
     options: ScoringOptions,
-    find_beside: FindBeside | None,
     told: Diagnostics,
 ) -> list[LogPair]:
     """The logs to compare, in order; the arguments are those of `compare.compare`.
@@ -92,7 +90,7 @@ def pair_logs(
 
     once = CountedOnce(frames, "compared", told)
     counted = [pair for pair, of in zip(pairs, recordings, strict=True) if once.add(pair[1], of)]
-    truths = _truths(counted, len(faults), ground_truth, find_beside, told)
+    truths = _truths(counted, len(faults), ground_truth, told)
     return [
         LogPair(*folders, truth.ground_truth, truth.log or log_of(folders[1]))
         for folders, truth in zip(counted, truths, strict=True)
@@ -104,7 +102,7 @@ def _check_comparable(pair: Folders, landmarks: str | None) -> list[str]:
     """Notes on two results folders. Raises SonarrecError if they cannot be compared."""
     old, new = pair
     for folder in pair:
-        if not (table := estimates_of(folder)).is_file():
+        if not is_file(table := folder / "estimates.csv"):
             raise SonarrecError(f"{table}: no such file")
     a, b = (read_run(folder / "run.toml") for folder in pair)
     note = check_one_log(old, a, new, b)
@@ -164,7 +162,6 @@ def _truths(
     pairs: Sequence[Folders],
     left_out: int,
     ground_truth: Path | Sequence[Pair] | None,
-    find_beside: FindBeside | None,
     told: Diagnostics,
 ) -> list[Pair | None]:
     """The truth of each pair, None if it has none; what was searched for is told.
@@ -182,7 +179,7 @@ def _truths(
         return [Pair(folder, ground_truth) for folder in folders]
     truths: list[Pair | None]
     if ground_truth is None:
-        found, without = find_truths_beside(folders, find_beside)
+        found, without = find_truths_beside(folders)
         told.note(*map(truth_note, found))
         of_folder = {pair.results: pair for pair in found}
         truths = [of_folder.get(folder) for folder in folders]

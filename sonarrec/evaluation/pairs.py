@@ -8,16 +8,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.errors import MissingError, SonarrecError, UsageError, name_from_text, number_of
+from sonarrec.errors import (
+    MissingError,
+    SonarrecError,
+    UsageError,
+    is_url,
+    name_from_text,
+    number_of,
+)
 from sonarrec.readers.open import Source, find_log, log_name
-from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
 from sonarrec.tables.read import line_numbers, read_header, read_table
 from sonarrec.truth.table import HEADER, TRUTH_FILE
-
-FindBeside = Callable[[str, str], tuple[Path | None, int | None]]
-"""Takes a log's URL and a file name; gives that file beside it, or None, and the log's size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +76,10 @@ def usable_pairs(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
     return usable, [f"{fault}; not scored" for fault in faults]
 
 
-def find_truths_beside(
-    folders: Iterable[Path], find_beside: FindBeside | None = None
-) -> tuple[list[Pair], list[str]]:
+def find_truths_beside(folders: Iterable[Path]) -> tuple[list[Pair], list[str]]:
     """Each results folder with the truth beside its log, and a line for each without truth.
 
-    run.toml says where the log is; find_beside: searches if that is a URL.
+    run.toml says where the log is.
     Raises UsageError if there is no truth at all, SonarrecError if no run.toml can be read or if
     several logs share a truth without a log column.
     """
@@ -91,7 +92,7 @@ def find_truths_beside(
             unread.append(error)
             continue
         try:
-            truth = _truth_beside(folder, run.input, find_beside)
+            truth = _truth_beside(folder, run.input)
         except SonarrecError as error:
             without.append(str(error))
             continue
@@ -119,7 +120,7 @@ def truth_note(pair: Pair) -> str:
     return f"{pair.results}: ground truth {pair.ground_truth}, beside its log"
 
 
-def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -> Path:
+def _truth_beside(folder: Path, source: Input) -> Path:
     """NAME.gt.csv, else gt.csv, beside the log that results were made from.
 
     For a folder, of images or a bag, those in it, else NAME.gt.csv beside it. Raises SonarrecError
@@ -129,23 +130,18 @@ def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -
         raise SonarrecError(f"{folder}: no ground truth: run.toml does not say where the log is")
     try:
         if is_url(source.path):
-            if find_beside is None:
-                raise SonarrecError(f"its log is on a server, {source.path}")
-            log = source.path
-            searched = f"{log_name(Path(log))}.{TRUTH_FILE}, nor {TRUTH_FILE} beside {log}"
-            truth, size = find_beside(log, TRUTH_FILE)
-        else:
-            found = _log_at(source.path, folder, source.place)
-            log, name = str(found.path), f"{log_name(found.place)}.{TRUTH_FILE}"
-            searched = f"{name}, nor {TRUTH_FILE} beside {log}"
-            if found.place.is_dir():
-                searched = f"{TRUTH_FILE} in {found.place}, nor {name} in or beside it"
-            truth, size = found.beside(TRUTH_FILE), _size(found)
+            raise SonarrecError(f"its log is on a server, {source.path}")
+        found = _log_at(source.path, folder, source.place)
     except SonarrecError as error:
         raise SonarrecError(f"{folder}: no ground truth: {error}") from None
+    log, name = str(found.path), f"{log_name(found.place)}.{TRUTH_FILE}"
+    searched = f"{name}, nor {TRUTH_FILE} beside {log}"
+    if found.place.is_dir():
+        searched = f"{TRUTH_FILE} in {found.place}, nor {name} in or beside it"
+    truth, size = found.beside(TRUTH_FILE), _size(found)
     if truth is None:
         raise SonarrecError(f"{folder}: no ground truth: no {searched}")
-    if size is not None and source.bytes not in (None, size):
+    if source.bytes not in (None, size):
         raise SonarrecError(
             f"{folder}: no ground truth: {log} has changed since the run (it had "
             f"{source.bytes} bytes and has {size}), so {truth} may not be its truth"

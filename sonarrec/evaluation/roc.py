@@ -45,19 +45,19 @@ class Roc:
     """End of the FPR axis."""
 
 
-def roc(scored: Sequence[Scored], k: int | None = None, corners: int = 2000) -> Roc:
-    """The ROC of each method under one protocol: of the k-th ID, or over all IDs.
+def roc(scored: Sequence[Scored], corners: int = 2000) -> Roc:
+    """The ROC of each method under one protocol, over all IDs.
 
-    corners: at most so many per line. The paper's points are for protocol paper and all IDs.
+    corners: at most so many per line. The paper's points are for protocol paper.
     """
     lines = []
     for s in scored:
-        curve, count = s.curve(k), s.count(k)
+        curve, count = s.curve(), s.count()
         at = curve.turns(corners)
         named = f"{s.method} at its operating point"
         point = _point(s.method, named, count.fpr, count.tpr)
         lines.append(Line(s.method, curve.fpr[at], curve.tpr[at], point))
-    comparable = k is None and all(s.protocol == "paper" for s in scored)
+    comparable = all(s.protocol == "paper" for s in scored)
     published = tuple(
         _point(name, f"published {name}", fpr, tpr) for name, fpr, tpr in PUBLISHED if comparable
     )

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import FloatArray
 from sonarrec.errors import number_of, printable
 from sonarrec.evaluation import metrics, unit_sums
 from sonarrec.evaluation.behaviour import BINS
@@ -29,12 +29,9 @@ from sonarrec.evaluation.intervals import (
     macro,
     replicates,
 )
-from sonarrec.evaluation.passes import UnitKind
 from sonarrec.nouns import follows
 
 _PLURAL = {"pass": "es", "log": "s"}
-FEW = 10
-"""Bins with fewer estimates are not joined by the curve: their share is too uncertain."""
 TOO_BOLD = 0.05
 """Of beliefs in an ID that are clearly right less often than they state, a lead of less is not
 told."""
@@ -42,21 +39,6 @@ BOLD_BINS = ((7, 9), (9, 10))
 """The bins whose beliefs are looked at together: 0.7 to 0.9, and 0.9 to 1."""
 SEED = 0
 """Of the random draws, so that the same input gives the same intervals."""
-
-
-@dataclass(frozen=True, slots=True)
-class Reliability:
-    """A reliability curve of one method: estimates in BINS equal bins of what they state."""
-
-    method: str
-    landmark_text: str
-    """An ID, "none", or "top": the most probable of the IDs and "none"."""
-    count: IntArray
-    """(BINS,) estimates."""
-    mean: FloatArray
-    """(BINS,) their mean probability, NaN in empty bins."""
-    right: FloatArray
-    """(BINS,) the share that is right, NaN in empty bins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +50,6 @@ class Summary:
     """Per protocol, method and landmark_text, by metric."""
     differences: tuple[Difference, ...]
     """Of each two methods, in total."""
-    reliability: tuple[Reliability, ...]
-    """Per method and landmark_text; empty if positions or probabilities are not known."""
     notes: tuple[str, ...]
 
     def figure(
@@ -81,18 +61,14 @@ class Summary:
         return next((f for f, name in named if name == wanted), None)
 
 
-def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
-    """Figures, intervals and tests of an evaluation.
-
-    unit: what counts as independent; by default passes, or logs if there are ten or more.
-    """
-    units = counts.units(unit)
+def summarise(counts: Counts) -> Summary:
+    """Figures, intervals and tests of an evaluation."""
+    units = counts.units()
     rng = np.random.default_rng(SEED)
     weights = bootstrap_weights(units.count, rng)
     tosses = coin_tosses(units.count, rng)
     figures: list[Figure] = []
-    curves: list[Reliability] = []
-    notes = _notes(counts, units)
+    notes = _notes(units)
     # Tallies of one kind and protocol, which can be compared.
     alike: dict[tuple[str, object], list[Tally]] = defaultdict(list)
     for kind in metrics.KINDS:
@@ -103,15 +79,9 @@ def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
             drawn = replicates(tally, weights)
             figures += intervals(tally, drawn)
             if kind is unit_sums.calibration:
-                record = counted.exact
-                assert isinstance(record, unit_sums.Calibration)
-                number, right = record.count[0], ratio(record.right[0], record.count[0])
-                mean = ratio(record.stated[0], number)
-                name = "top" if tally.landmark_text == "total" else tally.landmark_text
-                curves.append(Reliability(tally.method, name, number.astype(np.int64), mean, right))
-                if name == "top":
+                if tally.landmark_text == "total":
                     notes += _too_bold(tally.method, beliefs, weights, units)
-                elif name != "none":
+                elif tally.landmark_text != "none":
                     beliefs.append(counted.sums[:, 1:])
             if tally.landmark_text != "total":
                 per_id.append((tally, drawn))
@@ -132,7 +102,6 @@ def summarise(counts: Counts, unit: UnitKind | None = None) -> Summary:
             for a, b in [sorted(pair, key=lambda t: follows(t.method))]
             for difference in differences(a, b, weights, tosses)
         ),
-        reliability=tuple(curves),
         notes=tuple(map(printable, notes)),
     )
 
@@ -172,7 +141,7 @@ def _too_bold(
             )
 
 
-def _notes(counts: Counts, units: Units) -> list[str]:
+def _notes(units: Units) -> list[str]:
     """Notes on missing intervals and figures, a line each."""
     notes = []
     if units.count < MIN_UNITS:
@@ -182,9 +151,4 @@ def _notes(counts: Counts, units: Units) -> list[str]:
             f"(each a {kind}), and "
             f"with fewer than {MIN_UNITS} no difference can be distinguished from chance"
         )
-    untimed = [part.name for part in counts.parts if not part.timed]
-    if counts.placed and untimed:
-        listed = ", ".join(untimed[:5]) + f" and {len(untimed) - 5} more" * (len(untimed) > 5)
-        lack = "are not given" if len(untimed) == len(counts.parts) else f"leave out {listed}"
-        notes.append(f"claims per minute {lack}: frames.csv has no timestamp_ns, or a single time")
     return notes

@@ -10,7 +10,6 @@ from typing import Any
 import pandas as pd
 
 from sonarrec.errors import number_of
-from sonarrec.evaluation.behaviour import BINS
 from sonarrec.evaluation.count import Counts, Scored
 from sonarrec.evaluation.curves import Count, macro_curve
 from sonarrec.evaluation.summary import Summary
@@ -19,10 +18,20 @@ COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total", "tpr_once")
 CONFUSION = ("protocol", "method", "landmark", *COUNTS)
 HEADERS = {
     "confusion": CONFUSION,
-    "per_log": ("log", *CONFUSION),
     "roc": ("protocol", "method", "landmark", "threshold", "tpr", "fpr", "tp", "tn", "fp", "fn"),
     "figures": (
-        *("protocol", "method", "landmark", "figure", "value", "low", "high", "units", "note"),
+        *(
+            "protocol",
+            "method",
+            "landmark",
+            "figure",
+            "value",
+            "low",
+            "high",
+            "units",
+            "note",
+            "log",
+        ),
     ),
     "tests": (
         *("protocol", "a", "b", "landmark", "figure", "value_a", "value_b", "difference"),
@@ -31,9 +40,6 @@ HEADERS = {
     "passes": (
         *("log", "landmark", "first_frame", "last_frame", "protocol", "method", "frames", "right"),
         *("frames_to_id", "id_switches", "track_switches"),
-    ),
-    "reliability": (
-        *("method", "landmark", "bin_low", "bin_high", "count", "mean_probability", "right"),
     ),
 }
 """Columns of each table, which is also a CSV file of that name."""
@@ -64,13 +70,8 @@ class Evaluation:
         return self._table("confusion")
 
     @property
-    def per_log(self) -> pd.DataFrame:
-        """The same for each log."""
-        return self._table("per_log")
-
-    @property
     def figures(self) -> pd.DataFrame:
-        """All figures with their 95 % intervals."""
+        """All figures with their 95 % intervals; of several logs also the rates of each."""
         return self._table("figures")
 
     @property
@@ -87,11 +88,6 @@ class Evaluation:
     def passes(self) -> pd.DataFrame:
         """How each method did in each pass of a landmark."""
         return self._table("passes")
-
-    @property
-    def reliability(self) -> pd.DataFrame:
-        """Stated probabilities and how often they were right."""
-        return self._table("reliability")
 
     def _table(self, name: str) -> pd.DataFrame:
         return pd.DataFrame(self.rows(name), columns=list(HEADERS[name]))
@@ -135,15 +131,6 @@ def _confusion(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
             yield s.protocol, s.method, name, *count_cells(count)
 
 
-def _per_log(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
-    names = [*map(str, evaluation.counts.ids), "total"]
-    split = [(s, s.counts_per_log()) for s in evaluation.scored]
-    for i, log in enumerate(evaluation.counts.logs):
-        for s, counts in split:
-            for name, count in zip(names, counts[i], strict=True):
-                yield log, s.protocol, s.method, name, *count_cells(count)
-
-
 def _roc(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
     """The corners of every curve, thresholds falling from inf; macro curves have no threshold."""
     for s in evaluation.scored:
@@ -161,8 +148,18 @@ def _roc(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
 
 
 def _figures(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
+    """The figures of all logs, whose `log` is empty; then TPR and FPR of each of several."""
     for f in evaluation.summary.figures:
-        yield f.protocol, f.method, f.landmark_text, f.name, f.value, f.low, f.high, f.units, f.note
+        yield (
+            *(f.protocol, f.method, f.landmark_text, f.name, f.value, f.low, f.high, f.units),
+            *(f.note, ""),
+        )
+    logs, names = evaluation.counts.logs, [*map(str, evaluation.counts.ids), "total"]
+    for s in evaluation.scored if len(logs) > 1 else ():
+        for log, counts in zip(logs, s.counts_per_log(), strict=True):
+            for name, count in zip(names, counts, strict=True):
+                for figure, value in (("tpr", count.tpr), ("fpr", count.fpr)):
+                    yield s.protocol, s.method, name, figure, value, "", "", "", "", log
 
 
 def _tests(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
@@ -192,21 +189,10 @@ def _passes(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
             yield log, landmark, first, last, s.protocol, s.method, *row
 
 
-def _reliability(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
-    for r in evaluation.summary.reliability:
-        for b in range(BINS):
-            yield (
-                *(r.method, r.landmark_text, b / BINS, (b + 1) / BINS),
-                *(int(r.count[b]), float(r.mean[b]), float(r.right[b])),
-            )
-
-
 _ROWS = {
     "confusion": _confusion,
-    "per_log": _per_log,
     "roc": _roc,
     "figures": _figures,
     "tests": _tests,
     "passes": _passes,
-    "reliability": _reliability,
 }

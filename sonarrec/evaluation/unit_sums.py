@@ -206,21 +206,6 @@ def _histogram_sums(
     return UnitSums(*labels, sums, lambda summed: CumulativeHistogram(edges, summed), record)
 
 
-def false_claims(counts: Counts, units: Units) -> Iterator[UnitSums]:
-    """Declared claims of every method that are on no landmark of their ID, by ID and in all.
-
-    Columns: those on no landmark at all, those on a landmark of another ID, minutes. Only frames
-    of known duration count.
-    """
-    minutes = counts.sums(units, "minutes")
-    for method in counts.methods if counts.placed else ():
-        claims = counts.sums(units, "false_claims", method)
-        if claims is not None and minutes is not None:
-            for k, name in _landmarks(counts.ids):
-                kinds = claims.sum(axis=1) if k is None else claims[:, k]
-                yield _plain_sums(("strict", method, name), np.column_stack([kinds, minutes]))
-
-
 def _plain_sums(
     labels: tuple[str, str, str], sums: FloatArray | IntArray, columns: int = 3
 ) -> UnitSums:

@@ -11,71 +11,39 @@ from typing import Any
 
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.match import PAPER_MIN_VISIBLE
-from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
+from sonarrec.evaluation.plots import draw_roc
 from sonarrec.evaluation.tables import COUNTS, HEADERS, Evaluation, count_cells, counts_by_id
-from sonarrec.results.write import write_run
 from sonarrec.tables.outputs import (
     check_no_recording,
     check_output,
     check_tables,
     is_filled,
-    is_output,
     write_csv,
     write_text,
     writing,
 )
 
-BOUND_FILE = "bound.toml"
 
+def write_evaluation(folder: Path, evaluation: Evaluation) -> tuple[str, ...]:
+    """Write all tables and the picture into `folder`, created if needed; returns the file names.
 
-def write_evaluation(folder: Path, evaluation: Evaluation, det: bool = False) -> tuple[str, ...]:
-    """Write all tables and pictures into `folder`, created if needed; returns the file names.
-
-    evaluation.json is written last, so if it exists the others are complete. Pictures that only an
-    earlier scoring drew are deleted. Raises SonarrecError if they cannot be written; UsageError,
-    before the first one, if a file of another kind exists.
+    evaluation.json is written last, so if it exists the others are complete. Raises SonarrecError
+    if they cannot be written; UsageError, before the first one, if a file of another kind exists.
     """
-    text, curves = json_text(as_json(evaluation)), evaluation.summary.reliability
+    text = json_text(as_json(evaluation))
     written = {f"{name}.csv": header for name, header in HEADERS.items()}
-    pictures = ["roc.png", "roc_by_id.png"]
-    pictures += ["det.png"] if det else []
-    pictures += ["reliability.png"] if curves else []
     check_tables(folder, written)
     check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
-    if not is_filled(folder / "evaluation.json"):  # else the pictures are ours, even unmarked
-        for name in pictures:
-            check_output(folder / name, "picture")
+    if not is_filled(folder / "evaluation.json"):  # else the picture is ours, even unmarked
+        check_output(folder / "roc.png", "picture")
     check_no_recording(folder, written)
     with writing(folder):
         (folder / "evaluation.json").unlink(missing_ok=True)
-        for name in {"det.png", "reliability.png"}.difference(pictures):
-            if is_output(folder / name, "picture"):  # of an earlier scoring
-                (folder / name).unlink()
         for name, header in HEADERS.items():
             write_table(folder / f"{name}.csv", header, evaluation.rows(name))
         draw_roc(folder / "roc.png", evaluation.scored)
-        draw_roc_by_id(folder / "roc_by_id.png", evaluation.scored)
-        if det:
-            draw_det(folder / "det.png", evaluation.scored)
-        if curves:
-            draw_reliability(folder / "reliability.png", curves)
         write_text(folder / "evaluation.json", text)
-    return (*written, *pictures, "evaluation.json")
-
-
-def write_bound(folder: Path, table: dict[str, Any] | None) -> tuple[str, ...]:
-    """Write bound.toml; None: there is no bound, and an earlier one is deleted. Returns its name.
-
-    Raises SonarrecError if it cannot be written, UsageError if a file of another kind exists.
-    """
-    path = folder / BOUND_FILE
-    check_output(path, "bound")
-    with writing(path):
-        if table is None:
-            path.unlink(missing_ok=True)
-            return ()
-        write_run(path, table)
-    return (BOUND_FILE,)
+    return (*written, "roc.png", "evaluation.json")
 
 
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:

@@ -16,7 +16,6 @@ from sonarrec.mapping.passes import find_passes, read_declared
 from sonarrec.mapping.path import Drift, measured_motion_path, path_from_poses, read_frames
 from sonarrec.poses import PoseTable
 from sonarrec.readers.poses_csv import read_poses
-from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.results.same_log import CountedOnce, Recording, recording
@@ -140,7 +139,7 @@ def _read_log(
     fan = run.fan(options.sonar)
     if fan is None:
         raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
-    table = estimates_of(folder)
+    table = folder / "estimates.csv"
     method = choose_method(table, options.method)
     check_follows(method)
     declared = read_declared(table, method, landmarks, fan, path.frame)

@@ -17,7 +17,6 @@ from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.axes import Axes, ellipse
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.join import Landmark, MappedLog
-from sonarrec.mapping.mosaic import Mosaic
 from sonarrec.tables.outputs import plain, write_figure
 
 LINES = "#333333"
@@ -27,14 +26,12 @@ ENLARGED = 10  # how many times larger ellipses are drawn, if they would be too 
 LEAST_SEEN = 1 / 60  # size of the smallest ellipse that can be seen, in widths of the picture
 
 
-def draw_map(path: Path, site: SiteMap, mosaic: Mosaic | None = None) -> None:
-    """Write the map as a PNG, on the floor as the mosaic shows it."""
+def draw_map(path: Path, site: SiteMap) -> None:
+    """Write the map as a PNG."""
     axes_of = Axes(site.ros_axes)
     figure = Figure(figsize=(8, 8), dpi=120, layout="constrained")
     axes = figure.add_subplot()
-    if mosaic is not None:
-        _show(axes, mosaic, site.ros_axes)
-    for log in site.logs if mosaic is None else ():
+    for log in site.logs:
         fans = [axes_of.position(fan) for fan in _floor_seen(log)]
         axes.add_collection(PolyCollection(fans, facecolors="#e9eef2", edgecolors="none", zorder=0))
     for n, log in enumerate(site.logs):
@@ -65,17 +62,6 @@ def draw_map(path: Path, site: SiteMap, mosaic: Mosaic | None = None) -> None:
     axes.set_facecolor("#f8f8f8")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
     write_figure(path, figure)
-
-
-def _show(axes: Any, mosaic: Mosaic, ros_axes: bool) -> None:
-    """Draw the mosaic as the background."""
-    left, right, bottom, top = mosaic.extent
-    picture = np.ma.masked_equal(mosaic.overview, 0)
-    if ros_axes:  # x ahead becomes x to the right
-        picture, (left, right, bottom, top) = np.rot90(picture, -1), (bottom, top, -right, -left)
-    axes.imshow(
-        picture, cmap="gray", vmin=0, vmax=255, extent=(left, right, bottom, top), zorder=0.5
-    )
 
 
 def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int, larger: int) -> None:

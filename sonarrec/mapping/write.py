@@ -14,15 +14,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.errors import number_of
 from sonarrec.mapping.axes import Axes, GeographicOrigin, cut_at_180, ellipse, rings_at_180
 from sonarrec.mapping.build import SiteMap
-from sonarrec.mapping.factors import (
-    FACTOR_COLUMNS,
-    factors,
-    pose_vertices,
-    write_factors,
-    write_g2o,
-)
 from sonarrec.mapping.join import Landmark, frames_of
-from sonarrec.mapping.mosaic import Mosaic
 from sonarrec.mapping.passes import Pass
 from sonarrec.mapping.picture import draw_map
 from sonarrec.tables.outputs import (
@@ -50,38 +42,27 @@ GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
 MOST_POINTS = 2_000  # points of a path in GeoJSON, at most
 
 
-def write_all(
-    folder: Path,
-    site: SiteMap,
-    origin: GeographicOrigin | None = None,
-    mosaic: Mosaic | None = None,
-) -> list[Path]:
-    """Write map.csv, passes.csv, factors.csv, graph.g2o, map.png and, with an origin, map.geojson.
+def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = None) -> None:
+    """Write map.csv, passes.csv, map.png and, with an origin, map.geojson.
 
-    Returns them. mosaic: what map.png shows behind the landmarks. Raises SonarrecError where the
-    folder cannot be written, UsageError, before anything is, where a file of another kind is there.
+    Raises SonarrecError where the folder cannot be written, UsageError, before anything is, where
+    a file of another kind is there.
     """
-    measurements = factors(site)
-    vertices = pose_vertices(site, measurements)
-    headers = {"map.csv": MAP_COLUMNS, "passes.csv": PASS_COLUMNS, "factors.csv": FACTOR_COLUMNS}
+    headers = {"map.csv": MAP_COLUMNS, "passes.csv": PASS_COLUMNS}
     tables = [folder / name for name in headers]
-    g2o, picture, earth = (folder / name for name in ("graph.g2o", "map.png", "map.geojson"))
+    picture, earth = folder / "map.png", folder / "map.geojson"
     check_tables(folder, headers)
     if not is_filled(tables[0]):  # beside it the others are of a map as well, marked or not
-        check_output(g2o, "graph")
         check_output(picture, "picture")
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
     check_no_recording(folder, headers)
     with writing(folder):
         write_csv(tables[0], MAP_COLUMNS, map_rows(site))
         write_csv(tables[1], PASS_COLUMNS, pass_rows(site))
-        write_factors(tables[2], site, measurements, vertices)
-        write_g2o(g2o, site, measurements, vertices)
-        draw_map(picture, site, mosaic)
+        draw_map(picture, site)
         earth.unlink(missing_ok=True)  # of a map before, with an origin
         if origin is not None:
             _write_geojson(earth, site, origin)
-    return [*tables, g2o, picture, *([earth] if origin else [])]
 
 
 def _pose_cells(site: SiteMap, one: Landmark | Pass, landmark: int) -> list[str]:

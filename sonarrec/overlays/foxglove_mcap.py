@@ -1,5 +1,4 @@
-"""Writes an MCAP file with annotations that Foxglove shows on top of the recording, and with the
-declared estimates as detections for ROS 2; and a layout of Foxglove that shows both."""
+"""Writes an MCAP file with annotations that Foxglove shows on top of the recording."""
 
 from __future__ import annotations
 
@@ -16,41 +15,33 @@ from mcap.writer import CompressionType, Writer
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
 from sonarrec.drawing.results import AROUND, Mark, caption, outline_of
-from sonarrec.errors import Diagnostics, SonarrecError, number_of
+from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Frame
-from sonarrec.overlays import detections
 from sonarrec.readers.messages.foxglove import json_schema
-from sonarrec.tables.outputs import OVERLAY_LIBRARY, write_text, writing
+from sonarrec.tables.outputs import OVERLAY_LIBRARY, writing
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
-DETECTIONS_TOPIC = "/sonarrec/detections"
 LINE_LOOP, LINE_STRIP, LINE_LIST = 2, 3, 4
 
 
 class FoxgloveFile:
-    """Annotations and detections of every frame, and its fan image if `with_images`.
+    """Annotations of every frame, and its fan image if `with_images`.
 
     Use it as a context manager. After an exception the file keeps what was written but gets no
     footer.
     """
 
-    def __init__(
-        self, path: Path, landmarks: LandmarkSet, told: Diagnostics, *, with_images: bool
-    ) -> None:
-        """told: is told what could not be written. Raises SonarrecError where the file cannot be
-        made."""
-        self._path, self._landmarks, self._told = path, landmarks, told
-        self._untimed = 0  # frames that have no detections
+    def __init__(self, path: Path, landmarks: LandmarkSet, *, with_images: bool) -> None:
+        """Raises SonarrecError where the file cannot be made."""
+        self._path, self._landmarks = path, landmarks
         with writing(path):
             self._file = path.open("wb")
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
             self._writer.start(library=OVERLAY_LIBRARY)
         self._annotations = self._channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")
         self._images = self._channel(FAN_TOPIC, "foxglove.CompressedImage") if with_images else None
-        schema = self._writer.register_schema(detections.NAME, "ros2msg", detections.definition())
-        self._detections = self._writer.register_channel(DETECTIONS_TOPIC, "cdr", schema)
 
     def write(
         self,
@@ -67,21 +58,13 @@ class FoxgloveFile:
             png = cv2.imencode(".png", np.asarray(frame.image))[1].tobytes()
             image = {
                 "timestamp": _time(stamp),
-                "frame_id": detections.FRAME_ID,
+                "frame_id": "sonar",
                 "data": base64.b64encode(png).decode(),
                 "format": "png",
             }
             self._add(self._images, _json(image), logged)
         message = annotations_message(frame, stamp, self._landmarks, estimates, paths, truth)
         self._add(self._annotations, _json(message), logged)
-        if not detections.has_time(stamp):
-            self._untimed += 1
-            return
-        self._add(
-            self._detections,
-            detections.detections_message(frame.fan, stamp, self._landmarks, estimates),
-            logged,
-        )
 
     def _channel(self, topic: str, message: str) -> int:
         data = json.dumps(json_schema(message)).encode()
@@ -97,12 +80,6 @@ class FoxgloveFile:
 
     def __exit__(self, kind: object, *_: object) -> None:
         """Close the file. Raises SonarrecError where the disk takes no more."""
-        if self._untimed:
-            frames = number_of(self._untimed, "frame")
-            self._told.problem(
-                f"{self._path}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has "
-                "times from 1901 to 2038 only; all else is there"
-            )
         try:
             with self._file:
                 if kind is None:
@@ -186,38 +163,3 @@ def _point(x: float, y: float) -> dict[str, float]:
 
 def _colour(colour: Colour, alpha: float = 1) -> dict[str, float]:
     return dict(zip("rgba", (*(round(c / 255, 3) for c in colour), alpha), strict=True))
-
-
-_IMAGE = "Image!sonarrec"
-LAYOUT_BEGIN = f'{{\n  "configById": {{\n    "{_IMAGE}": '
-"""How a layout written by this program begins."""
-
-
-def write_layout(path: Path, image_topic: str) -> None:
-    """Write the layout as JSON. image_topic: of the recording, or of the fan in the overlay.
-
-    Raises SonarrecError where the file cannot be written.
-    """
-    table, plot = "Table!sonarrec", "Plot!sonarrec"
-    declared = f"{DETECTIONS_TOPIC}.detections[:].results[:].hypothesis"
-    dots = {"enabled": True, "timestampMethod": "receiveTime", "showLine": False}
-    axes = {"minYValue": 0, "maxYValue": 1, "xAxisVal": "timestamp", "showLegend": False}
-    shown = {"imageTopic": image_topic, "annotations": {ANNOTATIONS_TOPIC: {"visible": True}}}
-    beside = {"direction": "column", "first": table, "second": plot}
-    layout = {
-        "configById": {
-            _IMAGE: {"imageMode": {**shown, "synchronize": True}},
-            table: {"topicPath": declared},
-            plot: {
-                "title": "score of what is declared",
-                "paths": [{"value": f"{declared}.score", **dots}],
-                **axes,
-            },
-        },
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": {"direction": "row", "first": _IMAGE, "second": beside, "splitPercentage": 65},
-    }
-    with writing(path):
-        write_text(path, json.dumps(layout, indent=2) + "\n")

@@ -10,7 +10,7 @@ import cv2
 
 from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import write_png
-from sonarrec.errors import SonarrecError, UsageError, number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.readers.containers.video import opencv_name
 from sonarrec.tables.outputs import VIDEO_MARK, check_output
 
@@ -22,9 +22,7 @@ class VideoFile:
     """
 
     def __init__(self, path: Path, frame_rate_hz: float) -> None:
-        """Raises UsageError if the name does not end in .mp4, SonarrecError if it is not UTF-8."""
-        if path.suffix.lower() != ".mp4":
-            raise UsageError(f"{path}: a video is written as NAME.mp4")
+        """Raises SonarrecError if the name is not UTF-8."""
         self._name = opencv_name(path)
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are reported below
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -76,6 +74,12 @@ class ImageFolder:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise SonarrecError(f"{folder}: cannot be made ({error.strerror})") from None
+
+    def __enter__(self) -> ImageFolder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Every picture is a whole file."""
 
     def write(self, number: int, picture: ByteImage) -> None:
         """Write one picture, (rows, columns, 3) uint8 BGR. Raises SonarrecError where it fails,

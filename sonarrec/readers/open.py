@@ -27,7 +27,6 @@ from sonarrec.readers.containers.ddf.frames import DdfFrames
 from sonarrec.readers.containers.gemini import GeminiPings
 from sonarrec.readers.containers.images import ImageFiles, ImagePaths, is_image
 from sonarrec.readers.containers.oculus import OculusPings
-from sonarrec.readers.containers.packed import PACKINGS, unpacked
 from sonarrec.readers.containers.recording import Recording
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.readers.raw import RawLog
@@ -40,11 +39,11 @@ SHARED = frozenset({SONAR_FILE, LANDMARKS_FILE})
 """Files of a sonar and a site, which serve several logs; they may lie beside a log's folder."""
 
 
-def _recorded(module: str, name: str) -> Callable[[Path, Path, Diagnostics], Recording]:
+def _recorded(module: str, name: str) -> Callable[[Path, Diagnostics], Recording]:
     """A class of `containers`, whose libraries are loaded only where it is needed."""
-    return lambda path, at, diagnostics: getattr(
+    return lambda path, diagnostics: getattr(
         import_module(f"sonarrec.readers.containers.{module}"), name
-    )(path, at, diagnostics)
+    )(path, diagnostics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,34 +51,27 @@ class Reader:
     """One kind of log: how its names end, and what opens it.
 
     Either open or recording is given. open: takes the list of files. recording: for messages on
-    channels, in files that may be compressed as a whole; takes the log's path and the file to read,
-    which is another one if the log was compressed. Both take what is told of what is wrong.
+    channels; takes the log's path. Both take what is told of what is wrong.
     """
 
     kind: str
     suffixes: frozenset[str]
     open: Callable[[Sequence[Path], Diagnostics], RawLog] | None = None
-    recording: Callable[[Path, Path, Diagnostics], Recording] | None = None
+    recording: Callable[[Path, Diagnostics], Recording] | None = None
 
     @property
     def has_topics(self) -> bool:
         """Whether the log has channels, of which one can be chosen."""
         return self.recording is not None
 
-    @property
-    def endings(self) -> tuple[str, ...]:
-        """The endings of names of this kind, also when compressed."""
-        packings = ("", *PACKINGS) if self.has_topics else ("",)
-        return tuple(suffix + packing for suffix in self.suffixes for packing in packings)
-
     def ending(self, name: str) -> str | None:
         """The ending of a name of this kind; None for names of other kinds."""
-        return next((e for e in self.endings if name.lower().endswith(e)), None)
+        return next((e for e in self.suffixes if name.lower().endswith(e)), None)
 
 
 _IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
 _BAG_FOLDER = Reader(
-    "ROS 2 bag", frozenset(), recording=lambda path, _, told: BagFolder(path, open_recording, told)
+    "ROS 2 bag", frozenset(), recording=lambda path, told: BagFolder(path, open_recording, told)
 )
 READERS = (
     _IMAGES,
@@ -95,7 +87,7 @@ READERS = (
     ),
     Reader("Gemini", frozenset({".glf"}), lambda files, told: GeminiPings(files[0], told)),
 )
-_LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.endings)
+_LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.suffixes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,15 +177,9 @@ def open_recording(path: Path, diagnostics: Diagnostics) -> Recording:
 def _recording(reader: Reader, path: Path, diagnostics: Diagnostics) -> Recording:
     assert reader.recording is not None
     try:
-        if path.is_dir():
-            return reader.recording(path, path, diagnostics)
-        with unpacked(path) as (at, problem):
-            recording = reader.recording(path, at, diagnostics)
+        return reader.recording(path, diagnostics)
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    if problem is not None:
-        recording.fault(problem)
-    return recording
 
 
 def find_log(path: str | Path, up_to: Path | None = None) -> Source:
@@ -230,7 +216,7 @@ def companions(log: Path, name: str, up_to: Path | None = None) -> Iterator[Path
 
 
 def log_name(path: Path) -> str:
-    """The name of a log: that of a folder, or of a file without its ending (x for x.mcap.zst)."""
+    """The name of a log: that of a folder, or of a file without its ending."""
     if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises where permission is lacking
         return path.resolve().name
     ending = next((e for r in READERS if (e := r.ending(path.name)) is not None), path.suffix)

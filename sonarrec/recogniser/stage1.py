@@ -28,6 +28,8 @@ OUTSIDE = (1.08, 1.35)
 GAP_SHARE, FILLED_GAP_SHARE = 0.75, 0.5
 # Widths of the gap, in beams at the middle of the window, at which it is filled, and is clear.
 FILLED_BEAMS, CLEAR_BEAMS = 1.0, 1.5
+BLUR_PX = 13  # side of the Gaussian kernel before Canny; by hand
+EDGE_TOLERANCE_PX = 2  # how far from the outline an edge may lie and still count; by hand
 COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
 LEAST_SIGMA = 0.5  # grey levels
 LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
@@ -201,9 +203,9 @@ class EdgeScore:
         self._correlate = Correlation(kernel, plane.inside.shape)
         self._gain = _gain(plane, outline.astype(float), config)
         # The fan's own edge, widened by the blur, must not count as an edge of the image.
-        border = config.blur_px // 2 + 1
+        border = BLUR_PX // 2 + 1
         self._away = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
-        self._tolerance = np.ones((2 * config.edge_tolerance_px + 1,) * 2, np.uint8)
+        self._tolerance = np.ones((2 * EDGE_TOLERANCE_PX + 1,) * 2, np.uint8)
 
     def __call__(
         self,
@@ -214,14 +216,14 @@ class EdgeScore:
         """Edges are found in the grey levels, so the relief is not used."""
         config = self._config
         grey_sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
-        blurred = cv2.GaussianBlur(image, (config.blur_px | 1, config.blur_px | 1), 0)
+        blurred = cv2.GaussianBlur(image, (BLUR_PX, BLUR_PX), 0)
         edges = cv2.Canny(blurred, config.canny_low * grey_sigma, config.canny_high * grey_sigma)
         edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
         on_edge = (edges > 0).astype(np.float32)
         score = self._correlate(on_edge) * self._gain
         # The tolerance makes plateaus. The circle is at the middle of a plateau, and gets the score
         # of its best pixel.
-        size = 2 * config.edge_tolerance_px + 3
+        size = 2 * EDGE_TOLERANCE_PX + 3
         peaks = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
         best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
         return ScoreMaps(score, peaks, best, np.full((1, 1), sigma, np.float32))

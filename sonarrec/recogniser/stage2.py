@@ -31,6 +31,19 @@ from sonarrec.recogniser.plane import Plane
 
 NEW_EXISTENCE = 0.5  # probability of existence of a group that has just begun
 WHOLE = 0.9  # share of a disc in view from which on its object should be a candidate
+# What follows was set by hand on simulated recordings; distances are in disc diameters. Where the
+# motion is known, a group this far from where it should have taken it has left its object, and is
+# deleted, or remembered where it is out of view.
+JUMP = 0.25
+# A candidate this near to where the motion takes a group's object is the group's own; particles
+# nearer to another candidate do not count.
+OWN_CANDIDATE = 0.2
+# Existence: an object in view is a candidate in a frame, and an empty position is one again.
+P_HIT_OBJECT, P_HIT_CLUTTER = 0.9, 0.4
+# A candidate within RECALL of where the motion takes a remembered group may be its object. RECALL
+# grows, to RECALL_MOST, by twice the standard error of that position, to which every frame adds
+# RECALL_DRIFT. One of which less than RECALL_IN_VIEW, a share of the disc, is in the fan waits.
+RECALL, RECALL_DRIFT, RECALL_MOST, RECALL_IN_VIEW = 0.2, 0.02, 0.5, 0.5
 
 
 class ContinuityFilter:
@@ -137,15 +150,15 @@ class ContinuityFilter:
         beyond the middle between the two do not count, else the broader peak would attract the
         group.
         """
-        groups, config = self._groups, self._config
+        groups = self._groups
         if len(groups) == 0 or len(candidates) == 0:
             return weight
         own = groups.places.copy()
         apart = self._distances(own, candidates)
-        there = apart.min(axis=1) <= config.own_candidate
+        there = apart.min(axis=1) <= OWN_CANDIDATE
         own[there] = candidates[apart.argmin(axis=1)[there]]
         apart = self._distances(own, candidates)
-        neighbours = (apart > config.own_candidate) & (apart < 1)
+        neighbours = (apart > OWN_CANDIDATE) & (apart < 1)
         if not neighbours.any():
             return weight
         theirs = np.zeros(weight.shape, bool)
@@ -168,7 +181,7 @@ class ContinuityFilter:
         Objects on the floor do not move, so such a group has left its object for another.
         """
         moved = np.hypot(*((positions - expected) / self._diameter).T)
-        farthest = self._config.jump + 2 * self._uncertain(motion) / self._diameter[0]
+        farthest = JUMP + 2 * self._uncertain(motion) / self._diameter[0]
         return np.asarray((moved > farthest) & (motion is not None))
 
     def _in_view(
@@ -221,7 +234,7 @@ class ContinuityFilter:
             if motion.right_m or motion.ahead_m:
                 carried = math.hypot(motion.right_sigma_m, motion.ahead_sigma_m)
                 carried = self._pixels(carried) / self._diameter[0]
-            lost.drift += turned**2 + carried**2 + self._config.recall_drift**2
+            lost.drift += turned**2 + carried**2 + RECALL_DRIFT**2
 
     def _carry(self, table: ParticleGroups | LostGroups, motion: Motion) -> None:
         """Move positions by the sonar's motion, and rotate the lines of sight to them."""
@@ -238,9 +251,9 @@ class ContinuityFilter:
         wide = (spread > config.spread_limit).any(axis=1)
         left = groups.strikes if config.count_strikes == "in_all" else 0
         groups.strikes = np.where(wide, groups.strikes + 1, left)
-        hit_or_miss = np.where(hit, config.p_hit_object, 1 - config.p_hit_object)
+        hit_or_miss = np.where(hit, P_HIT_OBJECT, 1 - P_HIT_OBJECT)
         of_object = groups.existence * hit_or_miss
-        hit_or_miss = np.where(hit, config.p_hit_clutter, 1 - config.p_hit_clutter)
+        hit_or_miss = np.where(hit, P_HIT_CLUTTER, 1 - P_HIT_CLUTTER)
         of_clutter = (1 - groups.existence) * hit_or_miss
         existence = np.clip(of_object / (of_object + of_clutter), 0.01, 0.99)
         groups.existence = np.where(in_view, existence, groups.existence)
@@ -300,7 +313,7 @@ class ContinuityFilter:
         if len(self._lost) and len(born):
             # A candidate that may be a lost group waits until enough of it is in view to decide.
             near = (self._distances(born, self._lost.places) <= self._gate()).any(axis=1)
-            hidden = self._shares(born) < self._config.recall_in_view
+            hidden = self._shares(born) < RECALL_IN_VIEW
             born = born[~(near & hidden)]
         if len(born):
             self._groups = joined([self._groups, self._new(*self._recall(born))])
@@ -332,8 +345,7 @@ class ContinuityFilter:
 
     def _gate(self) -> FloatArray:
         """(n,) largest distance at which a candidate recalls each lost group, in disc diameters."""
-        config = self._config
-        return np.minimum(config.recall + 2 * np.sqrt(self._lost.drift), config.recall_most)
+        return np.minimum(RECALL + 2 * np.sqrt(self._lost.drift), RECALL_MOST)
 
     def _new(
         self, numbers: IntArray, places: FloatArray, existence: FloatArray, sight_deg: FloatArray

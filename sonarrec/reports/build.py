@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sonarrec.errors import number_of
+from sonarrec.errors import local, number_of
 from sonarrec.evaluation.cells import protocols
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.match import DEFAULT, Matched, ScoringOptions
+from sonarrec.evaluation.match import Matched, ScoringOptions, scoring_options
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.tables import Evaluation
 from sonarrec.reports import frames
+from sonarrec.reports.frames import Picture, PictureRequest
 from sonarrec.reports.logs import (
     MOST_LOGS,
     JudgedSighting,
@@ -25,15 +27,14 @@ from sonarrec.reports.logs import (
     read_logs,
 )
 from sonarrec.reports.mistakes import Episode, episodes, in_words
-from sonarrec.reports.outliers import Outlier, failed_logs, outliers, outliers_first
 from sonarrec.reports.page import MOST_MISTAKES, render
-from sonarrec.reports.pictures import Picture, PictureRequest
 from sonarrec.reports.recordings import match_recordings, open_recording
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.sonar import Sonar
 from sonarrec.tables.outputs import check_output, write_page
 from sonarrec.truth.table import read_truth
 
+AnyPath = str | Path
 MOST_SEEN = 6
 MOST_MISTAKEN = 6
 """Pictures of sightings, and of each method's mistakes: each adds some 60 kB to the page."""
@@ -56,89 +57,76 @@ class Report:
         return f"<{self.path}: {number_of(self.pictures, 'picture')}>"
 
 
-def write_report(
-    path: Path,
-    results: Path | None = None,
+def report(
+    results: AnyPath = "sonarrec_out",
+    out: AnyPath | None = None,
     *,
-    ground_truth: Path | None = None,
-    pairs: Path | None = None,
-    recordings: Sequence[Path] = (),
-    options: ScoringOptions = DEFAULT,
+    ground_truth: AnyPath | None = None,
+    pairs: AnyPath | None = None,
+    logs: AnyPath | Sequence[AnyPath] = (),
     topic: str | None = None,
+    options: ScoringOptions | None = None,
+    **scoring: Any,
 ) -> Report:
-    """Write the report on a results folder (of one log or of several) to `path`.
+    """Write results, of one log or of several, as one HTML page; returns what was written.
 
-    pairs: a table that names results and truth of each log, in place of results and ground_truth.
-    recordings: the logs that the results came from, or folders with such logs; without them the
-    page shows no frames. options: as in `evaluation.evaluate.evaluate_logs`; the sightings
-    and tracks of the first of its methods are shown. topic: the image
-    channel of an MCAP recording, if run.toml does not name it.
+    out: default: report.html in `results`, or beside `pairs`: a table that names results and truth
+    of each log, in place of results and ground_truth. Without either nothing is scored. logs: the
+    recordings that the results came from, or folders with such; without them the page shows no
+    frames. topic: the image channel of an MCAP recording, if run.toml does not name it. scoring: as
+    `evaluate` takes it, `method` to `sonar`, or options made of them; the sightings and tracks of
+    the first method are shown.
     Raises SonarrecError where files cannot be used, read or written.
     """
-    check_output(path, "report", [ground_truth, pairs, *recordings])
-    rows = None if pairs is None else read_pairs(pairs)
-    chosen = _choose(results, ground_truth, rows, options)
-    logs, unread = _with_panels(chosen.folders, chosen.rows, chosen.evaluation, options)
-    evaluation = chosen.evaluation
+    options = options or scoring_options(**scoring)
+    beside = Path(results) if pairs is None else Path(pairs).parent
+    path = Path(local(out or beside / "report.html"))
+    truth_file = None if ground_truth is None else Path(local(ground_truth))
+    recordings = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
+    check_output(path, "report", [truth_file, pairs and Path(pairs), *recordings])
+    rows = None if pairs is None else read_pairs(Path(pairs))
+    folders, known, evaluation = _choose(Path(results), truth_file, rows, options)
+    shown_folders = folders[:MOST_LOGS]
+    of_shown = [row for row in known if row.results in shown_folders]
+    reported, unread = _with_panels(shown_folders, of_shown, evaluation, options)
     mistakes = {}
-    matched = {log.results.name: log.matched for log in logs if log.matched is not None}
+    matched = {log.results.name: log.matched for log in reported if log.matched is not None}
     if evaluation is not None:
         protocol = protocols(evaluation.counts)[0]
         there = {method for log in matched.values() for method in log.methods}
         methods = [method for method in evaluation.counts.methods if method in there]
         mistakes = {method: episodes(matched, method, protocol) for method in methods}
     sonar = options.sonar or Sonar()
-    pictures, shown, missing = _draw_all(logs, matched, mistakes, recordings, sonar, topic)
-    incomplete = (line for log in logs for line in not_whole(log.results, "shown"))
+    pictures, shown, missing = _draw_all(reported, matched, mistakes, recordings, sonar, topic)
+    incomplete = (line for log in reported for line in not_whole(log.results, "shown"))
     unused = (*(incomplete if evaluation is None else evaluation.unused), *unread, *missing)
-    in_all = len(chosen.folders if evaluation is None else evaluation.folders)
-    truth, rest = pairs or ground_truth, (in_all, chosen.outliers)
-    write_page(path, render(logs, evaluation, mistakes, truth, pictures, shown, unused, *rest))
+    in_all = len(folders if evaluation is None else evaluation.folders)
+    truth = Path(pairs) if pairs else truth_file
+    write_page(path, render(reported, evaluation, mistakes, truth, pictures, shown, unused, in_all))
     return Report(path, len(pictures), sum(len(s.frames) for s in shown), unused)
 
 
-@dataclass(frozen=True, slots=True)
-class _ChosenLogs:
-    """The logs to show, in order, and their scores."""
-
-    folders: list[Path]
-    """Of results; if there are very many, the first of them get panels."""
-    rows: list[Pair]
-    """Their truth, if it is known."""
-    outliers: list[Outlier]
-    """If there are so few logs that all have panels, only those that failed."""
-    evaluation: Evaluation | None
-    """Of all logs."""
-
-
 def _choose(
-    results: Path | None,
+    results: Path,
     ground_truth: Path | None,
     rows: list[Pair] | None,
     options: ScoringOptions,
-) -> _ChosenLogs:
-    """Read and score the logs. rows: results and truth of each, in place of the other two.
+) -> tuple[list[Path], list[Pair], Evaluation | None]:
+    """(the folders of the logs, their truth if it is known, their scores).
 
-    If there are more than MOST_LOGS, they are read one at a time, and only MOST_LOGS of those that
-    can be scored get panels, outliers first.
+    rows: results and truth of each log, in place of the other two.
     """
     if rows is None:
-        assert results is not None
         folders = find_logs(results)
         truth = [Pair(folder, ground_truth) for folder in folders] if ground_truth else []
     else:
         folders, truth = [row.results for row in rows], rows
-    evaluation = None
-    if truth:
-        evaluation = evaluate_logs(truth if results is None else results, ground_truth, options)
-    if len(folders) <= MOST_LOGS:
-        return _ChosenLogs(folders, truth, failed_logs(results), evaluation)
-    outlier_logs = outliers(folders, evaluation, results, options)
-    if evaluation is None:
-        return _ChosenLogs(outliers_first(folders, outlier_logs), [], outlier_logs, None)
-    folders = outliers_first(evaluation.folders, outlier_logs)[:MOST_LOGS]
-    row_of = {row.results: row for row in reversed(truth)}  # the first row of a log named twice
-    return _ChosenLogs(folders, [row_of[folder] for folder in folders], outlier_logs, evaluation)
+    if not truth:
+        return folders, [], None
+    evaluation = evaluate_logs(rows or results, ground_truth, options)
+    if len(folders) > MOST_LOGS:
+        folders = [*evaluation.folders]  # those that can be scored
+    return folders, truth, evaluation
 
 
 def _with_panels(

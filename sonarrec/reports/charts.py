@@ -1,4 +1,4 @@
-"""The charts of the report: timelines, tracks, ROC and reliability curves."""
+"""The charts of the report: timelines, tracks and ROC curves."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import number_of
 from sonarrec.evaluation.count import Scored
 from sonarrec.evaluation.roc import roc as evaluation_roc
-from sonarrec.evaluation.summary import FEW, Reliability
 from sonarrec.reports.logs import ReportedLog, Track, alongside, true_landmark
 from sonarrec.reports.svg import (
     MOST_POINTS,
@@ -118,9 +117,9 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
     return lanes
 
 
-def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
-    """The ROC of each method under one protocol: of the k-th ID, or over all IDs."""
-    curves = evaluation_roc(scored, k, 2 * MOST_POINTS)
+def roc(scored: Sequence[Scored]) -> Chart:
+    """The ROC of each method under one protocol, over all IDs."""
+    curves = evaluation_roc(scored, 2 * MOST_POINTS)
     axis = Axis(0.0, curves.fpr_end)
     shapes = [
         Shape(polyline(axis.share(x.fpr), x.tpr), n, f"line style-{n % STYLES}", x.method)
@@ -135,35 +134,6 @@ def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
     ]
     text = "; ".join(point.label for point, _, _ in marks)
     return Chart(text, shapes, axis.ticks(5), UNIT.ticks(5), dots, "FPR", "TPR")
-
-
-def reliability(curve: Reliability, method: int) -> Chart:
-    """The reliability curve of a method: share that is right over the stated probability.
-
-    method: index, for the colour. Bars: number of estimates per step, relative to the fullest one.
-    Steps with fewer than FEW estimates have hollow dots and are not joined by the line, since their
-    share is too uncertain.
-    """
-    step = 1 / len(curve.count)
-    share = curve.count / max(1, int(curve.count.max()))
-    enough = curve.count >= FEW
-    dots = []
-    points = zip(curve.mean, curve.right, curve.count, enough, strict=True)
-    for stated, right, count, many in (point for point in points if point[2]):
-        label = f"stated {stated:.2f}, right in {right:.2f} of {count}"
-        label += "" if many else ", too few to judge"
-        kind = "dot" if many else "few"
-        dots.append(Dot(100 * float(stated), 100 * float(right), label, method, kind))
-    ends = np.array([0.0, 1.0])
-    believed = polyline(curve.mean, np.where(enough, curve.right, np.nan))
-    shapes = [
-        Shape(bars(UNIT, np.arange(len(share)) * step, step, share), None, "bar faint"),
-        Shape(polyline(ends, ends), None, "line thin"),
-        Shape(believed, method, label=curve.method),
-    ]
-    text = f"{curve.method}: {'; '.join(dot.label for dot in dots)}"
-    ticks, labels = UNIT.ticks(5), ("probability stated", "share that is right")
-    return Chart(text, shapes, ticks, ticks, dots, *labels)
 
 
 @dataclass(frozen=True, slots=True)

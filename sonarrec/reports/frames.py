@@ -1,26 +1,103 @@
-"""Frames that a click on the page shows: their choice, their images and outlines.
-
-They are read in one pass over each log, together with the page's pictures.
+"""Frames of the logs on the page: pictures with the estimates of a method, and those that a click
+shows. Both are read in one pass over each log.
 """
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage
+from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.pen import disc_outline
-from sonarrec.drawing.results import AROUND, Mark, caption
+from sonarrec.drawing.results import AROUND, Mark, caption, draw_frame
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Estimate, Frame
 from sonarrec.readers.log import Log
 from sonarrec.reports.logs import ReportedLog
-from sonarrec.reports.pictures import Picture, PictureRequest, as_webp, draw, ellipse, shrunk
-from sonarrec.results.folders import estimates_of
 from sonarrec.results.same_log import check_same_log
 from sonarrec.results.stream import read_estimates
+
+PICTURE_PX = 640  # pixels of the longer side; draw_frame lays its text out for this
+PICTURE_QUALITY = 80
+
+
+@dataclass(frozen=True, slots=True)
+class PictureRequest:
+    """A frame to draw with the estimates of one method.
+
+    log: name. frame: its number in the log. group: "surest", "rarest" or "mistake". wrong: its
+    mistake in words; then the truth is drawn too.
+    """
+
+    log: str
+    method: str
+    frame: int
+    group: str
+    caption: str
+    wrong: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A drawn frame. source: a data URI. alt: a description."""
+
+    request: PictureRequest
+    source: str
+    width: int
+    height: int
+    alt: str
+
+
+def _draw(
+    frame: Frame,
+    reported: ReportedLog,
+    requests: Sequence[PictureRequest],
+    estimates: Mapping[str, Sequence[Estimate]],
+    marks: Sequence[Mark],
+) -> dict[PictureRequest, Picture]:
+    """The frame drawn for each request. estimates: its estimates by method. marks: its truth."""
+    pictures = {}
+    for request in requests:
+        said, truth = estimates[request.method], marks if request.wrong else ()
+        landmarks = reported.results.landmarks
+        image = draw_frame(frame.image, frame.fan, landmarks, said, truth=truth, score=True)
+        image = _shrunk(image, PICTURE_PX)
+        parts = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in said if e.declared]
+        parts += [f"truth holds ID.{mark.landmark}" for mark in truth]
+        alt = f"Sonar image, frame {frame.index}: {'; '.join(parts) or 'nothing declared'}"
+        rows, columns = image.shape[:2]
+        pictures[request] = Picture(request, as_webp(image, PICTURE_QUALITY), columns, rows, alt)
+    return pictures
+
+
+def as_webp(image: ByteImage, quality: int) -> str:
+    """A data URI. WebP takes a third less than JPEG for speckle."""
+    coded, data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])
+    assert coded
+    return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def _shrunk(image: ByteImage, largest: int) -> ByteImage:
+    """The image with a longer side of at most `largest` pixels."""
+    share = min(1.0, largest / max(image.shape))
+    if share == 1:
+        return image
+    size = (max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _ellipse(outline: FloatArray) -> tuple[float, ...] | None:
+    """Centre, half axes and rotation (deg) of an ellipse fitted to (n, 2) points; None if none."""
+    if not np.isfinite(outline).all():
+        return None
+    (x, y), (a, b), rotation = cv2.fitEllipse(outline.astype(np.float32))
+    found = tuple(round(v, 1) for v in (x, y, a / 2, b / 2, rotation))
+    return found if np.isfinite(found).all() else None
+
 
 MOST_FRAMES = 200
 MOST_BYTES = 3_000_000  # of the images of all frames together, as text
@@ -115,7 +192,7 @@ def take(
     of_method: dict[str, dict[int, tuple[Estimate, ...]]] = {}
     for frame in log:
         if not of_method:  # the fan of the first frame gives the positions of the estimates
-            table = estimates_of(reported.folder)
+            table = reported.folder / "estimates.csv"
             for m in dict.fromkeys([*methods, *(w.method for w in requests)]):
                 every = read_estimates(table, m, landmarks, frame.fan)
                 of_method[m] = {n: estimates for n, estimates in every if n in numbers}
@@ -129,7 +206,7 @@ def take(
                 ids = [landmarks.ids[truth.landmark_index[n]] for n in here]
                 marks = [Mark(i, *positions[n].tolist()) for i, n in zip(ids, here, strict=True)]
             requests_here = [w for w in requests if w.frame == frame.index]
-            pictures |= draw(frame, reported, requests_here, estimates, marks)
+            pictures |= _draw(frame, reported, requests_here, estimates, marks)
             if frame.index in hold:
                 shown_log.frames.append(_shown_frame(frame, reported, estimates, marks, most_bytes))
         if not numbers:
@@ -150,7 +227,7 @@ def _shown_frame(
     most_bytes: int,
 ) -> ShownFrame:
     log = reported.results
-    image = shrunk(frame.image, LARGEST)
+    image = _shrunk(frame.image, LARGEST)
     scale = image.shape[1] / frame.fan.columns
     row = int(np.searchsorted(log.frame, frame.index))
 
@@ -158,7 +235,7 @@ def _shown_frame(
         found_outlines = []
         for one, label, declared in marked:
             edge = disc_outline(frame.fan, size * log.landmarks.radius_m, one.x_px, one.y_px)
-            around = ellipse((edge + 0.5) * scale)
+            around = _ellipse((edge + 0.5) * scale)
             if around is not None:
                 colour = log.landmarks.ids.index(one.landmark)
                 found_outlines.append(Outline(around, label, colour, declared))
@@ -186,4 +263,4 @@ def _within(image: ByteImage, most_bytes: int) -> str:
             source = as_webp(image, quality)
             if len(source) <= most_bytes or max(image.shape) <= 16:
                 return source
-        image = shrunk(image, max(image.shape) // 2)
+        image = _shrunk(image, max(image.shape) // 2)

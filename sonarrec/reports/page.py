@@ -8,31 +8,27 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
-from functools import cache
 from heapq import nlargest
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.summary import FEW, over_units, units_text
+from sonarrec.evaluation.summary import over_units, units_text
 from sonarrec.evaluation.tables import Evaluation
 from sonarrec.nouns import VERSION
 from sonarrec.reports import charts
-from sonarrec.reports.frames import ShownLog
+from sonarrec.reports.frames import Picture, ShownLog
 from sonarrec.reports.logs import ReportedLog, Track, judged_sightings, tracks, true_landmark
 from sonarrec.reports.mistakes import Episode, in_words
-from sonarrec.reports.outliers import Outlier
-from sonarrec.reports.pictures import Picture
-from sonarrec.reports.svg import STYLES, Chart, darkened, frames_a_bar, glyph
-from sonarrec.results.bound import bound_of
+from sonarrec.reports.svg import STYLES, darkened, frames_a_bar, glyph
 from sonarrec.results.sightings import PASS_GAP, Sighting
 from sonarrec.times import date_text, is_date, time_text
 
@@ -56,14 +52,12 @@ def render(
     shown: Sequence[ShownLog],
     unused: Sequence[str],
     logs_in_all: int,
-    outliers: Sequence[Outlier],
 ) -> str:
     """The whole page as HTML.
 
     logs: those with panels. evaluation: of all logs; it and truth are None without ground truth.
     wrong: the mistakes of each method. pictures, shown: of the recordings. unused: a
     line for each part of the input that could not be used. logs_in_all: also those without panels.
-    outliers: logs that differ from the rest.
     """
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
@@ -80,8 +74,14 @@ def render(
     names = ", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else "")
     frames = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
     script = (files("sonarrec.reports") / "report.js").read_text(encoding="utf-8")
-    return filled(
-        "report.html",
+    environment = Environment(
+        loader=PackageLoader("sonarrec.reports", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html").render(
         number=lambda value, digits: f"{value:,.{digits}f}",
         time_of_day=time_text,
         version=VERSION,
@@ -90,10 +90,8 @@ def render(
             scores is not None,
             bool(scores and scores["others"]),
             several=logs_in_all > 1,
-            outliers=bool(outliers),
             mapped=map_picture is not None,
         ),
-        few=FEW,
         pass_gap=PASS_GAP,
         landmarks=landmarks,
         methods=methods,
@@ -110,8 +108,6 @@ def render(
         scores=scores,
         unused=_first(unused),
         logs_in_all=logs_in_all,
-        outliers=outliers,
-        most_outliers=MOST_RATES,
         counts=evaluation and evaluation.counts,
         surest=[p for p in pictures if p.request.group == "surest"],
         rarest=[p for p in pictures if p.request.group == "rarest"],
@@ -125,14 +121,11 @@ def render(
     )
 
 
-def _contents(
-    scored: bool, figures: bool, several: bool, outliers: bool, mapped: bool
-) -> dict[str, str]:
+def _contents(scored: bool, figures: bool, several: bool, mapped: bool) -> dict[str, str]:
     """The sections by name, in the page's order, and their headings."""
     seen = {"seen": "What was seen, when and with what score"}
     rates = {"rates": "Rates at the operating point"} if scored else {}
     return {
-        **({"standing": "What differs from the rest"} if outliers else {}),
         # The page of one log begins with what was seen, that of several with the rates.
         **(rates | seen if several else seen | rates),
         "sightings": "Sightings",
@@ -158,7 +151,7 @@ def _scores(
 
     rates, rates_per_log, others (figures), differences: from `cells`. units: such as "12 passes".
     over: the part of captions on intervals. tested: labels of the figures in differences. starred:
-    whether a table has a 0/0. curves: as from `_curves`. reliability: per method.
+    whether a table has a 0/0. curves: per protocol.
     """
     counts, summary = evaluation.counts, evaluation.summary
     methods, protocols = counts.methods, cells.protocols(counts)
@@ -179,11 +172,8 @@ def _scores(
         "notes": _first(evaluation.notes),
         "tables": tables,
         "starred": any("*" in cell for table in tables for _, row in table.rows for cell in row),
-        "curves": _curves(counts),
-        "reliability": [
-            (r.method, charts.reliability(r, methods.index(r.method)))
-            for r in summary.reliability
-            if r.landmark_text == "top"
+        "curves": [
+            (p, charts.roc([s for s in counts.scored if s.protocol == p])) for p in protocols
         ],
         "mistakes": _mistakes(logs, counts, wrong),
     }
@@ -257,8 +247,6 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
         yield "range window", f"{results.fan.range_min_m:g} to {results.fan.range_max_m:g} m"
         yield "tilt", f"{results.fan.tilt_deg:g} deg"
     yield "landmark set", f"{results.landmarks.name}, radius {results.landmarks.radius_m:g} m"
-    if (bound := bound_of(run)) is not None:
-        yield "bound", bound.text()
     presets = [str(config["preset"]) for config in run.configs if "preset" in config]
     if presets:
         yield "preset" + "s" * (len(presets) > 1), ", ".join(presets)
@@ -283,20 +271,6 @@ def _track_view(log: ReportedLog, track: Track) -> View:
         "strip": charts.truth_strip(log, track),
         "panels": charts.track_panels(log, track),
     }
-
-
-def _curves(counts: Counts) -> list[tuple[str, Chart, list[tuple[int, Chart]]]]:
-    """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
-    curves = []
-    for protocol in cells.protocols(counts):
-        scored = [s for s in counts.scored if s.protocol == protocol]
-        per_id = [
-            (k, charts.roc(scored, k))
-            for k in range(len(counts.ids))
-            if scored[0].count(k).tp + scored[0].count(k).fn
-        ]
-        curves.append((protocol, charts.roc(scored), per_id))
-    return curves
 
 
 def _mistakes(
@@ -356,19 +330,3 @@ def _plain(value: Any) -> str:
         between = "; " if any(isinstance(v, dict) for v in value) else ", "
         return between.join(map(_plain, value)) or "none"
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def filled(template: str, package: str = "sonarrec.reports", /, **values: Any) -> str:
-    """A template of a package filled with values, as HTML. It may include those of this folder."""
-    return _environment(package).get_template(template).render(values)
-
-
-@cache  # keeps the compiled templates
-def _environment(package: str) -> Environment:
-    return Environment(
-        loader=ChoiceLoader([PackageLoader(p, ".") for p in (package, "sonarrec.reports")]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )

@@ -19,19 +19,16 @@ from sonarrec.tables.locks import is_there, locked
 from sonarrec.tables.outputs import Kind, is_output
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
-ESTIMATES = ("estimates.csv", "estimates.parquet")
-"""Possible files of the estimates; see `estimates_of`."""
-OURS = (*TABLES, "estimates.parquet", "run.toml")
+OURS = (*TABLES, "run.toml")
 """Files that a run replaces. Files made from them are deleted; all others belong to the user."""
-PAGES: dict[str, Kind] = {"report.html": "report", "compare.html": "comparison"}
+PAGES: dict[str, Kind] = {"report.html": "report"}
 """Pages made from results; they contain a mark."""
 MADE = {
     "evaluation": (
-        *("confusion.csv", "per_log.csv", "roc.csv", "figures.csv", "tests.csv", "passes.csv"),
-        *("reliability.csv", "roc.png", "roc_by_id.png", "det.png", "reliability.png"),
+        *("confusion.csv", "roc.csv", "figures.csv", "tests.csv", "passes.csv", "roc.png"),
         *("compare.csv", "changes.csv", "compare.json", "evaluation.json"),
     ),
-    "map": ("passes.csv", "factors.csv", "graph.g2o", "map.png", "map.geojson", "map.csv"),
+    "map": ("passes.csv", "map.png", "map.geojson", "map.csv"),
 }
 """Folders made from results, and the files in them."""
 MADE_BY = {"evaluation": "evaluate", "map": "map"}
@@ -90,15 +87,6 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except PermissionError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-
-
-def estimates_of(folder: Path) -> Path:
-    """The table of estimates in a folder; the CSV if there are both or none.
-
-    Raises SonarrecError if the folder may not be looked into.
-    """
-    places = [folder / name for name in ESTIMATES]
-    return next((place for place in places if is_file(place)), places[0])
 
 
 def part_of(folder: Path) -> Path:

@@ -25,12 +25,11 @@ from sonarrec.results.columns import (
     kinds,
     needed,
 )
-from sonarrec.results.folders import aside_of, estimates_of, log_of, part_of
+from sonarrec.results.folders import aside_of, log_of, part_of
 from sonarrec.results.methods import in_order
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
 from sonarrec.tables.order import natural_order
-from sonarrec.tables.parquet import PARQUET, read_parts
 from sonarrec.tables.read import Table, cut, line_number, position_pair, read_table, read_tables
 
 
@@ -149,7 +148,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     if not frame.size:
         raise SonarrecError(f"{path}: no frame was processed")
 
-    path = estimates_of(folder)
+    path = folder / "estimates.csv"
     [(_, table)] = estimate_tables(path, landmark_set)
     pair = position_pair(path, table)
     position = None if pair is None else plane_position(pair, fan)
@@ -260,15 +259,13 @@ def read_results(folder: str | Path) -> Tables:
     sightings = folder / "sightings.csv"
     return Tables(
         frames=_table(folder / "frames.csv", FRAMES_HEADER),
-        estimates=_table(estimates_of(folder), ESTIMATES_HEADER),
+        estimates=_table(folder / "estimates.csv", ESTIMATES_HEADER),
         sightings=_table(sightings, "method,landmark,track") if sightings.is_file() else None,
     )
 
 
 def _table(path: Path, expected: str) -> pd.DataFrame:
-    """One table, CSV or Parquet. expected: a header for the error message."""
-    if path.suffix == PARQUET:
-        return next(read_parts(path, None, None))
+    """One table. expected: a header for the error message."""
     try:
         return pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
     except FileNotFoundError:

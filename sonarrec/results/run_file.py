@@ -19,8 +19,8 @@ from sonarrec import config
 from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.nouns import VERSION, Clock, Fan, Origin
-from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of, is_file
+from sonarrec.nouns import VERSION, Clock, Fan
+from sonarrec.results.folders import TABLES, is_file
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.tables.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of
 
@@ -105,7 +105,7 @@ def csv_rows(path: Path) -> int:
 
 
 def rows_written(folder: Path) -> dict[str, int]:
-    """The keys of [input] with the rows of the tables. Estimates in Parquet cannot lose any."""
+    """The keys of [input] with the rows of the tables."""
     return {key: csv_rows(folder / name) for name, key in _ROWS.items() if is_file(folder / name)}
 
 
@@ -126,8 +126,7 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
     another program, or if their run.toml is invalid.
     """
     path = folder / "run.toml"
-    tables = [estimates_of(folder).name if name in ESTIMATES else name for name in TABLES]
-    present = [name for name in ("run.toml", *tables) if (folder / name).is_file()]
+    present = [name for name in ("run.toml", *TABLES) if (folder / name).is_file()]
     if present and not path.is_file():
         raise SonarrecError(
             f"{folder}: holds {present[0]} but no run.toml, so it may not be of sonarrec; choose "
@@ -232,7 +231,6 @@ class LogOptions:
     odometry_topic: str | None = None  # the topic with the poses, in place of a table
     frames: tuple[int, int | None] | None = None  # from the first up to, not including, the second
     up_to: Path | None = None  # the highest folder searched for files that belong to the log
-    origin: Origin | None = None  # the server that a fetched log is from, for run.toml
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of `open_log`."""

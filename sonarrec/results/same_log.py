@@ -12,7 +12,6 @@ import numpy as np
 
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_frames
 from sonarrec.results.run_file import RunFile
 
@@ -73,7 +72,7 @@ def recording(folder: Path, run: RunFile, estimates: int) -> Recording:
 
 def _tables(folder: Path) -> str:
     digest = hashlib.sha256()
-    for path in (folder / "frames.csv", estimates_of(folder)):
+    for path in (folder / "frames.csv", folder / "estimates.csv"):
         with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()

@@ -19,7 +19,6 @@ from sonarrec.geometry import ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, follows
 from sonarrec.poses import PoseTable
-from sonarrec.results.folders import estimates_of
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.sonar import Sonar
 
@@ -249,7 +248,7 @@ def _compute_sightings(
     landmark_set, fan = run.landmark_set(landmarks), run.fan(sonar)
 
     def declared() -> Iterator[tuple[int, Estimate]]:
-        for _, table in estimate_tables(estimates_of(folder), landmark_set, ROWS):
+        for _, table in estimate_tables(folder / "estimates.csv", landmark_set, ROWS):
             rows = np.flatnonzero(table["declared"])
             for _, frame, estimate in estimates_in(table, rows, landmark_set, fan):
                 if frame in time_of:

@@ -21,7 +21,6 @@ from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.run_file import rows_written
 from sonarrec.results.sightings import SIGHTING_COLUMNS, Sighting, Sightings
 from sonarrec.tables.outputs import replaced
-from sonarrec.tables.parquet import convert
 
 
 class _Table:
@@ -82,11 +81,8 @@ class ResultsWriter:
         landmarks: LandmarkSet,
         run: dict[str, Any],
         sightings: Sightings | None = None,
-        *,
-        parquet: bool = False,
     ) -> None:
-        """run: the tables of run.toml. sightings: an empty collector. parquet: whether to convert
-        estimates.csv to estimates.parquet at the end.
+        """run: the tables of run.toml. sightings: an empty collector.
 
         Raises SonarrecError if the folder cannot be written or another run writes there.
         """
@@ -96,7 +92,6 @@ class ResultsWriter:
         self._folder = folder
         self._part = part_of(folder)
         self._run = run
-        self._parquet = parquet
         self._columns = estimate_columns(landmarks.ids, isinstance(landmarks, DrawnSet))
         try:
             self._part.parent.mkdir(parents=True, exist_ok=True)
@@ -168,8 +163,6 @@ class ResultsWriter:
             self._estimates.close(sync=True)
             self._frames.close(sync=True)
             self._run["input"] |= rows_written(self._part)
-            if self._parquet:
-                convert(self._part / "estimates.csv", self._part / "estimates.parquet")
             self._write_run(finished=True)
             return exchange(self._folder)
         except OSError as error:

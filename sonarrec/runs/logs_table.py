@@ -157,24 +157,6 @@ def _text(cell: str) -> str:
     return cell[1:] if quoted else cell
 
 
-def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
-    """The tasks that failed or were partial by logs.csv, and how many are waiting or running.
-
-    Results of another log of the same name are not replaced.
-    """
-    rows = read_logs(out / NAME)
-    of_path = {row.key: row.status for row in rows}
-    of_name = {row.log: row.status for row in rows}  # for paths that are written differently now
-    chosen, unfinished = [], 0
-    for task in tasks:
-        state = of_path.get((task.name, task.path), of_name.get(task.name))
-        if state in ("failed", "partial"):
-            is_partial = of_path.get((task.name, task.path)) == "partial"
-            chosen.append(replace(task, overwrite=task.overwrite or is_partial))
-        unfinished += state in ("waiting", "running")
-    return chosen, unfinished
-
-
 @contextmanager
 def _turn(folder: Path) -> Iterator[None]:
     """Wait until no other call writes the file, if the file system supports locks."""

@@ -52,9 +52,6 @@ class Watch:
     def frames(self, i: int, done: int, total: int | None) -> None:
         """`done` frames of task i are processed; called now and then."""
 
-    def fetching(self, i: int, arrived: int, total: int | None) -> None:
-        """`arrived` bytes of the log of task i are fetched; only for logs run in this process."""
-
     def ended(self, i: int, outcome: Outcome) -> None:
         """Task i has ended."""
 
@@ -70,9 +67,7 @@ def run_here(tasks: list[Task], watch: Watch) -> None:
             watch.frames(i, done, total)
 
         watch.started(i)
-        watch.ended(
-            i, run_task(task, observe, *(partial(to, i) for to in (watch.fetching, watch.goes_by)))
-        )
+        watch.ended(i, run_task(task, observe, partial(watch.goes_by, i)))
 
 
 def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | None = None) -> None:

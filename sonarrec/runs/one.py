@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from heapq import nlargest
 from pathlib import Path
 
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import SonarrecError, number_of
-from sonarrec.landmarks import DrawnSet
 from sonarrec.nouns import Frame, FrameResult, Stamps
 from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.open import find_log, log_name, results_name
-from sonarrec.recogniser.together import Mapped
-from sonarrec.remote.find import RemoteLog
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import LogOptions, existing_results
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.prepare import PreparedRun, RunOptions, prepare
-from sonarrec.runs.rings import Rings
 
 Observe = Callable[[FrameResult, int | None], None]
 """Called with each result and the number of frames, None where that is not known."""
@@ -40,7 +36,6 @@ class Summary:
     follows objects. sightings: of each of these the MOST_SIGHTINGS declared in the most frames, in
     order of first sight. landmarks: frames in which the first of these methods declared each ID,
     summed over its passes. up_to_date: these very results were there, so nothing was done.
-    discs: whether the landmarks are, not drawn plates.
     """
 
     folder: Path
@@ -53,23 +48,19 @@ class Summary:
     sightings: list[Sighting]
     landmarks: dict[int, int]
     up_to_date: bool = False
-    discs: bool = True
 
     def __repr__(self) -> str:
         passes = number_of(sum(self.passes.values()), "sighting")
         return f"<{self.folder}: {number_of(self.frames, 'frame')}, {passes}>"
 
 
-def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str]:
+def result_names(logs: Sequence[str | Path]) -> list[str]:
     """The name of each log's results, all different, also of logs that do not exist now.
 
     Raises UsageError if two logs cannot be told apart.
     """
     named = []  # (the name of a log's results, where the log is)
     for log in logs:
-        if isinstance(log, RemoteLog):
-            named.append((results_name(log.name), log.path))
-            continue
         try:
             source = find_log(log)
             named.append((source.name, source.place.resolve()))
@@ -90,19 +81,18 @@ def process(
     *,
     name: str | None = None,
     overwrite: bool = False,
-    ahead: bool = False,
     begun: Callable[[str], object] = str,
+    served_as: Callable[[str], str] = str,
 ) -> Summary:
     """Run one log and write `out`/<name>/, by default under the log's own name.
 
     Results that would be the same are not made again, and those of another log are not replaced,
     except with overwrite.
-    ahead: on two cores, see `two_cores`. What the process writes to descriptor 2 meanwhile may be
-    lost, see `decode_image`. begun: called before the first frame with a line on what the run goes
-    by.
+    begun: called before the first frame with a line on what the run goes by. served_as: puts the
+    names of a server into a text, for a log that was fetched.
     Raises SonarrecError for input or settings that cannot be used.
     """
-    with prepare(Path(path), Path(out), log_options, run_options, name) as job:
+    with prepare(Path(path), Path(out), log_options, run_options, name, served_as) as job:
         told = job.log.diagnostics
         if not overwrite:
             existing = existing_results(job.folder, job.table)
@@ -119,45 +109,28 @@ def process(
                 )
             if existing.reason:
                 told.note(f"earlier results are replaced ({existing.reason})", about=job.folder)
-        renamed = log_options.origin.with_server_names if log_options.origin else str
-        begun(renamed(job.basis))
+        begun(served_as(job.basis))
         plausibility = Plausibility()
         sightings = Sightings(job.landmarks, job.fan, job.poses)
-        with ResultsWriter(
-            job.folder, job.landmarks, job.table, sightings, parquet=run_options.parquet
-        ) as writer:
-            # The paper's groups lie too unsteadily on their objects to show a ring's edge.
-            of_config = zip(job.recogniser.tracking, run_options.configs, strict=True)
-            steady = [m for m, c in of_config if c.features.measurement != "single"]
-            discs = not isinstance(job.landmarks, DrawnSet)  # which has no rings
-            if not discs:
-                steady = []
-            rings = Rings(job.landmarks, steady[0] if steady else None)
-            _recognise(job, writer, plausibility, rings, observe, ahead=ahead)
+        with ResultsWriter(job.folder, job.landmarks, job.table, sightings) as writer:
+            _recognise(job, writer, plausibility, observe)
             job.recogniser.tell(told)
-            problems = [renamed(line) for line in told.problems]
+            problems = [served_as(line) for line in told.problems]
             replaced = writer.finish(problems, told.unusable)
-        _tell_notes(job, writer, plausibility, rings)
+        _tell_notes(job, writer, plausibility)
         return Summary(
             job.folder,
             writer.frames,
             told.unusable,
             writer.candidates,
             problems,
-            [renamed(line) for line in (*told.notes, *replaced)],
+            [served_as(line) for line in (*told.notes, *replaced)],
             *_longest(job.folder, job.recogniser.tracking),
-            discs=discs,
         )
 
 
 def _recognise(
-    job: PreparedRun,
-    writer: ResultsWriter,
-    plausibility: Plausibility,
-    rings: Rings,
-    observe: Observe | None,
-    *,
-    ahead: bool,
+    job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility, observe: Observe | None
 ) -> None:
     """Recognise every frame and write the results, also those waiting when the run is stopped."""
     stamps = deque[Stamps]()  # of frames that have no result yet
@@ -166,36 +139,21 @@ def _recognise(
         for frame in job.frames:
             stamps.append(frame.stamps)
             plausibility.look(frame)
-            rings.look(frame)
             yield frame
 
-    cores: AbstractContextManager[tuple[Mapped, Mapped]] = nullcontext((map, map))
-    if ahead:
-        from sonarrec.runs.two_cores import two_cores
-
-        cores = two_cores()
     try:
-        with cores as (anywhere, in_order):
-            for result in job.recogniser.recognise(looked_at(), anywhere, in_order):
-                writer.write(result, stamps.popleft())
-                rings.add(result)
-                if observe is not None:
-                    observe(result, job.frame_count)
-    except BaseException as error:  # Ctrl-C as well: keep what is there
+        for result in job.recogniser.recognise(looked_at()):
+            writer.write(result, stamps.popleft())
+            if observe is not None:
+                observe(result, job.frame_count)
+    except BaseException:  # Ctrl-C as well: keep what is there
         if not writer.full:
             for result in job.recogniser.waiting():
                 writer.write(result, stamps.popleft())
-        if type(error).__name__ == "BrokenProcessPool":  # with multiprocessing, only where needed
-            raise SonarrecError(
-                f"{job.log.path}: the process that follows its objects was killed, "
-                "perhaps for lack of memory; run it again where more is free"
-            ) from None
         raise
 
 
-def _tell_notes(
-    job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility, rings: Rings
-) -> None:
+def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
     """Tell the user what showed at the end of the run."""
     log, note, restored = job.log, job.log.diagnostics.note, job.recogniser.restored
     doubts = plausibility.contradictions(
@@ -211,8 +169,6 @@ def _tell_notes(
     if doubts:
         look = f"`sonarrec info {log.path} --preview FILE.png`, with the same geometry"
         note(f"{'; '.join(doubts)}; look at {look}")
-    if doubt := rings.doubt():
-        note(f"{doubt}; `sonarrec info {log.path} --try-radii` with the same options tries both")
     if restored.static:
         note(
             f"{restored.static:.1%} of the picture never changes, like drawn lines and text, or "
@@ -227,11 +183,6 @@ def _tell_notes(
         note(
             f"{restored.saturated:.0%} of the frames are saturated; how strong the strongest "
             f"echoes are is estimated from how many there are; {better} is better"
-        )
-    if restored.equalised:
-        note(
-            f"in {restored.equalised:.0%} of the frames all levels are equally frequent, as after "
-            "histogram equalisation; they are spread as a sonar's; pictures as recorded are better"
         )
     if log.untimed:
         note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")

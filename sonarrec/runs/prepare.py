@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,6 @@ from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
-from sonarrec.results.bound import bound_of, differing
 from sonarrec.results.folders import MADE, MADE_BY
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 from sonarrec.runs.basis import basis, beams_in_words, chosen_landmarks
@@ -39,7 +38,6 @@ class RunOptions:
     model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
     earlier_run: Path | None = None  # a run.toml, whose geometry, landmarks and model serve where
     # none are given; a plain file of settings has none of these
-    parquet: bool = False  # whether the estimates go to estimates.parquet, in place of CSV
 
     def check(self) -> None:
         """Raise UsageError if landmarks or model are invalid, before any log is opened."""
@@ -67,9 +65,16 @@ class PreparedRun:
 
 @contextmanager
 def prepare(
-    path: Path, out: Path, log_options: LogOptions, run_options: RunOptions, name: str | None
+    path: Path,
+    out: Path,
+    log_options: LogOptions,
+    run_options: RunOptions,
+    name: str | None,
+    served_as: Callable[[str], str] = str,
 ) -> Iterator[PreparedRun]:
     """Open a log and prepare its run into `out`/<name>/; name: default, the log's own.
+
+    served_as: as of `process`.
 
     Raises SonarrecError for input or settings that cannot be used.
     """
@@ -99,27 +104,18 @@ def prepare(
         table = run_table(
             configs, recogniser.methods, log.stated, fan, landmarks, identity, log.reading()
         )
-        if log_options.origin is not None:
-            table["input"] |= dict.fromkeys(("path", "place"), log_options.origin.url)
+        served = served_as(str(path))
+        if served != str(path):
+            table["input"] |= dict.fromkeys(("path", "place"), served)
         else:
             place = os.path.relpath(path.resolve(), folder.resolve())
             table["input"] |= {"path": name_as_text(path), "place": name_as_text(place)}
         if log_options.frames is not None:
             table["input"]["frames"] = span_text(span)
-        if run_options.parquet:
-            table["program"]["tables"] = "parquet"
         if poses is not None:
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
-        bound = bound_of(earlier)
-        if bound is not None and not (others := differing(earlier.table, table)):
-            table["bound"] = asdict(bound)
-        elif bound is not None:
-            log.diagnostics.note(
-                f"its bound is not that of this run, which has another {others[0]}",
-                about=earlier.path,
-            )
         frame_count = None  # not known
         if log.frame_count is not None:
             end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
@@ -127,8 +123,6 @@ def prepare(
         seen = chain([first], frames)
         beams = beams_in_words(run_options.configs, configs, log, about_beams)
         line = basis(log, fan, source, given, earlier, (landmarks, from_where), beams)
-        if "bound" in table:
-            line += f"; bound {table['bound']['share']:g} ({earlier.path})"
         yield PreparedRun(
             log, seen, frame_count, fan, landmarks, poses, recogniser, line, table, folder
         )

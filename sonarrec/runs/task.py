@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import Literal
 
-from sonarrec.errors import SonarrecError
-from sonarrec.remote.cache import Cache
-from sonarrec.remote.fetch import Progress, fetched
-from sonarrec.remote.find import RemoteLog
-from sonarrec.remote.urls import Url
+from sonarrec.errors import SonarrecError, hidden
 from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import LogOptions, existing_results
 from sonarrec.runs.one import Observe, Summary, process
@@ -34,10 +31,8 @@ class Task:
     log_options: LogOptions
     run_options: RunOptions
     overwrite: bool = False
-    cache: Cache | None = None  # set if the log or its results lie on a server
-    server_log: RemoteLog | None = None
-    server_out: Url | None = None
-    ahead: bool = False  # on two cores, see `two_cores`
+    url: str = ""  # of a log on a server
+    server_out: str = ""  # the folder of the results, if it is on a server
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +59,8 @@ class Outcome:
 def plan_task(task: Task) -> str:
     """What `run_task` would do, and why; writes nothing. Raises SonarrecError as that would."""
     with (
-        _at_hand(task, upload=False) as (path, log_options, _),
-        prepare(path, Path(task.out), log_options, task.run_options, task.name) as job,
+        _at_hand(task) as (path, out, served_as),
+        prepare(path, out, task.log_options, task.run_options, task.name, served_as) as job,
     ):
         if task.overwrite:
             return "done again (asked for)"
@@ -79,64 +74,64 @@ def plan_task(task: Task) -> str:
 
 
 def run_task(
-    task: Task,
-    observe: Observe | None = None,
-    fetching: Progress | None = None,
-    begun: Callable[[str], object] = str,
+    task: Task, observe: Observe | None = None, begun: Callable[[str], object] = str
 ) -> Outcome:
     """Run a task in this process. A fault of the input becomes an outcome; a bug raises.
 
-    fetching: called as the bytes of a log on a server arrive. begun: as of `process`.
+    begun: as of `process`.
     """
     start_s = monotonic()
+    served_as: Callable[[str], str] = str
     try:
-        with _at_hand(task, fetching) as (path, log_options, renamed):
+        with _at_hand(task) as (path, out, served_as):
             summary = process(
                 path,
-                task.out,
-                log_options,
+                out,
+                task.log_options,
                 task.run_options,
                 observe,
                 name=task.name,
                 overwrite=task.overwrite,
-                ahead=task.ahead,
-                begun=lambda line: begun(renamed(line)),
+                begun=begun,
+                served_as=served_as,
             )
+            if task.server_out and not summary.up_to_date:
+                from sonarrec.remote import put  # with fsspec, only where needed
+
+                put(summary.folder, f"{task.server_out.rstrip('/')}/{task.name}")
     except SonarrecError as error:
-        return Outcome("failed", monotonic() - start_s, error=error)
-    summary = replace(
-        summary,
-        problems=[renamed(line) for line in summary.problems],
-        notes=[renamed(line) for line in summary.notes],
-    )
+        told = type(error)(served_as(str(error)))
+        return Outcome("failed", monotonic() - start_s, error=told)
     status: Status = "partial" if summary.problems else "done"
-    return Outcome(status, monotonic() - start_s, summary, renamed(str(summary.folder)))
+    return Outcome(status, monotonic() - start_s, summary, served_as(str(summary.folder)))
 
 
 @contextmanager
-def _at_hand(
-    task: Task, fetching: Progress | None = None, *, upload: bool = True
-) -> Iterator[tuple[Path, LogOptions, Callable[[str], str]]]:
-    """What to open, how to read it, and a function that puts a server's names into a line.
+def _at_hand(task: Task) -> Iterator[tuple[Path, Path, Callable[[str], str]]]:
+    """(what to open, the folder of the results, a function that puts a server's names in a text).
 
-    A log on a server is held in the cache; results for a server are uploaded at the end. A file
+    A log on a server is fetched, and results for a server begin with those that it has. A file
     that cannot be opened inside raises SonarrecError, so that it costs this log only.
     """
-    path, log_options = Path(task.path), task.log_options
-    renamed: Callable[[str], str] = str
-    with ExitStack() as stack:
-        if task.cache is not None and task.server_log is not None:
-            copy = stack.enter_context(fetched(task.server_log, task.cache, fetching))
-            path = copy.path
-            log_options = replace(log_options, up_to=copy.up_to, origin=copy.origin)
-        if task.cache is not None and task.server_out is not None:
-            from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
+    path, out, names = Path(task.path), Path(task.out), dict[str, str]()
 
-            box = Outbox(task.server_out, task.cache)
-            renamed = box.origin.with_server_names
-            stack.enter_context(box.results(task.name, upload=upload))
+    def served_as(text: str) -> str:
+        for here, there in names.items():
+            text = text.replace(here, there)
+        return text
+
+    with ExitStack() as stack:
         try:
-            yield path, log_options, renamed
+            if task.url or task.server_out:
+                from sonarrec.remote import fetched, get  # with fsspec, only where needed
+            if task.url:
+                path, there = stack.enter_context(fetched(task.url))
+                names[str(path.parent)] = there
+            if task.server_out:
+                out = Path(stack.enter_context(TemporaryDirectory(prefix="sonarrec-")))
+                names[str(out)] = hidden(task.server_out.rstrip("/"))
+                get(f"{task.server_out.rstrip('/')}/{task.name}", out / task.name)
+            yield path, out, served_as
         except OSError as error:
             if error.filename is None:  # not a fault of the input
                 raise

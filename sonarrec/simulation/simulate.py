@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError, local
 from sonarrec.landmarks import load_landmarks
-from sonarrec.remote.urls import local
 from sonarrec.results.columns import CORNERS
 from sonarrec.simulation.plates import PlateScene, plate_scene, plate_sonar, render_plates
 from sonarrec.simulation.render import render
@@ -61,19 +60,16 @@ def write_recording(
     out: Path,
     image_format: str = "png",
     progress: Callable[[int], None] | None = None,
-    *,
-    schema: str = "sensor_msgs/msg/Image",
-    compression: str = "zstd",
 ) -> None:
     """Write frames, sonar.toml, gt.csv and scene.toml.
 
     out: an empty or new folder for NNNNNN.png or frames.mcap; or a file NAME.mcap, beside which
     NAME.sonar.toml, NAME.gt.csv and NAME.scene.toml are written. progress: called after each frame
-    with the number of frames done. schema, compression: of an MCAP, see McapImageWriter. If
-    messages of the schema state the sonar's geometry, sonar.toml states only the rest. Raises
-    SonarrecError if `out` cannot be written or is in use.
+    with the number of frames done. The messages of an MCAP of polar images state the sonar's
+    geometry, and sonar.toml only the rest. Raises SonarrecError if `out` cannot be written or is in
+    use.
     """
-    from sonarrec.simulation.mcap_writer import McapImageWriter, check_schema, is_polar
+    from sonarrec.simulation.mcap import McapWriter
 
     if isinstance(scene, PlateScene):
         if image_format != "png":
@@ -87,15 +83,9 @@ def write_recording(
         raise UsageError(f"{out}: a name ending in .mcap needs --format mcap")
     sonar = scene_sonar(scene)
     geometry = sonar.complete(scene.name) if sonar.layout == "polar" else None
-    if image_format == "mcap":
-        check_schema(schema, compression, geometry is not None)
-        if is_polar(schema):  # its messages state the rest
-            sonar = Sonar(
-                tilt_deg=sonar.tilt_deg,
-                height_m=sonar.height_m,
-                frame_rate_hz=sonar.frame_rate_hz,
-                beam_width_deg=sonar.beam_width_deg,
-            )
+    if image_format == "mcap" and geometry is not None:  # its messages state the rest
+        kept = ("tilt_deg", "height_m", "frame_rate_hz", "beam_width_deg")
+        sonar = Sonar(**{key: getattr(sonar, key) for key in kept})
     folder, prefix = (out.parent, f"{out.stem}.") if single_file else (out, "")
     if single_file and out.is_dir():
         raise SonarrecError(f"{out}: is a folder; choose another --out")
@@ -113,8 +103,7 @@ def write_recording(
         mcap = None
         if image_format == "mcap":
             name = out if single_file else out / "frames.mcap"
-            mcap = McapImageWriter(name, schema=schema, compression=compression, sonar=geometry)
-            stack.enter_context(mcap)
+            mcap = stack.enter_context(McapWriter(name, geometry))
         for frame in chain([first], frames):
             if mcap is None:
                 write_image(out / f"{frame.index:06d}.png", frame.image)

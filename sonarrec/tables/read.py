@@ -17,7 +17,6 @@ from pandas.api.types import union_categoricals
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, printable
-from sonarrec.tables.parquet import PARQUET, read_names, read_parts
 
 Kind = Literal[
     "whole",
@@ -109,8 +108,6 @@ def read_header(path: Path, expected: str) -> list[str]:
 
 def _names(path: Path, expected: str) -> list[str]:
     """The names of all columns, as they are written. Raises SonarrecError as `read_tables` does."""
-    if path.suffix == PARQUET:
-        return read_names(path)
     if path.exists() and not path.is_file():
         raise SonarrecError(f"{path}: not a file that can be read as a table")
     with suppress(OSError), path.open("rb") as file:  # reported when it is read
@@ -154,8 +151,7 @@ def read_tables(
             raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
     missing = [name for name in required if name not in header]
     if missing:
-        if path.suffix != PARQUET:
-            _parse(path, expected, lambda: [*_csv_parts(path, {}, None)])  # if it is one at all
+        _parse(path, expected, lambda: [*_csv_parts(path, {}, None)])  # if it is one at all
         found = printable(",".join(header))
         found = found if len(found) <= MOST_SHOWN else f"{found[:MOST_SHOWN]}..."
         raise SonarrecError(
@@ -166,11 +162,7 @@ def read_tables(
     text = [c for n, c in used.items() if kinds[n] in _TEXTS]
     # Not as "category", which turns the name 007 into a number. Not with `usecols`, which accepts
     # rows that are longer than the header.
-    parts = (
-        read_parts(path, list(used.values()), rows)
-        if path.suffix == PARQUET
-        else _csv_parts(path, dict.fromkeys(text, object), rows)
-    )
+    parts = _csv_parts(path, dict.fromkeys(text, object), rows)
     labels: dict[Any, int] = {}
     first = 0
     while (part := _parse(path, expected, lambda: next(parts, None))) is not None:
@@ -294,12 +286,7 @@ def cut(table: Table, rows: int) -> Table:
 
 
 def line_number(path: Path, row: int) -> int:
-    """1-based line of a CSV file at which a table's 0-based row begins.
-
-    For Parquet, which has no lines, the line that the row would have as CSV.
-    """
-    if path.suffix == PARQUET:
-        return row + 2
+    """1-based line of a CSV file at which a table's 0-based row begins."""
     return next(itertools.islice(line_numbers(path), row, None))
 
 
@@ -353,8 +340,6 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
             values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
         except OverflowError:  # a number of hundreds of digits
             values = pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float)
-        if column.dtype.kind == "O":  # in a column of text, as Parquet may have it
-            blank = blank | (column == "nan").to_numpy(dtype=bool, na_value=False)
     bad = ~np.isfinite(values)
     if kind in ("blank or number", "blank or place", "share"):
         bad &= ~blank

@@ -14,7 +14,7 @@ from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_plane
 from sonarrec.nouns import follows
-from sonarrec.results.folders import estimates_of, log_of
+from sonarrec.results.folders import log_of
 from sonarrec.results.methods import leading
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
@@ -94,7 +94,7 @@ def propose(
 def _tracks(folder: Path, log: LogResults, method: str) -> list[IntArray]:
     """The estimates of each track that declared an ID, rising in frame; those with most
     declarations of one ID first. Raises SonarrecError if they cannot be used."""
-    path = estimates_of(folder)
+    path = folder / "estimates.csv"
     if log.fan is None:
         raise SonarrecError(
             f"{folder / 'run.toml'}: does not tell the sonar's geometry, which gives pixels "

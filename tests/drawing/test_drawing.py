@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.drawing.geometry import disc_width_px, draw_preview
-from sonarrec.drawing.pen import FLOOR, GRID, TRUTH
-from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_frame, draw_strip
+from sonarrec.drawing.geometry import disc_width_px, draw_grid, draw_preview
+from sonarrec.drawing.pen import FLOOR, GRID, TRUTH, Pen, pixel_unit
+from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_strip
 from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.nouns import Fan
-from tests.support.command import SAMPLE, sample_log, sonarrec
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import draw_on_floor, make_fan
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
 
@@ -43,8 +43,15 @@ def place(fan: Fan, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # Range rings and bearings
 
 
+def gridded(fan: Fan) -> np.ndarray:
+    canvas = cv2.cvtColor(blank(fan), cv2.COLOR_GRAY2BGR)
+    pen = Pen(canvas, pixel_unit(max(fan.rows, fan.columns)))
+    draw_grid(pen, fan)
+    return pen.canvas
+
+
 def test_grid_lines_lie_at_round_ranges_and_bearings() -> None:
-    picture = draw_frame(blank(FAN), FAN, BASIN, [], grid=True)
+    picture = gridded(FAN)
     range_m, bearing = place(FAN, like(picture, GRID))
     # Between bearings 0.6 and 4.4 deg and away from labels there are rings alone.
     ring = np.unique(np.round(range_m[(bearing > 0.8) & (bearing < 4.2)], 2))
@@ -58,7 +65,7 @@ def test_grid_lines_lie_at_round_ranges_and_bearings() -> None:
 
 
 def test_the_outline_is_the_stated_fan() -> None:
-    picture = draw_frame(blank(FAN), FAN, BASIN, [], grid=True)
+    picture = gridded(FAN)
     points = like(picture, GRID)
     for range_m, bearing in ((2.25, -14.4), (2.25, 14.4), (1.255, 2.5), (3.745, 2.5)):
         b = math.radians(bearing)
@@ -216,15 +223,3 @@ def test_the_times_of_an_mcap_need_no_frame_rate(tmp_path: Path) -> None:
     text = (tmp_path / "sonar.toml").read_text().replace("frame_rate_hz = 4.0\n", "")
     (tmp_path / "sonar.toml").write_text(text)
     assert "frame_rate_hz" not in images(path)["assumed"]
-
-
-def test_overlay_draws_the_grid_where_asked(tmp_path: Path) -> None:
-    log = sample_log(tmp_path / "log", 2)
-    sonarrec("run", log, "--out", tmp_path / "out", "-q")
-    counts = []
-    for flag in ([], ["--grid"]):
-        drawn = tmp_path / f"drawn{len(flag)}"
-        sonarrec("overlay", log, tmp_path / "out", "--images", drawn, *flag)
-        counts.append(len(like(cv2.imread(str(drawn / "000001.png")), GRID, within=15)))
-    assert counts[0] < 200
-    assert counts[1] > counts[0] + 2000

@@ -61,8 +61,8 @@ def test_each_log_has_its_own(logs: Path) -> None:
     found = evaluate(logs / "out")
     per_log = scored(found, "strict").counts_per_log()
     assert [(log[0].tp, log[0].fn) for log in per_log] == [(1, 3), (2, 6), (3, 9)]
-    with (logs / "out" / "evaluation" / "per_log.csv").open() as file:
-        assert {row["log"] for row in csv.DictReader(file)} == {"a", "b", "pings"}
+    with (logs / "out" / "evaluation" / "figures.csv").open() as file:
+        assert {row["log"] for row in csv.DictReader(file)} == {"", "a", "b", "pings"}
 
 
 def test_a_log_without_truth_is_left_out_and_said(logs: Path) -> None:
@@ -102,13 +102,6 @@ def test_the_log_is_found_from_any_folder_and_where_it_moved_with_its_results(
     (logs / "elsewhere" / "logs" / "a.mp4").unlink()
     said = command("out/a", code=2).stderr
     assert said.startswith("sonarrec: out/a: no ground truth: logs/a.mp4: no such file or folder;")
-
-
-def test_a_packed_log_is_named_without_both_of_its_endings(tmp_path: Path) -> None:
-    log = tmp_path / "dive.mcap.zst"
-    log.write_bytes(b"packed")
-    said = command(result(tmp_path / "out", log, "0" * 64, range(1)), code=2).stderr
-    assert "no dive.gt.csv, nor gt.csv beside" in said
 
 
 def test_the_truth_of_another_log_in_its_place_is_not_taken(logs: Path) -> None:

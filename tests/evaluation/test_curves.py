@@ -41,7 +41,7 @@ def one_vs_rest(seed: int, claimed: float = 0.8):
 
 @pytest.mark.parametrize("protocol", ["paper", "strict"])
 @pytest.mark.parametrize("claimed", [1.0, 0.8])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> None:
     metrics = pytest.importorskip("sklearn.metrics")
     case, positive, points = one_vs_rest(seed, claimed)
@@ -52,11 +52,6 @@ def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> 
         auc = metrics.roc_auc_score(truth, value)
         assert area(curve.fpr, curve.tpr) == pytest.approx(auc, abs=1e-12)
         assert curve.threshold[0] == math.inf
-        # McClish: rescaled so that chance is .5, between the areas of chance and of perfection.
-        rescaled = metrics.roc_auc_score(truth, value, max_fpr=0.05)
-        least, most = 0.05**2 / 2, 0.05
-        plain = least + (2 * rescaled - 1) * (most - least)
-        assert area(curve.fpr, curve.tpr, 0.05) == pytest.approx(plain / 0.05, abs=1e-12)
     macro = metrics.roc_auc_score(positive, points, average="macro")
     fpr, tpr = macro_curve([scored.curve(k) for k in range(len(IDS))])
     assert metrics.auc(fpr, tpr) == pytest.approx(macro, abs=1e-12)
@@ -84,21 +79,14 @@ def curve_of(tp: list[int], fp: list[int], positives: int, negatives: int) -> Cu
 
 def test_areas_by_hand() -> None:
     perfect = curve_of([0, 10, 10], [0, 0, 50], 10, 50)
-    assert (
-        area(perfect.fpr, perfect.tpr)
-        == area(perfect.fpr, perfect.tpr, 0.05)
-        == tpr_at(perfect.fpr, perfect.tpr, 0)
-        == 1
-    )
+    assert area(perfect.fpr, perfect.tpr) == tpr_at(perfect.fpr, perfect.tpr, 0) == 1
     # Nothing is ever claimed: a guess.
     silent = curve_of([0], [0], 10, 50)
     assert area(silent.fpr, silent.tpr) == 0.5
-    assert area(silent.fpr, silent.tpr, 0.05) == pytest.approx(0.025)
     assert tpr_at(silent.fpr, silent.tpr, 0.05) == 0
     # Half of the positives for nothing, then no more: a straight line from (0, .5) to (1, 1).
     half = curve_of([0, 5], [0, 0], 10, 50)
     assert area(half.fpr, half.tpr) == 0.75
-    assert area(half.fpr, half.tpr, 0.05) == pytest.approx((0.5 + 0.525) / 2)
     assert tpr_at(half.fpr, half.tpr, 0.05) == 0.5
 
 
@@ -149,8 +137,7 @@ def test_methods_of_any_name_stand_in_the_legend(monkeypatch: pytest.MonkeyPatch
     claims = [(m, 0, 1, 0, 0, 0.9, True) for m in (0, 1)]
     case = matched(2, [(0, 1, 0, 0, True)], claims, methods=methods)
     scored = counts(case).scored
-    for draw in (plots.draw_roc, plots.draw_roc_by_id, plots.draw_det):
-        draw(Path(), scored)
-        figures[-1].draw_without_rendering()
-        told = [text.get_text() for text in figures[-1].axes[-1].get_legend().get_texts()]
-        assert sorted(text.split(" at ")[0] for text in told) == [" _ours", r"\$x_\$"]
+    plots.draw_roc(Path(), scored)
+    figures[-1].draw_without_rendering()
+    told = [text.get_text() for text in figures[-1].axes[-1].get_legend().get_texts()]
+    assert sorted(text.split(" at ")[0] for text in told) == [" _ours", r"\$x_\$"]

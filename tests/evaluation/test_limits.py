@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sonarrec.evaluation.compare import compare
-from sonarrec.evaluation.compare_screen import MOST_ROWS, judgement_screen, markdown
+from sonarrec.evaluation.compare_screen import MOST_ROWS, judgement_screen
 from sonarrec.evaluation.limits import EACH, Limits, judge_by
 from sonarrec.evaluation.pairs import Pair
 from tests.evaluation.test_compare import FRAMES, TRUTH, claims, command
@@ -135,13 +135,6 @@ def test_many_logs_show_what_is_worse_and_the_total(tmp_path: Path) -> None:
         *(["log_3"] * 2 + ["log_5"] * 2 + ["total"] * 2 + ["44"])
     ]
     assert lines[-1] == "44 more rows, none of them worse"
-    assert markdown(found).splitlines()[-1] == lines[-1]
-
-
-def test_names_are_no_markdown(tmp_path: Path) -> None:
-    sides = both(tmp_path, **{"a|b_c*": claims(RIGHT)})
-    row = markdown(judged(*sides, Limits(band=0.1))).splitlines()[4]
-    assert row.startswith(r"| a\|b\_c\* | m | strict |")
 
 
 @pytest.mark.parametrize("rate", ["1.1", "nan", "m=", "much"])

@@ -26,7 +26,6 @@ from sonarrec.evaluation.intervals import bootstrap_weights, coin_tosses
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.write import write_evaluation
-from sonarrec.runs.two_cores import CAN_FORK
 from tests.evaluation.test_evaluation import write_case
 from tests.support.command import sonarrec
 from tests.support.made_up import make_logs, make_sides
@@ -66,9 +65,8 @@ def copied(monkeypatch: pytest.MonkeyPatch) -> None:
     given, and what they give, is pickled as ever. As users have it is
     `test_the_same_bytes_however_many_processes` and `test_compared_one_at_a_time_as_all_at_once`.
     """
-    if CAN_FORK:
-        context = multiprocessing.get_context("fork")
-        monkeypatch.setattr(multiprocessing, "get_context", lambda _: context)
+    context = multiprocessing.get_context("fork")
+    monkeypatch.setattr(multiprocessing, "get_context", lambda _: context)
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -48,7 +48,7 @@ def ratio_tally(labels, names, parts, wholes) -> Tally:
 def rate_tallies(found, protocol: str, method: str) -> list[Tally]:
     """Per ID, then in total."""
     (one,) = [s for s in found.scored if (s.protocol, s.method) == (protocol, method)]
-    return [tally(rates, counted) for counted in rates_of(found, found.units("pass"), one)]
+    return [tally(rates, counted) for counted in rates_of(found, found.units(), one)]
 
 
 # --- Passes and units ----------------------------------------------------------------------------
@@ -89,7 +89,6 @@ def test_a_log_without_landmarks_is_a_unit_and_many_logs_are_units() -> None:
     three = [seen(1, 0, 9) + seen(1, 25, 29), [], seen(2, 0, 20)]
     found = counts(*(matched(30, truth, []) for truth in three))
     assert found.units().count == 4
-    assert found.units("log").of_pass_unit.tolist() == [0, 0, 1, 2]
     assert counts(*[matched(10, seen(1, 0, 9), [])] * 10).units().kind == "log"
 
 

@@ -12,10 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
-import gtsam
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -25,11 +23,10 @@ from rosbags.typesys import Stores, get_typestore
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.axes import CHI2_95, ellipse
-from sonarrec.mapping.build import MapOptions, SiteMap, make_map
-from sonarrec.mapping.factors import Factor, factors, write_g2o
+from sonarrec.mapping.build import MapOptions, make_map
 from sonarrec.mapping.join import MappedLog, frame_shares, join
 from sonarrec.mapping.passes import HEIGHT_SIGMA_M, DeclaredEstimates, find_passes
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, path_from_poses
@@ -209,7 +206,7 @@ def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(dive: Pat
     head = 'name = "s"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
     given.write_text(head + "".join(rows))
     told = sonarrec("map", dive, "--landmarks", given, "--origin", "54,10,0").stdout
-    for name, count in (("map", 3), ("passes", 6), ("factors", 30)):
+    for name, count in (("map", 3), ("passes", 6)):
         found = read_rows(dive / "map" / f"{name}.csv")
         assert len(found) == count
         for row in found:
@@ -452,16 +449,6 @@ def test_tracks_on_one_disc_at_a_time_are_no_more_than_one() -> None:
     assert one.orientation_sigma_deg == pytest.approx(alone.orientation_sigma_deg)
 
 
-def test_factors_of_two_tracks_on_one_disc_hold_as_much_as_those_of_one() -> None:
-    information = []
-    for tracks in (1, 2):
-        log = still_pass(np.random.default_rng(0), tracks)
-        site = SiteMap(BASIN, join([log], BASIN), 0, [log], Diagnostics(), ros_axes=False)
-        sigma = np.array([one.sigma for one in factors(site)])
-        information.append((sigma**-2.0).sum(axis=0))
-    np.testing.assert_allclose(information[1], information[0])
-
-
 def test_tracks_that_share_a_part_of_their_frames_count_by_it(tmp_path: Path) -> None:
     """By hand: of 60 frames of one track and 80 of the other, 20 are the same."""
     still = np.zeros((120, 3))
@@ -539,19 +526,6 @@ def test_told_poses_drift_as_stated_from_the_first_one(
     assert path.yaw_variance(last)[0] == pytest.approx(36 * share)
 
 
-def test_a_graph_s_step_is_as_unsure_of_the_heading_as_the_path_is() -> None:
-    """Turns of a sonar that stands are too long or too short by a common share."""
-    frame = np.arange(60)
-    moved = np.column_stack([np.full(60, 0.5), np.zeros(60), np.zeros(60)])
-    path = measured_path(
-        frame, frame, moved, np.column_stack([np.full(60, 0.02), *np.zeros((2, 60))])
-    )
-    step = path.step_covariance(0, 59)
-    assert step[2, 2] == pytest.approx(np.radians(np.radians(path.yaw_variance(frame[59:])[0])))
-    assert step[2, 2] > np.radians(0.03 * 29.5) ** 2
-    np.testing.assert_allclose(step[:2], 0, atol=1e-12)  # it turned about itself
-
-
 def test_a_landmark_that_comes_back_is_one_in_spite_of_drift(tmp_path: Path) -> None:
     """Dead reckoning is 0.3 m off by the time of the second pass: as far as the neighbour lies."""
     path = there_and_back()
@@ -621,84 +595,6 @@ def test_measured_motion_carries_as_far_as_it_is_known(tmp_path: Path) -> None:
 
 
 # What others read
-
-
-def test_gtsam_reads_the_graph_and_finds_the_map(tmp_path: Path) -> None:
-    path = there_and_back(160)[40:]  # the first of it in sight of the site
-    squares = []
-    for seed in (1, 2, 3, 4):
-        rng = np.random.default_rng(seed)
-        off = np.cumsum(rng.normal(0, (0.25, 0.012, 0.012), path.shape), axis=0)
-        off -= off[0]
-        folder = results(tmp_path / f"dive{seed}", path, path + off)
-        sonarrec("map", folder, "--drift", "0.19,4")
-        graph, first = gtsam.readG2o(str(folder / "map" / "graph.g2o"), False)
-        rows = read_rows(folder / "map" / "factors.csv")
-        marks = {int(row["landmark_vertex"]): int(row["number"]) - 1 for row in rows}
-        poses = {int(row["pose_vertex"]): int(row["frame"]) for row in rows}
-        found_map = read_rows(folder / "map" / "map.csv")
-        assert len(marks) == len(found_map) == 3
-        for vertex, number in marks.items():  # x ahead and y left there
-            pose, row = first.atPose2(vertex), found_map[number]
-            assert pose.x() == pytest.approx(float(row["y_m"]), abs=1e-4)
-            assert pose.y() == pytest.approx(-float(row["x_m"]), abs=1e-4)
-            turn = math.radians(float(row["orientation_deg"]) - 90)
-            assert math.remainder(pose.theta() - turn, 2 * math.pi) == pytest.approx(0, abs=2e-4)
-        edges = [graph.at(n).keys() for n in range(graph.size())]
-        assert sum(max(keys) in marks for keys in edges) == len(rows)
-        fixed = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, 1e-5))
-        graph.add(gtsam.PriorFactorPose2(0, first.atPose2(0), fixed))
-        found = gtsam.LevenbergMarquardtOptimizer(graph, first).optimize()
-        assert graph.error(found) < graph.error(first)
-        errors = [
-            [
-                math.dist((pose.x(), -pose.y()), (path[frame, 2], path[frame, 1]))
-                for pose in (first.atPose2(vertex), found.atPose2(vertex))
-            ]
-            for vertex, frame in poses.items()
-        ]
-        squares.append(np.square(errors).mean(axis=0))
-    told, better = np.sqrt(np.mean(squares, axis=0))
-    assert better < told / 2
-
-
-@pytest.mark.parametrize("turn_deg", [0.0, 90.0, 200.0])
-def test_a_graph_holds_errors_along_and_across_the_sight_however_things_are_turned(
-    turn_deg: float, tmp_path: Path
-) -> None:
-    """GTSAM takes a measurement's error by the axes of what was seen."""
-    along, across_deg = 0.02, 0.1
-    site = SimpleNamespace(
-        logs=[SimpleNamespace(path=SimpleNamespace(pose=np.zeros((1, 3))))],
-        landmarks=[SimpleNamespace(position=np.array([0.0, 2.0]), orientation_deg=turn_deg)],
-    )
-    seen = Factor(0, 0, 0, 2.1, (2.0, 0.0, turn_deg), (along, across_deg, 3.0))
-    write_g2o(tmp_path / "g.g2o", site, [seen], {(0, 0): 0})  # type: ignore[arg-type]
-    graph, first = gtsam.readG2o(str(tmp_path / "g.g2o"), False)
-    exact = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, 1e-7))
-    graph.add(gtsam.PriorFactorPose2(0, first.atPose2(0), exact))
-    turn = first.atPose2(1).rotation().matrix()
-    covariance = gtsam.Marginals(graph, first).marginalCovariance(1)[:2, :2]
-    across = 2 * math.radians(across_deg)
-    np.testing.assert_allclose(
-        turn @ covariance @ turn.T, np.diag([along**2, across**2]), rtol=1e-4, atol=1e-10
-    )
-
-
-def test_measurements_lead_from_the_poses_to_the_landmarks(mapped: Path) -> None:
-    path, rows = there_and_back(), read_rows(mapped / "map.csv")
-    off = []
-    for row in read_rows(mapped / "factors.csv"):
-        yaw, x, y = path[int(row["frame"])]
-        ground, sight = float(row["ground_range_m"]), math.radians(yaw + float(row["bearing_deg"]))
-        at = (x + ground * math.sin(sight), y + ground * math.cos(sight))
-        landmark = rows[int(row["number"]) - 1]
-        assert math.dist(at, (float(landmark["x_m"]), float(landmark["y_m"]))) < 0.05
-        assert math.hypot(ground, HEIGHT) == pytest.approx(float(row["range_m"]), abs=1e-3)
-        turn = float(row["orientation_deg"]) - yaw - float(landmark["orientation_deg"])
-        off.append(math.remainder(turn, 360))
-    assert max(map(abs, off)) < 20
-    assert int(row["timestamp_ns"]) == round(int(row["frame"]) * 1e9 / RATE)
 
 
 def earth(longitude: float, latitude: float) -> FloatArray:

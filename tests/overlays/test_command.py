@@ -38,26 +38,14 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_out_is_written_by_its_ending(work: Path) -> None:
-    assert work.is_dir()
-    for name, option in (("a.mcap", "--mcap"), ("a.mp4", "--video"), ("shots", "--images")):
-        sonarrec("overlay", "log", "-o", name)
-        sonarrec("overlay", "log", option, f"by_option_{name}")
-        by_option = Path(f"by_option_{name}")
-        assert Path(name).is_dir() == by_option.is_dir() == (name == "shots")
-    assert Path("a.mcap").read_bytes() == Path("by_option_a.mcap").read_bytes()
-    sonarrec("overlay", "log", "-o", "b.mcap", "--mcap", "c.mcap", code=2)
-
-
 def test_the_command(work: Path) -> None:
     (work / "log" / "sonar.toml").unlink()  # run.toml tells the geometry
-    told = sonarrec("overlay", "log", "--mcap", "o.mcap", "--video", "o.mp4", "--images", "shots")
-    assert told.stdout.splitlines() == [
-        "o.mcap: 4 frames, framework", "o.mp4: 4 frames, framework", "shots: 4 frames, framework",
-    ]  # fmt: skip
+    for out in ("o.mcap", "o.mp4", "shots"):
+        assert sonarrec("overlay", "log", "-o", out).stdout == f"{out}: 4 frames, framework\n"
+    assert Path("o.mp4").is_file()
     assert len(list(messages(work / "o.mcap"))) == 8
     assert len(list((work / "shots").iterdir())) == 4
-    sonarrec("overlay", "log", "sonarrec_out/log", "--images", "one", "--frames", "2:3", "-q")
+    sonarrec("overlay", "log", "sonarrec_out/log", "-o", "one", "--frames", "2:3", "-q")
     assert [p.name for p in (work / "one").iterdir()] == ["000002.png"]
     two = [(work / d / "000002.png").read_bytes() for d in ("one", "shots")]
     assert two[0] == two[1]  # what came before is in its strip all the same
@@ -68,7 +56,7 @@ def test_results_named_with_the_folder_of_the_log_are_found() -> None:
     """A run of several logs of one name names them so."""
     for name in ("log", "log.part"):
         Path("sonarrec_out", "log").rename(Path("sonarrec_out", f"{Path.cwd().name}-{name}"))
-        assert "4 frames" in sonarrec("overlay", "log", "--images", "shots").stdout
+        assert "4 frames" in sonarrec("overlay", "log", "-o", "shots").stdout
         Path("sonarrec_out", f"{Path.cwd().name}-{name}").rename(Path("sonarrec_out", "log"))
 
 
@@ -78,45 +66,43 @@ def test_the_frames_drawn_are_those_that_were_run(work: Path) -> None:
     text = run.read_text().replace("[input]", '[input]\nframes = "1:3"')
     assert "frames" in text
     run.write_text(text)
-    sonarrec("overlay", "log", "--mcap", "o.mcap", "--images", "shots", "-q")
+    sonarrec("overlay", "log", "-o", "o.mcap", "-q")
+    sonarrec("overlay", "log", "-o", "shots", "-q")
     assert sorted(p.name for p in (work / "shots").iterdir()) == ["000001.png", "000002.png"]
     assert len(list(messages(work / "o.mcap"))) == 4
-    sonarrec("overlay", "log", "--images", "all", "--frames", "0:", "-q")
+    sonarrec("overlay", "log", "-o", "all", "--frames", "0:", "-q")
     assert len(list((work / "all").iterdir())) == 4
 
 
 def test_a_run_that_was_cut_short(work: Path) -> None:
     run = work / "sonarrec_out" / "log" / "run.toml"
     run.write_text(run.read_text().replace("finished = true", "finished = false"))
-    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=3)
+    told = sonarrec("overlay", "log", "-o", "o.mcap", code=3)
     assert "the run was cut short; frames after 3 have no results" in told.stderr
     # As a run leaves it that was stopped.
     run.parent.rename(run.parent.with_name("log.part"))
     for results in ([], ["sonarrec_out/log"]):
-        told = sonarrec("overlay", "log", *results, "--mcap", "o.mcap", code=3)
+        told = sonarrec("overlay", "log", *results, "-o", "o.mcap", code=3)
         assert "log.part: the run was cut short; frames after 3 have no results" in told.stderr
     assert (
         "no results of log here"
-        in sonarrec("overlay", "log", "none", "--mcap", "o.mcap", code=2).stderr
+        in sonarrec("overlay", "log", "none", "-o", "o.mcap", code=2).stderr
     )
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "fault"),
     [
-        ("", 2, "nothing to write: give -o OUT.mcap"),
-        ("--video o.gif", 2, "o.gif: a video is written as NAME.mp4"),
-        ("--video paper.csv/o.mp4", 2, "paper.csv/o.mp4: paper.csv is not a folder"),
-        ("--mcap paper.csv/o.mcap", 2, "paper.csv/o.mcap: paper.csv is not a folder"),
-        ("--images log", 2, "log/000000.png: it would become part of the recording"),
-        ("--images log/sonar.toml", 2, "log/sonar.toml: it would become part of the recording"),
-        ("--mcap o.mcap --frames 3", 2, "--frames: expected A:B"),
-        ("--mcap o.mcap --frames 3:3", 2, "no frame from 3 up to, not including, 3"),
-        ("--mcap o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
-        ("--mcap o.mp4 --video ../{0}/o.mp4", 2, "o.mp4: each output needs a name of its own"),
-        ("--mcap o.mcap --method x", 2, "no method 'x'; there is framework"),
-        ("elsewhere --mcap o.mcap", 2, "elsewhere: no results of log here"),
-        ("--mcap o.mcap --ground-truth paper.csv", 1, "paper.csv: no positions"),
+        ("-o paper.csv/o.mp4", 2, "paper.csv/o.mp4: paper.csv is not a folder"),
+        ("-o paper.csv/o.mcap", 2, "paper.csv/o.mcap: paper.csv is not a folder"),
+        ("-o log", 2, "log/000000.png: it would become part of the recording"),
+        ("-o log/sonar.toml", 2, "log/sonar.toml: it would become part of the recording"),
+        ("-o o.mcap --frames 3", 2, "--frames: expected A:B"),
+        ("-o o.mcap --frames 3:3", 2, "no frame from 3 up to, not including, 3"),
+        ("-o o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
+        ("-o o.mcap --method x", 2, "no method 'x'; there is framework"),
+        ("elsewhere -o o.mcap", 2, "elsewhere: no results of log here"),
+        ("-o o.mcap --ground-truth paper.csv", 1, "paper.csv: no positions"),
     ],
 )
 def test_faults_are_one_line(arguments: str, code: int, fault: str, work: Path) -> None:
@@ -137,7 +123,7 @@ def test_faults_are_one_line(arguments: str, code: int, fault: str, work: Path) 
 )
 def test_truth_of_another_log_is_told(lines: tuple[str, ...], told: str, work: Path) -> None:
     csv_file(work / "gt.csv", *lines)
-    done = sonarrec("overlay", "log", "--images", "o", "--ground-truth", "gt.csv", code=3)
+    done = sonarrec("overlay", "log", "-o", "o", "--ground-truth", "gt.csv", code=3)
     (line,) = done.stderr.splitlines()
     assert line.startswith("sonarrec: gt.csv: ")
     assert told in line
@@ -146,14 +132,14 @@ def test_truth_of_another_log_is_told(lines: tuple[str, ...], told: str, work: P
 
 def test_results_of_another_log(work: Path) -> None:
     cv2.imwrite("log/frame0.png", noise(1)[0] + 1)
-    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
+    told = sonarrec("overlay", "log", "-o", "o.mcap", code=1)
     assert "results of another log, log (SHA-256" in told.stderr
     assert len(told.stderr.splitlines()) == 1
     # Tables of another program tell of no input: their frame numbers do.
     (work / "sonarrec_out" / "log" / "run.toml").unlink()
-    sonarrec("overlay", "log", "--mcap", "o.mcap")
+    sonarrec("overlay", "log", "-o", "o.mcap")
     (work / "log" / "frame3.png").unlink()
-    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
+    told = sonarrec("overlay", "log", "-o", "o.mcap", code=1)
     assert "frame 3 is listed, but log has only 3 frames" in told.stderr
 
 
@@ -161,6 +147,6 @@ def test_the_recording_is_never_overwritten(work: Path) -> None:
     log = mcap_file(work / "rec" / "r.mcap", [("/a", 0, cdr_image(noise(1)[0]))])
     before = log.read_bytes()
     write_results(work / "res", moving(1))
-    sonarrec("overlay", log, "res", "--mcap", "rec/../rec/r.mcap", code=2)
-    sonarrec("overlay", "log/*.png", "--images", "log", code=2)
+    sonarrec("overlay", log, "res", "-o", "rec/../rec/r.mcap", code=2)
+    sonarrec("overlay", "log/*.png", "-o", "log", code=2)
     assert log.read_bytes() == before

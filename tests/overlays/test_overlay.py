@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sonarrec.drawing.pen import disc_outline, landmark_colours
-from sonarrec.overlays.overlay import Targets, write_overlay
+from sonarrec.overlays.overlay import overlay
 from sonarrec.readers import open_log
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
@@ -32,7 +32,7 @@ def test_annotations_carry_the_stamp_of_the_image(tmp_path: Path) -> None:
         recorded.append(("/sonar", logged[-1], cdr_image(image, stamp=stamp)))
     log = mcap_file(tmp_path / "log.mcap", recorded)
     results = write_results(tmp_path / "results", moving(5))
-    write_overlay(log, Targets(mcap=tmp_path / "o.mcap"), results=results)
+    overlay(log, tmp_path / "o.mcap", results=results)
     found = list(messages(tmp_path / "o.mcap"))
     # The images are in the recording already.
     assert [name for name, _, _ in found] == 5 * ["foxglove.ImageAnnotations"]
@@ -48,7 +48,7 @@ def test_annotations_lie_on_the_object(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", noise(4))
     results = write_results(tmp_path / "results", moving(4))
     truth = csv_file(tmp_path / "gt.csv", "frame,landmark,x_px,y_px", "3,3,43,60")
-    write_overlay(log, Targets(mcap=tmp_path / "o.mcap"), results=results, ground_truth=truth)
+    overlay(log, tmp_path / "o.mcap", results=results, ground_truth=truth)
     found = [m for name, _, m in messages(tmp_path / "o.mcap") if name.endswith("Annotations")]
     named, trail, other, dashes = (
         np.array([(p["x"], p["y"]) for p in part["points"]])
@@ -80,7 +80,7 @@ def test_polar_logs_bring_their_fan(tmp_path: Path) -> None:
     )
     (tmp_path / "sonar.toml").write_text(toml)
     results = write_results(tmp_path / "results", moving(4))
-    write_overlay(log, Targets(mcap=tmp_path / "o.mcap"), results=results)
+    overlay(log, tmp_path / "o.mcap", results=results)
     with open_log(log) as opened:
         frames = list(opened)
     found = [
@@ -114,13 +114,13 @@ def test_the_log_is_read_as_the_run_read_it(tmp_path: Path) -> None:
     (tmp_path / "sonar.toml").unlink()
     results = write_results(tmp_path / "results", moving(3), run)
     o = tmp_path / "o.mcap"
-    assert not write_overlay(log, Targets(mcap=o), results=results).diagnostics.notes
+    assert not overlay(log, o, results=results).diagnostics.notes
     found = [m for name, _, m in messages(tmp_path / "o.mcap") if name.endswith("e")]
     for message, image in zip(found, noise(3), strict=True):
         png = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
         shown = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(shown, image[:, ::-1] + 100)
-    other = write_overlay(log, Targets(mcap=tmp_path / "a.mcap"), results=results, topic="/a")
+    other = overlay(log, tmp_path / "a.mcap", results=results, topic="/a")
     assert other.diagnostics.notes == [f"{results}: results of topic /b, drawn onto /a"]
 
 
@@ -128,7 +128,8 @@ def test_video_and_images(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", noise(6, (131, 97)))
     results = write_results(tmp_path / "results", moving(6))
     video, images = tmp_path / "o.mp4", tmp_path / "shots"
-    done = write_overlay(log, Targets(video=video, images=images), results=results, span=(1, 5))
+    overlay(log, video, results=results, frames=(1, 5))
+    done = overlay(log, images, results=results, frames=(1, 5))
     assert (done.method, done.frames) == ("framework", 4)
     assert done.diagnostics.problems == []
     assert sorted(p.name for p in images.iterdir()) == [f"{n:06d}.png" for n in range(1, 5)]
@@ -163,7 +164,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
                 tracemalloc.reset_peak()
 
         tracemalloc.start()
-        write_overlay(log, Targets(mcap=folder / "o.mcap"), results=results, observe=observe)
+        overlay(log, folder / "o.mcap", results=results, observe=observe)
         found = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert done == count

@@ -16,11 +16,11 @@ from mcap.reader import make_reader
 
 from sonarrec.cli import main
 from sonarrec.readers import open_log
-from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.hard_logs import HardLog
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file, video_file
+from tests.support.mcap_writer import McapImageWriter
 
 IMAGES = frames(20, 30, 24)
 START_NS = 1_700_000_000 * 10**9
@@ -261,9 +261,7 @@ def test_a_geometry_is_written_with_what_is_missing_marked(tmp_path: Path) -> No
 def test_what_the_log_states_ping_by_ping_is_written_as_a_comment(tmp_path: Path) -> None:
     """Stated in a file it would overrule pings of other windows."""
     log, file = tmp_path / "log.mcap", tmp_path / "new.toml"
-    schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
-    words = f"simulate --scene sample_polar --frames 2 --format mcap --schema {schema}"
-    sonarrec(*words.split(), "-o", log)
+    sonarrec("simulate", "--scene", "sample_polar", "--frames", "2", "-o", log)
     sonarrec("info", log, "--write-sonar", file)
     stated = tomllib.loads(file.read_text())["sonar"]
     assert set(stated) == {"tilt_deg", "height_m", "frame_rate_hz", "beam_width_deg", "beam_order"}

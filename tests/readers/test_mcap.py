@@ -23,7 +23,6 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers import open_log
 from sonarrec.readers.messages.types import decoder_for, message_type
 from sonarrec.readers.raw import UnusableError
-from sonarrec.simulation.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.logs import (
     PERIOD_NS,
@@ -34,6 +33,7 @@ from tests.support.logs import (
     mcap_file,
     read,
 )
+from tests.support.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 
 IMAGE = frames(1)[0]
 

@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.readers.named_logs import logs_named
+from sonarrec.readers.named_logs import log_arguments, logs_named
 from sonarrec.readers.open import companion, find_log
-from sonarrec.remote.run import all_logs
 from sonarrec.runs.one import result_names
 from tests.support.bags import bag, messages, split_bag
 from tests.support.command import sonarrec
@@ -73,12 +72,11 @@ def test_folders_globs_and_lists() -> None:
     assert named("campaign/day2/long/long_1.mcap") == ["day2/long/long_1.mcap"]
     assert named("campaign/day2/pings") == ["day2/pings"]
     lines = ["# dives\n", "\n", "  campaign/day1\n", "campaign/dive2.mcap"]
-    found = all_logs(["campaign/dive10.mcap"], lines)
-    assert [str(Path(log.path).relative_to("campaign")) for log in found] == [
-        "dive10.mcap", "day1/a.mcap", "day1/rosbag2_x", "dive2.mcap",
+    assert log_arguments(["campaign/dive10.mcap"], lines) == [
+        "campaign/dive10.mcap", "campaign/day1", "campaign/dive2.mcap",
     ]  # fmt: skip
     with pytest.raises(UsageError, match="--from-file"):
-        all_logs([], ["# nothing"])
+        log_arguments([], ["# nothing"])
     assert "--from-file LIST" in sonarrec("run", code=2).stderr
 
 
@@ -212,9 +210,6 @@ def test_companions(tmp_path: Path) -> None:
     assert companion(long, "gt.csv") is None
     (long / "gt.csv").touch()
     assert companion(long, "gt.csv") == long / "gt.csv"
-    packed = recording(tmp_path / "c" / "x.mcap.zst")
-    (tmp_path / "c" / "x.gt.csv").touch()
-    assert companion(packed, "gt.csv") == tmp_path / "c" / "x.gt.csv"
 
 
 def test_a_log_whose_name_is_near_the_limit(tmp_path: Path) -> None:
@@ -229,9 +224,9 @@ def test_names_of_results(campaign: Path) -> None:
     for place in ("one/bag", "two/bag"):
         bag(campaign / place, messages(IMAGES))
     (campaign / "x.y").mkdir()
-    recording(campaign / "x.y" / "dive.1.mcap.zst")
+    recording(campaign / "x.y" / "dive.1.mcap")
     bag(campaign / "z.1", messages(IMAGES))
-    logs = ["one/bag", "two/bag/", "x.y/dive.1.mcap.zst", "z.1", "day2/long"]
+    logs = ["one/bag", "two/bag/", "x.y/dive.1.mcap", "z.1", "day2/long"]
     assert result_names([campaign / log for log in logs]) == [
         "one-bag", "two-bag", "dive.1", "z.1", "long",
     ]  # fmt: skip

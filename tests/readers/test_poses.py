@@ -117,21 +117,6 @@ def test_times_in_iso_8601_are_those_of_a_clock(tmp_path):
     assert np.diff(read_poses(days).at).tolist() == [86_400 * 10**9]
 
 
-@pytest.mark.parametrize("unit", ["s", "ms", "ns"])
-def test_times_in_parquet_are_of_any_unit(tmp_path, unit):
-    """A time that states no zone is refused there too: its whole numbers are of some unit."""
-    pd = pytest.importorskip("pandas")
-    pytest.importorskip("pyarrow")
-    times = pd.to_datetime([1_714_564_800, 1_714_564_802], unit="s").as_unit(unit)
-    table = pd.DataFrame({"timestamp": times, "yaw": [1.0, 2.0]})
-    table.to_parquet(tmp_path / "o.parquet")
-    with pytest.raises(SonarrecError, match=r"line 2: timestamp must be .* not '2024-05-01 12:00:"):
-        read_poses(tmp_path / "o.parquet")
-    table.assign(timestamp=times.tz_localize("UTC")).to_parquet(tmp_path / "o.parquet")
-    read = read_poses(tmp_path / "o.parquet")
-    assert read.at.tolist() == [1_714_564_800_000_000_000, 1_714_564_802_000_000_000]
-
-
 def test_without_x_and_y_the_sonar_only_turns(tmp_path):
     table = read_poses(rows(tmp_path / "o.csv", "timestamp_ns, yaw\n0, 1\n1000000000, -2\n"))
     assert table.motion(0, 1_000_000_000) == Motion(-3.0, 0.0, 0.0)

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 from threading import Thread
@@ -18,11 +17,9 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Frame, FrameResult
-from sonarrec.recogniser.presets.side_by_side import SideBySide
+from sonarrec.recogniser.presets.side_by_side import FRAMES_AT_ONCE, SideBySide
 from sonarrec.recogniser.restore.static_pixels import AHEAD
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
-from sonarrec.recogniser.together import FRAMES_AT_ONCE
-from sonarrec.runs.two_cores import two_cores
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, load_sonar
@@ -283,16 +280,14 @@ def test_smi_is_shared_by_presets_of_the_same_candidates_alone() -> None:
     assert methods(2.0).count("smi:offline") == 1
 
 
-@pytest.mark.parametrize("on_two", [False, True])
-def test_a_thread_says_the_same_to_the_bit(on_two: bool):
+def test_a_thread_says_the_same_to_the_bit():
     log = still_log(2, FRAMES_AT_ONCE + 3)
     here = side_by_side(log, "default")
     there: list[FrameResult] = []
     both = SideBySide([config.preset("default")], log[0].fan, BASIN)
-    with two_cores() if on_two else nullcontext((map, map)) as ways:
-        thread = Thread(target=lambda: there.extend(both.recognise(log, *ways)))
-        thread.start()
-        thread.join()
+    thread = Thread(target=lambda: there.extend(both.recognise(log)))
+    thread.start()
+    thread.join()
     for one, other in zip(there, here, strict=True):
         assert repr(one.estimates) == repr(other.estimates)
 

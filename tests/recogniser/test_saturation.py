@@ -1,20 +1,19 @@
-"""Saturated and equalised pictures: told from others, and what stood out stands out again."""
+"""Saturated pictures: told from others, and what stood out stands out again."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from statistics import NormalDist
 
 import cv2
 import numpy as np
 import pytest
 
-from sonarrec.geometry import PolarToFan, fan_mask
+from sonarrec.geometry import PolarToFan
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
-from sonarrec.recogniser.restore.saturation import LIFTS, MEAN, OF_GAUSSIAN, SPREAD, Levels
+from sonarrec.recogniser.restore.saturation import LIFTS, OF_GAUSSIAN, Levels
 from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record
@@ -54,7 +53,7 @@ def restored(picture: Frame) -> tuple[Frame, str]:
     levels = Levels(RADIUS_M)
     (after,) = levels.restored([picture])
     assert levels.seen == 1
-    return after, "saturated" * levels.saturated + "equalised" * levels.equalised
+    return after, "saturated" * levels.saturated
 
 
 def contrast(pixels: np.ndarray) -> float:
@@ -137,26 +136,6 @@ def test_the_highest_level_may_be_another_and_smeared_by_jpeg() -> None:
         assert contrast(after.pixels) > contrast(picture.pixels) + 0.1
 
 
-def test_the_levels_of_an_equalised_picture_are_a_gaussian_s_again() -> None:
-    levels = disc(9)
-    fan = cv2.fillPoly(np.zeros(ROW.shape, np.uint8), [outline()], 1) > 0
-    even = cv2.equalizeHist(frame(np.where(fan, levels, 0)).pixels)
-    after, was = restored(frame(np.where(fan, even, 0)))
-    assert was == "equalised"
-    true, found = contrast(levels), contrast(after.pixels)
-    assert contrast(even) < 0.9 * true
-    # The ring is a part of the picture: a Gaussian of all levels leaves it nearer to the rest.
-    assert contrast(even) + 0.3 * (true - contrast(even)) < found <= true
-    inside = fan_mask(FAN) > 0
-    # Told from 2,700 of the pixels: .026 at 95 %; equalisation leaves steps of .02.
-    values, counts = np.unique(after.pixels[inside], return_counts=True)
-    share = np.append(0, counts.cumsum() / counts.sum())
-    gaussian = np.array([NormalDist(MEAN, SPREAD).cdf(value) for value in values.tolist()])
-    off = np.abs([share[:-1] - gaussian, share[1:] - gaussian])  # Kolmogorov's, below a step and on
-    assert off.max() < 0.05
-    assert not after.pixels[~fan].any()
-
-
 def saturate(pictures: list[np.ndarray]) -> list[np.ndarray]:
     gain = 255 / np.quantile(np.concatenate([p[p > 8] for p in pictures[::10]]), 0.9)
     return [cv2.convertScaleAbs(p, alpha=gain) for p in pictures]
@@ -168,14 +147,13 @@ def saturate(pictures: list[np.ndarray]) -> list[np.ndarray]:
         [
             ("pan", saturate, "% of the frames are saturated"),
             ("polar", saturate, "% of the frames are saturated"),
-            ("pan", lambda pictures: [cv2.equalizeHist(p) for p in pictures], "equally frequent"),
         ]
     ),
 )
 def test_landmarks_are_recognised_and_a_note_tells(
     tmp_path: Path, sample: str, change: Callable[[list[np.ndarray]], list[np.ndarray]], note: str
 ) -> None:
-    """With a tenth of the echoes saturated, in fan images and polar ones; or equalised."""
+    """With a tenth of the echoes saturated, in fan images and polar ones."""
     log, source = tmp_path / sample, SAMPLES / sample
     log.mkdir()
     (log / "sonar.toml").write_bytes((source / "sonar.toml").read_bytes())

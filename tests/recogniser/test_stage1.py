@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Fan, Selection
+from sonarrec.recogniser import stage1
 from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
 from sonarrec.recogniser.stage1 import CandidateSelector, Correlation, gap_share
 from sonarrec.simulation.render import render
@@ -175,11 +176,11 @@ def test_gain_does_not_change_the_score(kind, gain):
 
 
 @pytest.mark.parametrize(("gain", "power"), [("root", 0.5), ("none", 0.0)])
-def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out(gain, power):
+def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out(monkeypatch, gain, power):
+    monkeypatch.setattr(stage1, "BLUR_PX", 3)
+    monkeypatch.setattr(stage1, "EDGE_TOLERANCE_PX", 1)
     fan = make_fan(64)
-    settings = dataclasses.replace(
-        EDGE, blur_px=3, edge_tolerance_px=1, min_visible=0.361, edge_gain=gain
-    )
+    settings = dataclasses.replace(EDGE, min_visible=0.361, edge_gain=gain)
     plane = FanPlane(fan, BASIN.radius_m)
     select = CandidateSelector(settings, plane, BASIN, BEAM_DEG)
     rng = np.random.default_rng(6)

@@ -9,6 +9,7 @@ import pytest
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Motion, Selection
+from sonarrec.recogniser import stage2
 from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
@@ -215,9 +216,9 @@ def test_a_known_pan_moves_the_groups(pan_deg):
     np.testing.assert_allclose(groups.positions, turned, atol=0.05)
 
 
-def test_a_group_pulled_off_what_the_pan_says_is_deleted():
-    free = {"own_candidate": 2.0, "sigma_known_px": 10.0}  # to go to another's candidate
-    settings = dataclasses.replace(PAPER, motion="image", jump=0.25, **free)
+def test_a_group_pulled_off_what_the_pan_says_is_deleted(monkeypatch):
+    monkeypatch.setattr(stage2, "OWN_CANDIDATE", 2.0)  # to go to another's candidate
+    settings = dataclasses.replace(PAPER, motion="image", sigma_known_px=10.0)
     follow = new_filter(settings)
     follow.step(selection(peaks(START), START))
     assert list(follow.step(selection(peaks(START)), Motion(0.0)).numbers) == [1]
@@ -268,8 +269,7 @@ def test_the_same_seed_gives_the_same_groups():
 
 
 def test_existence_is_bayes_rule_on_hits_and_misses():
-    settings = dataclasses.replace(PAPER, p_hit_object=0.9, p_hit_clutter=0.4)
-    follow = new_filter(settings)
+    follow = new_filter(PAPER)
     existence = 0.5
     score = peaks(START)
     follow.step(selection(score, START))
@@ -281,9 +281,7 @@ def test_existence_is_bayes_rule_on_hits_and_misses():
 
 
 def test_an_object_that_is_no_longer_a_candidate_is_given_up():
-    settings = dataclasses.replace(
-        PAPER, p_hit_object=0.9, p_hit_clutter=0.4, min_existence=0.05, strikes=99
-    )
+    settings = dataclasses.replace(PAPER, min_existence=0.05, strikes=99)
     follow = new_filter(settings)
     follow.step(selection(peaks(START), START))
     lives = 0
@@ -432,7 +430,7 @@ def test_what_is_out_of_view_is_not_missed():
 @pytest.mark.parametrize(("away", "number"), [(1, 2), (100, 1)])
 def test_the_longer_a_lost_object_is_away_the_farther_off_it_may_be(away, number):
     """A third of a diameter: too far for one that just left, not after a hundred frames."""
-    follow = new_filter(dataclasses.replace(REMEMBER, recall=0.2, recall_drift=0.02))
+    follow = new_filter(REMEMBER)
     follow.step(selection(peaks(START), START))
     follow.step(selection(peaks(START), START), Motion(0.0))
     nothing = selection(peaks())
@@ -446,13 +444,16 @@ def test_the_longer_a_lost_object_is_away_the_farther_off_it_may_be(away, number
 
 
 @pytest.mark.parametrize(("own_candidate", "stays"), [(0.2, True), (2.0, False)])
-def test_a_group_stays_with_its_own_candidate_beside_a_broader_hill(own_candidate, stays):
+def test_a_group_stays_with_its_own_candidate_beside_a_broader_hill(
+    monkeypatch, own_candidate, stays
+):
     """Circles of a blotchy floor overlap the landmark's: without a claim to its own candidate a
     group leaves the narrower hill, though it is no lower."""
     true, other = START, (START[0] + 0.37 * DIAMETER, START[1])
     score = np.maximum(peaks(true, width=0.12 * DIAMETER), peaks(other, width=0.2 * DIAMETER))
     default = config.preset("default").continuity
-    follow = new_filter(dataclasses.replace(default, own_candidate=own_candidate, particles=500))
+    monkeypatch.setattr(stage2, "OWN_CANDIDATE", own_candidate)
+    follow = new_filter(dataclasses.replace(default, particles=500))
     for _ in range(40):
         groups = follow.step(selection(score, true, other), Motion(0.0))
     (first,) = groups.positions[groups.numbers == 1]

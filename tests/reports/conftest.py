@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sonarrec.arrays import ByteImage
-from sonarrec.reports import frames, pictures
+from sonarrec.reports import frames
 from tests.support.browser import chromium
 from tests.support.command import SAMPLE, sonarrec
 
@@ -20,7 +20,7 @@ from tests.support.command import SAMPLE, sonarrec
 @pytest.fixture(scope="session", autouse=True)
 def _encoded_once() -> Iterator[None]:
     """A process encodes each picture once: it takes longest, and most pages show the sample."""
-    as_webp = pictures.as_webp
+    as_webp = frames.as_webp
 
     @cache
     def encoded(data: bytes, shape: tuple[int, ...], quality: int) -> str:
@@ -29,7 +29,7 @@ def _encoded_once() -> Iterator[None]:
     def once(image: ByteImage, quality: int) -> str:
         return encoded(image.tobytes(), image.shape, quality)
 
-    with patch.object(frames, "as_webp", once), patch.object(pictures, "as_webp", once):
+    with patch.object(frames, "as_webp", once):
         yield
 
 

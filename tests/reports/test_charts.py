@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.drawing.pen import landmark_colours
-from sonarrec.evaluation.summary import Reliability
 from sonarrec.landmarks import load_landmarks
 from sonarrec.reports import charts, svg
 from sonarrec.reports.logs import ReportedLog, Track
@@ -44,21 +43,6 @@ def test_lines_break_where_nothing_was_seen() -> None:
     y = np.array([0, 1, np.nan, 0.5, np.nan])
     assert drawn_points(svg.polyline(x, y)) == [[(0, 1000), (500, 0)], [(1500, 500), (1500, 500)]]
     assert svg.polyline(x, np.full(5, np.nan)) == ""
-
-
-def test_no_line_through_a_step_of_few_estimates() -> None:
-    """Nor through an empty one; its dot is hollow, and what it tells says so."""
-    count = np.array([0, 9, 10, 400, 3, 12, 15, 0, 11, 1])
-    mean = np.where(count, np.arange(10) / 10 + 0.05, np.nan)
-    right = np.where(count, 0.5, np.nan)
-    chart = charts.reliability(Reliability("mine", "top", count, mean, right), 0)
-    (line,) = [s.path for s in chart.shapes if s.label == "mine"]
-    columns = [[x for x, _ in part] for part in drawn_points(line)]
-    assert columns == [[500, 700], [1100, 1300], [1700, 1700]]
-    hollow = [dot.x for dot in chart.dots if dot.kind == "few"]
-    assert hollow == pytest.approx([15, 45, 95])
-    assert all(("too few" in d.label) == (d.kind == "few") for d in chart.dots)
-    assert len(chart.dots) == 8
 
 
 def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:

@@ -23,25 +23,6 @@ from tests.support.rows import read_rows, write_rows
 PASSES = "Declared by framework, a row per pass, in order of first sight"
 
 
-def test_a_log_that_failed_is_named_also_on_the_page_of_a_few(tmp_path: Path) -> None:
-    """It was on no page of up to eight logs. And a single frame is not `1 frames`."""
-    tables(tmp_path / "out" / "one", [(0, 0)], DECLARED, ["0,ours,1,3,0.9,1"])
-    (tmp_path / "out" / "logs.csv").write_text(
-        "log,path,status,frames,unusable,seconds,declared,message\n"
-        "one,one,done,1,0,1.0,1,\ngone,gone.mcap,failed,0,0,1.0,0,gone.mcap: <b>no MCAP</b>\n",
-        encoding="utf-8",
-    )
-    page = tmp_path / "page.html"
-    sonarrec("report", tmp_path / "out", "-o", page)
-    text = page.read_text(encoding="utf-8")
-    standing = text[text.index('<section id="standing"') :].partition("</section>")[0]
-    assert ">gone</th>" in standing
-    assert "failed: gone.mcap: &lt;b&gt;no MCAP" in standing
-    assert "have panels" not in standing
-    assert "ours declares ID.3 in 1 of 1 frame" in text
-    assert "1 frames" not in text
-
-
 def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> None:
     sonarrec("evaluate", results, "--ground-truth", SAMPLE / "gt.csv", "-q")
     confusion = read_rows(results / "evaluation" / "confusion.csv")

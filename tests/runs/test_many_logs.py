@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import errno
-import json
 import os
 import re
 import shutil
@@ -160,15 +159,6 @@ def test_a_call_is_stopped_though_a_log_hangs(
     sonarrec(*call)
 
 
-def test_the_one_log_of_a_share_or_of_a_second_try_is_told(tmp_path: Path) -> None:
-    gone, out = tmp_path / "gone.mcap", tmp_path / "out"
-    call = ["run", SAMPLE, gone, "-o", out]
-    for more in (["--shard", "2/2"], ["--retry-failed"]):
-        told = sonarrec(*call, *more, code=2).stderr
-        assert told == f"sonarrec: {gone}: no such file or folder\n"
-        assert rows(out)["gone"]["status"] == "failed"
-
-
 @pytest.mark.parametrize("seconds", ["nan", "inf", "1e10"])
 def test_a_time_that_no_clock_waits_for(seconds: str, tmp_path: Path) -> None:
     done = sonarrec("run", SAMPLE, "--timeout", seconds, "-o", tmp_path / "out", code=2)
@@ -193,15 +183,6 @@ def test_status_tells_the_table_while_it_grows_and_after(tmp_path: Path) -> None
         (tmp_path / "slow.go").touch()
     told = sonarrec("status", out)
     assert told.stdout.startswith("2 logs: 2 done\n40 frames, 0 unusable")
-
-
-@pytest.mark.parametrize("text", ["", "no table at all", "day,diver\n"])
-def test_status_of_what_is_no_such_table(text: str, tmp_path: Path) -> None:
-    (tmp_path / "logs.csv").write_text(text)
-    told = sonarrec("status", tmp_path, code=1)
-    assert f"{tmp_path / 'logs.csv'} line 1: not a row of log,path" in told.stderr
-    assert told.stderr.count("\n") == 1
-    assert not told.stdout
 
 
 def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
@@ -234,7 +215,7 @@ def test_a_log_that_cannot_be_found_has_a_row_of_its_own(tmp_path: Path) -> None
     (log,) = made(tmp_path, "day1/dive", frames=1)
     (tmp_path / "day2").mkdir()
     (tmp_path / "day2" / "dive.mcap").touch()
-    gone = tmp_path / "day3" / "dive.mcap.zst"
+    gone = tmp_path / "day3" / "dive.mcap"
     logs, out = [log, tmp_path / "day2" / "dive.mcap", gone], tmp_path / "out"
     sonarrec("run", *logs, "-j", "1", "-o", out, code=3)
     assert {name: row["status"] for name, row in rows(out).items()} == {
@@ -345,22 +326,6 @@ def test_a_refused_namesake_leaves_the_row_of_results_that_stand(tmp_path: Path)
     assert states() == {str(logs[2]): "done", str(logs[1]): "done"}
 
 
-def test_a_second_try_knows_a_log_by_a_path_written_otherwise(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    logs = made(tmp_path, "a", "b", frames=2)
-    (logs[0] / "sonar.toml").rename(tmp_path / "kept.toml")
-    out = tmp_path / "out"
-    sonarrec("run", *logs, "-o", out, "-q", code=3)
-    (tmp_path / "kept.toml").rename(logs[0] / "sonar.toml")
-    monkeypatch.chdir(tmp_path)
-    sonarrec("run", "a", "b", "-o", out, "-q", "--retry-failed")
-    assert [(row.path, row.status) for row in read_logs(out / "logs.csv")] == [
-        (str(logs[1]), "done"),
-        ("a", "done"),
-    ]
-
-
 @pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\rb", 'a\n"b', "'a", "'=a"])
 def test_any_name_is_read_back_from_logs_csv_and_none_is_a_formula(
     name: str, tmp_path: Path
@@ -391,18 +356,3 @@ def test_columns_that_a_user_added_to_logs_csv_stay(tmp_path: Path) -> None:
     assert header == f"{','.join(COLUMNS)},diver,note"
     assert re.fullmatch(rf'a,{log},done,1,0,[0-9.]+,0,,Ann,"cold, dark"', first)
     assert second == "b,b.mcap,done,3,0,0.5,0,,Bo,"
-
-
-@pytest.mark.parametrize("seconds", ["nan", "inf", "-4"])
-def test_a_rate_is_of_the_rows_that_tell_a_time(seconds: str, tmp_path: Path) -> None:
-    """It was nan, 0 or below 0 frames a second; in JSON NaN, which is none."""
-    header = ",".join(COLUMNS)
-    (tmp_path / "logs.csv").write_text(
-        f"{header}\na,a,done,100,0,{seconds},0,\nb,b,done,100,0,2.0,0,\n"
-    )
-    assert "; 50 frames/s" in sonarrec("status", tmp_path).stdout
-    document = json.loads(sonarrec("status", tmp_path, "--json").stdout)
-    assert document["frames_per_second"] == 50
-    assert document["logs"][0]["seconds"] == 0
-    (tmp_path / "logs.csv").write_text(f"{header}\na,a,done,100,0,{seconds},0,\n")
-    assert "frames/s" not in sonarrec("status", tmp_path).stdout

@@ -24,11 +24,11 @@ import numpy as np
 from sonarrec.config import Config, preset
 from sonarrec.functions import run as run_log
 from sonarrec.landmarks import load_landmarks
-from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.baseline import HoughSmi, fan_of, read_grey
 from tests.studies.results.record import judge, options, save, show
+from tests.support.mcap_writer import McapImageWriter
 
 FRAMES = 144
 REPEATS = 4

@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 
 from sonarrec.config import preset
-from sonarrec.functions import report
 from sonarrec.functions import run as run_log
 from sonarrec.landmarks import load_landmarks
-from sonarrec.overlays.overlay import Targets, write_overlay
+from sonarrec.overlays.overlay import overlay
 from sonarrec.readers import open_log
+from sonarrec.reports.build import report
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 BUILD = SAMPLES.parent / "build" / "picture"
@@ -81,7 +81,7 @@ def draw_clip() -> np.ndarray:
     """Three frames with what was recognised, without the probabilities below them."""
     results = run_log(CLIP, BUILD, landmarks="actag24h10", sonar={"range_order": "far_first"})
     images = BUILD / "clip"
-    write_overlay(CLIP, Targets(images=images), results=results.folder)
+    overlay(CLIP, images, results=results.folder)
     shown = []
     for number in CLIP_SHOWN:
         picture = cv2.imread(str(images / f"{number:06d}.png"))
@@ -95,7 +95,7 @@ def main() -> None:
     assert cv2.imwrite(str(SAMPLES / "landmarks.png"), draw_landmarks())
     results = run_log(LOG, BUILD, preset=preset("default"))
     images = BUILD / "frames"
-    write_overlay(LOG, Targets(images=images), results=results.folder)
+    overlay(LOG, images, results=results.folder)
     pictures = [cv2.imread(str(images / f"{number:06d}.png")) for number in SHOWN]
     between = np.full((len(pictures[0]), 8, 3), 255, np.uint8)
     assert cv2.imwrite(str(SAMPLES / "picture.png"), np.hstack([pictures[0], between, pictures[1]]))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-import pkgutil
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +13,13 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main as sonarrec
-from sonarrec.config import preset, with_assignments
-from sonarrec.errors import SonarrecError
+from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.judge import judge
 from sonarrec.landmarks import load_landmarks
-from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene, load_scene
+from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
-from tests.studies import ablation, baseline, scenes, study
+from tests.studies import baseline, scenes
 from tests.studies.measured import BINS, calibration_error, errors, honesty, stated
 from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, matched, recognise
 
@@ -144,59 +141,11 @@ def test_calibration_error_by_hand(in_memory: Path) -> None:
     assert told == pytest.approx(gap)
 
 
-def test_varied_scenes_lie_apart_and_in_the_window() -> None:
-    scene = load_scene("paper")
-    drawn = [study.varied(scene, seed) for seed in range(2000, 2100)]
-    for new in drawn:
-        assert [t.id for t in new.landmarks] == [t.id for t in scene.landmarks]
-        assert sorted(t.kind for t in new.objects) == sorted(t.kind for t in scene.objects)
-        assert [t for t in new.objects if t.kind == "wall"] == [scene.objects[-1]]
-        circles = [(t, 0.15) for t in new.landmarks]
-        # Half the diagonal of the mesh, half the beam's length and width, the blank disc.
-        sizes = {"mesh": math.hypot(0.40, 0.45) / 2, "beam": math.hypot(0.6, 0.06) / 2}
-        circles += [(t, sizes.get(t.kind, 0.15)) for t in new.objects if t.kind != "wall"]
-        spots = []
-        for thing, radius in circles:
-            angle = math.radians(thing.azimuth_deg)
-            spots.append((thing.ground_m * math.sin(angle), thing.ground_m * math.cos(angle)))
-            near, far = (
-                math.hypot(thing.ground_m + sign * radius, new.sonar.height_m) for sign in (-1, 1)
-            )
-            assert new.sonar.range_min_m < near < far < new.sonar.range_max_m
-            assert abs(thing.azimuth_deg) <= 40
-        for i, j in combinations(range(len(circles)), 2):
-            assert math.dist(spots[i], spots[j]) > circles[i][1] + circles[j][1]
-        for landmark in new.landmarks:  # the paper: at 1.7 to 2.3 m
-            assert 1.7 < math.hypot(landmark.ground_m, new.sonar.height_m) < 2.3
-    assert len({t.orientation_deg for new in drawn for t in new.landmarks}) > 250
-    assert study.varied(scene, 2000) == drawn[0]
-    assert drawn[0].seed == 2000
-
-
-def test_varied_scene_without_room() -> None:
-    full = (PlacedObject("filled", 2.0, 0.0, size_m=0.3),) * 40
-    with pytest.raises(SonarrecError, match="no room"):
-        study.varied(replace(load_scene("paper"), objects=full), 2000)
-
-
-@pytest.mark.parametrize("name", sorted(ablation.ABLATIONS.keys() - {"the default", "offline"}))
-def test_each_ablation_changes_something(name: str) -> None:
-    changed = ablation.ABLATIONS[name]
-    config = preset(changed.preset)
-    assert changed.settings or changed.code
-    for setting in changed.settings:
-        assert with_assignments(config, [setting]) != config
-    for place, instead in changed.code.items():
-        assert pkgutil.resolve_name(f"sonarrec.recogniser.{place}") != instead
-
-
 @pytest.mark.parametrize(
     ("command", "arguments", "told"),
     [
         (scenes.main, ["--kinds", "plain", "no_landmark", "tiny_discs"], "default, pooled: TPR"),
         (scenes.main, ["--kinds", "plain", "--ours"], "default, pooled: TPR"),
-        (ablation.main, ["--kinds", "plain"], "discs taken for evenly lit"),
-        (study.main, [], "default less paper"),
     ],
 )
 def test_commands_tell_their_tables(
@@ -208,10 +157,7 @@ def test_commands_tell_their_tables(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """In one process; so few frames that much is 0/0."""
-    for module in (ablation, scenes, study):
-        monkeypatch.setattr(module, "in_processes", lambda work, items: list(map(work, items)))
-    some = ("the default", "no memory of lost objects", "discs taken for evenly lit", "offline")
-    monkeypatch.setattr(ablation, "ABLATIONS", {name: ablation.ABLATIONS[name] for name in some})
+    monkeypatch.setattr(scenes, "in_processes", lambda work, items: list(map(work, items)))
     command([*arguments, "--seeds", "2000", "--frames", "4", "--out", str(tmp_path / "out")])
     assert told in capsys.readouterr().out
 

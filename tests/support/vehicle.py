@@ -20,8 +20,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.nouns import Frame
 from sonarrec.readers.poses_csv import read_poses
-from sonarrec.recogniser.presets.side_by_side import SideBySide
-from sonarrec.recogniser.together import FRAMES_AT_ONCE
+from sonarrec.recogniser.presets.side_by_side import FRAMES_AT_ONCE, SideBySide
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose, ar1

@@ -7,7 +7,6 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from click.testing import Result
@@ -21,7 +20,6 @@ from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.truth import visible_share
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.check import CheckedTruth, Fault, check_truth
-from sonarrec.truth.contact_sheet import MOST_STRIPS, SIDE, _strips, draw_contact_sheet
 from tests.support.command import sonarrec
 from tests.support.logs import image_folder
 from tests.support.slow import but_first
@@ -144,10 +142,10 @@ def test_truth_of_other_logs_alone_is_a_failure_and_an_empty_one_is_sound(
     tmp_path: Path, log: Path
 ) -> None:
     path = truth(tmp_path, ["a,0,1,2.0,0"], "log,frame,landmark,range_m,bearing_deg")
-    done = run(path, log, "--sheet", tmp_path / "s.png", code=1)
+    done = run(path, log, code=1)
     assert "its log column does not name pings; it has 'a'" in done.stderr
     for header in ("frame,landmark,x_px,y_px", "timestamp_ns,landmark,range_m,bearing_deg"):
-        done = run(truth(tmp_path, [], header), log, "--sheet", tmp_path / "s.png")
+        done = run(truth(tmp_path, [], header), log)
         assert "0 rows, no fault" in done.stdout
 
 
@@ -229,16 +227,13 @@ def test_a_frame_that_cannot_be_read(tmp_path: Path, log: Path) -> None:
     path = truth(tmp_path, ["5,1,2.0,0", "6,1,2.0,0"])
     (fault,) = faults(path, log)
     assert (fault.line, fault.text) == (2, "frame 5 of the log cannot be read")
-    done = run(path, log, "--sheet", tmp_path / "s.png", code=3)
+    done = run(path, log, code=3)
     assert "frame5.png" in done.stderr
 
 
 def test_truth_without_positions(tmp_path: Path, log: Path) -> None:
     path = truth(tmp_path, ["0,1", "40,1", "1,8"], "frame,landmark")
     assert kinds(path, log) == [(3, "frame"), (4, "landmark")]
-    done = run(path, log, "--sheet", tmp_path / "sheet.png", code=3)
-    assert "so there is no sheet" in done.stdout
-    assert not (tmp_path / "sheet.png").exists()
 
 
 @settings(max_examples=40)
@@ -260,26 +255,22 @@ def test_visible_of_the_simulator_is_always_sound(
         assert kinds(truth(folder, [row], HEADER), log) == []
 
 
-# --- The command and its sheet -------------------------------------------------------------------
+# --- The command -------------------------------------------------------------------
 
 
-def test_the_command_tells_lines_and_draws(tmp_path: Path) -> None:
-    sheet = tmp_path / "sheet.png"
+def test_the_command_tells_lines(tmp_path: Path) -> None:
     shutil.copy(SAMPLES / "pan" / "gt.csv", tmp_path / "gt.csv")
-    done = run(tmp_path / "gt.csv", SAMPLES / "pan", "--sheet", sheet)
+    done = run(tmp_path / "gt.csv", SAMPLES / "pan")
     assert "199 rows, no fault" in done.stdout
     with (tmp_path / "gt.csv").open("a") as file:
         file.write("500,1,100,100,2.0,0,1,0\n")
-    done = run(tmp_path / "gt.csv", SAMPLES / "pan", "--sheet", sheet, code=3)
+    done = run(tmp_path / "gt.csv", SAMPLES / "pan", code=3)
     assert "gt.csv line 201: frame 500 is not in the log, which has 0 to 127" in done.stdout
-    picture = cv2.imread(str(sheet))
-    assert picture is not None
-    assert picture.shape[0] > 3 * SIDE  # three passes
 
 
 def test_many_faults_of_a_kind_are_counted(tmp_path: Path, log: Path) -> None:
     path = truth(tmp_path, [f"{k % 12},5,2.0" for k in range(50)], "frame,landmark,visible")
-    done = run(path, log, "--sheet", tmp_path / "s.png", code=3)
+    done = run(path, log, code=3)
     assert done.stdout.count("ID.5 is not in the set 'basin' (1, 2, 3, 4), in 50 rows;") == 1
     assert done.stdout.count("visible is a share") == 20
     assert "... and 30 more of this kind: visible" in done.stdout
@@ -287,59 +278,8 @@ def test_many_faults_of_a_kind_are_counted(tmp_path: Path, log: Path) -> None:
         'name = "five"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
         "[[landmark]]\nid = 5\nsectors = [1, 0]\n"
     )
-    done = run(path, log, "--sheet", tmp_path / "s.png", code=3)
+    done = run(path, log, code=3)
     assert "not in the set" not in done.stdout
-
-
-def test_tiles_are_centred_on_what_the_truth_says(tmp_path: Path) -> None:
-    """A white spot at the stated position is at the middle of its tile, and nowhere else."""
-    images = [np.zeros((300, 560), np.uint8) for _ in range(3)]
-    x, y = 300, 140
-    images[1][y - 1 : y + 2, x - 1 : x + 2] = 255
-    spots = image_folder(tmp_path / "spots", images)
-    path = truth(tmp_path, [f"1,1,{x},{y}"], "frame,landmark,x_px,y_px")
-    found = checked(path, spots)
-    with open_log(spots) as opened:
-        assert draw_contact_sheet(found, opened, tmp_path / "s.png") == 1
-    picture = cv2.imread(str(tmp_path / "s.png"))
-    assert picture is not None
-    tile = picture[64 : 64 + SIDE, 150 : 150 + SIDE]
-    grey = (tile.min(axis=2) > 200).astype(float)  # the outline has a colour, the spot none
-    rows, columns = np.nonzero(grey)
-    assert len(rows) > 4
-    assert (columns.mean(), rows.mean()) == pytest.approx((59.5, 59.5), abs=1)
-    # The outline is the disc: 0.15 m in a view of 3.2 radii, a little wider than it is high.
-    blue = (tile[..., 0].astype(int) - tile[..., 2]) > 60
-    across = np.flatnonzero(blue.any(axis=0))
-    assert across[-1] - across[0] == pytest.approx(2 * SIDE / 3.2, rel=0.1)
-
-
-def test_how_many_of_those_found_wrong_are_left_out(tmp_path: Path, log: Path) -> None:
-    rows = [f"{f},1,{r},0,1.5" for f in range(12) for r in (2.0, 3.0)]
-    path = truth(tmp_path, rows, "frame,landmark,range_m,bearing_deg,visible")
-    first, second, *_ = _strips(checked(path, log))
-    assert first[0] == "found wrong\nfirst 16 of\n24 rows"
-    assert (second[0], len(first[1]), len(second[1])) == ("", 8, 8)
-
-
-@pytest.mark.slow
-def test_passes_are_parted_and_limited(tmp_path: Path) -> None:
-    """Every twentieth frame only, as a person may annotate, is one pass; long gaps part passes."""
-    images = [np.zeros((30, 56), np.uint8) for _ in range(200)]
-    log = image_folder(tmp_path / "pings", images)
-    path = truth(tmp_path, [f"{k},1,2.0,0" for k in range(0, 200, 20)])
-
-    def strips() -> int:
-        found = checked(path, log)
-        with open_log(log) as opened:
-            return draw_contact_sheet(found, opened, tmp_path / "s.png")
-
-    assert strips() == 1
-    path = truth(tmp_path, [f"{k},1,2.0,0" for k in (*range(5), *range(50, 55), 90, 91)])
-    assert strips() == 3
-    rows = [f"{k},{i},{1.6 + i / 2},0" for i in (1, 2, 3, 4) for k in range(200) if k % 14 < 3]
-    path = truth(tmp_path, rows)
-    assert strips() == MOST_STRIPS
 
 
 @pytest.mark.parametrize(
@@ -348,7 +288,6 @@ def test_passes_are_parted_and_limited(tmp_path: Path) -> None:
         (("--max-pan", "0"), "--max-pan", 2),
         (("--max-pan", "nan"), "nan is not a finite number", 2),
         (("--landmarks", "nowhere"), "no landmark set 'nowhere'", 2),
-        (("--sheet", "/dev/null/folder.png"), "/dev/null is not a folder", 2),
     ],
 )
 def test_bad_usage(

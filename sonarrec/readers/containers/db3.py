@@ -23,15 +23,14 @@ class Db3Recording(Recording):
     Not by rosbags, which counts all rows first: SQLite refuses that for a cut file.
     """
 
-    def __init__(self, path: Path, at: Path, diagnostics: Diagnostics) -> None:
-        """path: the file's name in messages. at: the file to read, which may be another. Raises
-        SonarrecError if it is no such database, or nothing in it can be read."""
+    def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
+        """Raises SonarrecError if it is no such database, or nothing in it can be read."""
         super().__init__(path, diagnostics)
         self.profile, self.library = "ros2", "SQLite"
         # Row, topic and time (ns) of each message in the order of recording: 24 bytes each.
         self._rows, self._topics, self._times = array("q"), array("q"), array("q")
         # Quoted, because the name becomes part of a URI, in which ? and # have a meaning.
-        name = quote(os.fsencode(at))
+        name = quote(os.fsencode(path))
         self._db = sqlite3.connect(f"file:{name}?immutable=1", uri=True)
         try:
             # SQLite returns rows whole, so no row may be longer than the longest message.

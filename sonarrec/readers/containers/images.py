@@ -13,8 +13,7 @@ import numpy as np
 from sonarrec.errors import Diagnostics
 from sonarrec.nouns import IMAGE_SUFFIXES
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
-from sonarrec.readers.guess.name_order import in_order
-from sonarrec.readers.guess.times import times_in_names
+from sonarrec.readers.guess.names import in_order, times_in_names
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.times import date_text
 

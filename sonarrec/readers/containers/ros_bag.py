@@ -19,13 +19,12 @@ from sonarrec.readers.raw import MAX_FRAME_BYTES
 class RosBag(Recording):
     """A `Recording` of one bag of ROS 1."""
 
-    def __init__(self, path: Path, at: Path, diagnostics: Diagnostics) -> None:
-        """path: the file's name in messages. at: the file to read, which may be another. Raises
-        SonarrecError if it is no bag or is damaged, OSError if it cannot be read."""
+    def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
+        """Raises SonarrecError if it is no bag or is damaged, OSError if it cannot be read."""
         from rosbags.rosbag1 import Reader
 
         super().__init__(path, diagnostics)
-        reader: Any = Reader(at)
+        reader: Any = Reader(path)
         self._reader = reader
         try:
             reader.open()

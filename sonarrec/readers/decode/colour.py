@@ -14,10 +14,9 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
 
-_EXCHANGED, _REVERSED = "_bgr", "_r"
 # OpenCV's; matplotlib has most of them too. Ramps of one hue are left out: their luminance is good
 # enough.
-BASE_MAPS = {
+MAPS = {
     "hot": cv2.COLORMAP_HOT,
     "inferno": cv2.COLORMAP_INFERNO,
     "jet": cv2.COLORMAP_JET,
@@ -29,8 +28,6 @@ BASE_MAPS = {
     "turbo": cv2.COLORMAP_TURBO,
     "viridis": cv2.COLORMAP_VIRIDIS,
 }
-MAPS = tuple(name + end for name in BASE_MAPS for end in ("", _REVERSED, _EXCHANGED))
-"""A map, the same from its end to its beginning, and with red and blue exchanged by a driver."""
 LUMINANCE = "luminance"
 """In place of a colour map: grey by OpenCV's weights of red, green and blue."""
 
@@ -41,9 +38,6 @@ _BLACK = 24  # a pixel is black, as outside of a fan in any map, if all channels
 # those whose neighbours JPEG, video or another size mixed. True maps: 1.5, and 21 in strong JPEG.
 _MOST_COLOURS, _NEAR, _NEAR_IF_MIXED = 300, 4.0, 22.0
 _CLEARLY = 0.85  # of the next map's distance
-_BRIGHT = (
-    150.0  # mean level; sonar pictures have 60 to 120, those in a map's reverse the rest to 255
-)
 _LEAST_COLOURED = 0.1  # share of the pixels of a picture that is not grey
 _SAMPLED = 2000  # pixels of each picture
 _BITS = 6  # of each channel, in the table of colours
@@ -59,30 +53,20 @@ def find_map(images: Sequence[np.ndarray]) -> str | None:
     """The colour map of a log's first images; None if it is not one of MAPS. images: (rows,
     columns, 3 or more) uint8, BGR.
 
-    Their colours must be nearer to the map than to any straight line, such as a ramp of one hue. A
-    map is taken to be reversed if the pictures would be bright as those of no sonar are.
+    Their colours must be nearer to the map than to any straight line, such as a ramp of one hue.
     """
     colours = np.concatenate([_sample(image) for image in images])
     if not len(colours):
         return None
     is_mixed = len(np.unique(colours, axis=0)) > _MOST_COLOURS
-    squared = {
-        name: _squared(_colours(name), colours).min(axis=1)
-        for name in MAPS
-        if not name.endswith(_REVERSED) and name != "jet_bgr"  # which is jet reversed
-    }
+    squared = {name: _squared(_colours(name), colours).min(axis=1) for name in MAPS}
     off = {name: np.sqrt(least, dtype=float).mean() for name, least in squared.items()}
     nearest, second = sorted(off, key=lambda name: off[name])[:2]
     centred = colours - colours.mean(axis=0)
     along = np.linalg.svd(centred[:_SAMPLED].astype(float), full_matrices=False)[2][0]
     off_line = np.linalg.norm(centred - np.outer(centred @ along, along), axis=1).mean()
     most = min(_NEAR_IF_MIXED if is_mixed else _NEAR, off_line, _CLEARLY * off[second])
-    if off[nearest] > most:
-        return None
-    levels = _squared(_colours(nearest), colours).argmin(axis=1)
-    if levels.mean() <= _BRIGHT:
-        return nearest
-    return None if nearest.endswith(_EXCHANGED) else nearest + _REVERSED
+    return nearest if off[nearest] <= most else None
 
 
 def map_levels(pixels: np.ndarray, name: str) -> ByteImage:
@@ -101,10 +85,8 @@ def _sample(image: np.ndarray) -> np.ndarray:
 
 def _colours(name: str) -> FloatArray:
     """(256, 3) BGR of a map's levels."""
-    plain = name.removesuffix(_EXCHANGED).removesuffix(_REVERSED)
     levels = np.arange(256, dtype=np.uint8)[:, None]
-    table = np.asarray(cv2.applyColorMap(levels, BASE_MAPS[plain])[:, 0], float)
-    return table[:, ::-1] if name.endswith(_EXCHANGED) else table[:: 1 if name == plain else -1]
+    return np.asarray(cv2.applyColorMap(levels, MAPS[name])[:, 0], float)
 
 
 def _squared(table: FloatArray, colours: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.nouns import Fan
-from sonarrec.readers.decode.colour import BASE_MAPS, LUMINANCE, find_map, is_coloured
+from sonarrec.readers.decode.colour import LUMINANCE, find_map, is_coloured
 from sonarrec.readers.decode.grey import (
     GreyScale,
     dim_level,
@@ -134,8 +134,6 @@ class FrameMaker:
         how = f"read as levels of the colour map {self.colour_map}"
         if self.colour_map == LUMINANCE:
             how = "of no known colour map, and read by their luminance"
-        elif self.colour_map not in BASE_MAPS:
-            how += ", for else most of the picture would be of strong echoes or in no known map"
         self._note(f"colours {since}{how}; colour_map in sonar.toml states another")
 
     def _map_of(self, raw: RawFrame) -> str:

@@ -77,13 +77,14 @@ class _Evidence:
         return float(self.vector @ inverse @ self.vector) * (1 + KEEP)
 
 
+MIN_MATCH = 0.25  # correlation below which a pan counts as not measured; by hand
+
+
 class ImageMotion:
     """The sonar's motion from image to image of one log."""
 
-    def __init__(self, plane: Plane, min_match: float) -> None:
-        """min_match: correlation below which a pan counts as not measured."""
+    def __init__(self, plane: Plane) -> None:
         self.pan = PanEstimator(plane)
-        self._min_match = min_match
         self._registration = FloorRegistration(
             FloorCells(plane.fan, self.pan.range_m, self.pan.bearing_deg, self.pan.seen)
         )
@@ -113,9 +114,9 @@ class ImageMotion:
         return self._standing(before, pan_deg, match, seconds)
 
     def turn(self, image: ByteImage) -> float | None:
-        """The pan alone since the last image, deg; None where its match is below min_match."""
+        """The pan alone since the last image, deg; None where its match is below MIN_MATCH."""
         pan_deg, match = self.pan.step(image)
-        return pan_deg if match >= self._min_match else None
+        return pan_deg if match >= MIN_MATCH else None
 
     def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
         """The motion of a sonar that stood until now."""
@@ -145,7 +146,7 @@ class ImageMotion:
                 self._evidence.add(quick)
         self._usual_match += (match - self._usual_match) / USUAL_MEMORY
         self._keyframes.keep(self.pan.picture, start)
-        if match < self._min_match or self._pan_sigma is None or self._evidence.sigma is None:
+        if match < MIN_MATCH or self._pan_sigma is None or self._evidence.sigma is None:
             return unknown(seconds)
         right, ahead = self._evidence.sigma.tolist()
         return Motion(pan_deg, 0.0, 0.0, self._pan_sigma, right, ahead)

@@ -36,7 +36,7 @@ class Odometry:
     """The sonar's motion: from the table of poses where that has them, else from the images."""
 
     def __init__(self, plane: Plane, config: Continuity, poses: PoseTable | None = None) -> None:
-        self._images = ImageMotion(plane, config.min_match) if config.motion == "image" else None
+        self._images = ImageMotion(plane) if config.motion == "image" else None
         self._poses = poses
         self._before_ns: int | None = None
         self.tally = PoseTally()

@@ -8,21 +8,26 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import cv2
+
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.nouns import Fan, Frame, FrameResult
+from sonarrec.nouns import Fan, Frame, FrameResult, Selection
 from sonarrec.poses import PoseTable
+from sonarrec.recogniser.between_stages import AfterStage2, WorkingImage
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.presets.second_look import SecondLook, looks_again
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
-from sonarrec.recogniser.together import AfterStage1, Mapped, Together, UntilBroken
 
 if TYPE_CHECKING:
     from sonarrec.recogniser.drawn.three_stages import DrawnStages
+
+# Frames that stage 3 takes at once, which costs a third of one by one. More would save little.
+FRAMES_AT_ONCE = 16
 
 
 class Restored(NamedTuple):
@@ -30,7 +35,6 @@ class Restored(NamedTuple):
 
     static: float
     saturated: float
-    equalised: float
 
 
 class SideBySide:
@@ -94,45 +98,74 @@ class SideBySide:
             for config, method in zip(configs, self.tracking, strict=True)
         ]
         self._lag = max(config.features.lag_frames for config in configs)
-        self._pending: deque[list[FrameResult]] = deque()
+        self._tracked: list[list[AfterStage2]] = []  # frames that wait for stage 3
+        self._found: deque[list[FrameResult]] = deque()  # that came out of it
+        self._pending: deque[list[FrameResult]] = deque()  # that wait for their lag
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
 
-    def recognise(
-        self, frames: Iterable[Frame], anywhere: Mapped = map, in_order: Mapped = map
-    ) -> Iterator[FrameResult]:
+    def recognise(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
         """Yield the results in the log's order, each when it is final.
 
-        anywhere, in_order: as in `Together.results`. An exception of `frames` is raised after the
-        results of all frames before it. After one in the stages, `waiting` yields the results that
-        still wait.
+        An exception of `frames`, also Ctrl-C, is raised after the results of all frames before it.
+        After one in the stages, `waiting` yields the results that still wait.
         """
-        whole = UntilBroken(frames)
+        cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
+        broken: list[BaseException] = []
+        whole = _until_broken(frames, broken)
         restored = self._levels.restored(self._unchanging.filled(whole))
-        together = Together([*self._recognisers.values()])
         looks = [look for look in self._looks if look is not None]
         with ExitStack() as running:
             for look in looks:
                 running.enter_context(look.tiles)
-            for found in together.results(restored, anywhere, in_order, self._show):
-                results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
-                for i, result in enumerate(results):
-                    for part in (self._hindsight[i], self._looks[i]):
-                        if part is not None:
-                            part.learn(result)
-                self._pending.append(results)
-                # Each at its own lag, so that a preset's results do not depend on the others.
-                for i, hindsight in enumerate(self._hindsight):
-                    if hindsight is not None and len(self._pending) > hindsight.lag:
-                        self._revise(self._pending[-1 - hindsight.lag], i, hindsight)
-                if len(self._pending) > self._lag:
-                    yield self._final()
+            for frame in restored:
+                self._track(frame)
+                if len(self._tracked) == FRAMES_AT_ONCE:
+                    self._identify()
+                    yield from self._settled()
+            self._identify()
+            yield from self._settled()
             for look in looks:
                 look.finish()
         yield from self.waiting()
-        whole.end()
+        if broken:
+            raise broken[0]
 
-    def _show(self, selected: AfterStage1) -> None:
+    def _track(self, frame: Frame) -> None:
+        """Stages 1 and 2 of a frame."""
+        recognisers = self._recognisers.values()
+        images = [r.working_image(frame) for r in recognisers]
+        selected = [(i, r.stage1(i)) for r, i in zip(recognisers, images, strict=True)]
+        self._show(selected)
+        self._tracked.append([r.stage2(*of) for r, of in zip(recognisers, selected, strict=True)])
+
+    def _identify(self) -> None:
+        """Stage 3 of the frames that wait for it: of each a result of every configuration."""
+        tracked, self._tracked = self._tracked, []
+        if not tracked:
+            return
+        of_each = zip(self._recognisers.values(), zip(*tracked, strict=True), strict=True)
+        by_recogniser = [recogniser.stage3(frames) for recogniser, frames in of_each]
+        for of_frame in zip(*by_recogniser, strict=True):
+            results = self._of_each(dict(zip(self._recognisers, of_frame, strict=True)))
+            for i, result in enumerate(results):
+                for part in (self._hindsight[i], self._looks[i]):
+                    if part is not None:
+                        part.learn(result)
+            self._found.append(results)
+
+    def _settled(self) -> Iterator[FrameResult]:
+        """The results that are final once those found come behind them."""
+        while self._found:
+            self._pending.append(self._found.popleft())
+            # Each at its own lag, so that a preset's results do not depend on the others.
+            for i, hindsight in enumerate(self._hindsight):
+                if hindsight is not None and len(self._pending) > hindsight.lag:
+                    self._revise(self._pending[-1 - hindsight.lag], i, hindsight)
+            if len(self._pending) > self._lag:
+                yield self._final()
+
+    def _show(self, selected: list[tuple[WorkingImage, Selection]]) -> None:
         """Give a frame after stage 1 to the second looks."""
         of = dict(zip(self._recognisers, selected, strict=True))
         for i, look in zip(self._recogniser_of, self._looks, strict=True):
@@ -159,6 +192,8 @@ class SideBySide:
 
     def waiting(self) -> Iterator[FrameResult]:
         """Yield the results that wait at the end of the frames, revised by all frames so far."""
+        self._identify()
+        yield from self._settled()
         for i, hindsight in enumerate(self._hindsight):
             if hindsight is not None:
                 for results in [*self._pending][-hindsight.lag :]:
@@ -175,7 +210,7 @@ class SideBySide:
     def restored(self) -> Restored:
         """What was restored in the pictures so far, before stage 1."""
         levels, seen = self._levels, max(self._levels.seen, 1)
-        return Restored(self._unchanging.share, levels.saturated / seen, levels.equalised / seen)
+        return Restored(self._unchanging.share, levels.saturated / seen)
 
     def _final(self) -> FrameResult:
         """The results of the oldest frame that waits, as one result."""
@@ -186,3 +221,11 @@ class SideBySide:
             estimates=tuple(e for r in results for e in r.estimates),
             motion=next((r.motion for r in results if r.motion is not None), None),
         )
+
+
+def _until_broken(frames: Iterable[Frame], broken: list[BaseException]) -> Iterator[Frame]:
+    """The frames before an exception, which goes to `broken`: what reads ahead keeps none back."""
+    try:
+        yield from frames
+    except (Exception, KeyboardInterrupt) as error:
+        broken.append(error)

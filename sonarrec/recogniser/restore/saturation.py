@@ -1,11 +1,8 @@
-"""Restores the grey levels of saturated and of equalised pictures.
+"""Restores the grey levels of saturated pictures.
 
-Saturated: the gain was too high, so all strong echoes are drawn at the highest level. A ring then
-stands out little from the floor beside it, since both reach that level. But more of the ring's
-pixels reach it, and their share tells how much brighter the ring is.
-
-Equalised: a viewer equalised the histogram, so that every level has as many pixels. Bright and dark
-echoes then hardly differ from the rest.
+The gain was too high, so that all strong echoes are drawn at the highest level. A ring then stands
+out little from the floor beside it, since both reach that level. But more of the ring's pixels
+reach it, and their share tells how much brighter the ring is.
 """
 
 from __future__ import annotations
@@ -34,13 +31,6 @@ FEWEST, MOST = 0.02, 0.99  # shares are clipped to these: beyond them the lift i
 # Factor on a Gaussian's lift: speckle in decibels is skewed, and reaches less far above its mean.
 OF_GAUSSIAN = 0.6
 LEAST_SPREAD = 4.0  # grey levels
-# A picture is equalised if SPANS equal spans of its levels hold equally many pixels, up to the
-# factor EVEN. The OUTERMOST share of the pixels at either end does not count. Other pictures have
-# few pixels in the first and last span: their factor is 6.5 at least.
-SPANS, EVEN = 8, 2.0
-OUTERMOST = 0.002
-INNERMOST, LEVELS = np.array([OUTERMOST, 1 - OUTERMOST]), np.arange(256.0)
-MEAN, SPREAD = 128.0, 40.0  # mean and standard deviation of the levels that replace equalised ones
 
 
 def _lifts() -> FloatImage:
@@ -58,22 +48,21 @@ LIFTS = _lifts()
 
 
 class Levels:
-    """Finds the saturated and the equalised pictures of one log, and restores their levels.
+    """Finds the saturated pictures of one log, and restores their levels.
 
-    radius_m: of the landmarks. seen, saturated, equalised: numbers of pictures so far.
+    radius_m: of the landmarks. seen, saturated: numbers of pictures so far.
     """
 
     def __init__(self, radius_m: float) -> None:
         self._sigma_m = SURROUNDINGS * radius_m
         self._shown_of: tuple[Fan, tuple[int, ...]] | None = None
         self._shown: ByteImage = np.empty((0, 0), np.uint8)  # of the pixels counted, the fan's
-        self.seen = self.saturated = self.equalised = 0
+        self.seen = self.saturated = 0
 
     def restored(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames of a log; those that are saturated or equalised get restored `pixels`.
+        """The frames of a log; those that are saturated get restored `pixels`.
 
         Saturated pixels are lifted above the others, and all are scaled so that none exceeds 255.
-        Levels of equalised pictures are mapped to a Gaussian distribution.
         """
         for frame in frames:
             self.seen += 1
@@ -82,9 +71,6 @@ class Levels:
             if first is not None:
                 self.saturated += 1
                 yield replace(frame, pixels=self._lift(frame, first, _spread(up_to)))
-            elif evenly_spread(up_to):
-                self.equalised += 1
-                yield replace(frame, pixels=np.asarray(cv2.LUT(frame.pixels, _gaussian(up_to))))
             else:
                 yield frame
 
@@ -143,24 +129,6 @@ def saturated_from(up_to: IntArray) -> int | None:
     below, before = int(up_to[first - NEXT - 1]), int(up_to[first - 1])
     excess = echoes - before - HIGHEST * (before - below) / NEXT
     return first if excess >= LEAST_SHARE * echoes else None
-
-
-def evenly_spread(up_to: IntArray) -> bool:
-    """Whether a picture is equalised. up_to: as in `saturated_from`."""
-    lowest, highest = up_to.searchsorted(INNERMOST * up_to[-1]).tolist()
-    if highest - lowest < 4 * SPANS:
-        return False
-    ends = lowest + (highest - lowest) / SPANS * np.arange(SPANS + 1)
-    within = np.diff(np.interp(ends, LEVELS, up_to))
-    return bool(within.max() <= EVEN * within.min())
-
-
-def _gaussian(up_to: IntArray) -> ByteImage:
-    """(256,) the level to which each level of an equalised picture is mapped."""
-    rank = (up_to - np.diff(up_to, prepend=0) / 2 + 0.5) / (up_to[-1] + 1)
-    normal = NormalDist(MEAN, SPREAD)
-    levels = [normal.inv_cdf(r) for r in rank[BLACK + 1 :].tolist()]
-    return np.concatenate([np.zeros(BLACK + 1), np.clip(np.rint(levels), 1, 255)]).astype(np.uint8)
 
 
 def _spread(up_to: IntArray) -> float:

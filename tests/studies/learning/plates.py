@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -91,7 +92,7 @@ def _tag(rng: np.random.Generator) -> BoolArray:
 
 @cache
 def _family() -> list[BoolArray]:
-    family = load_landmarks("actag24h4")
+    family = load_landmarks(Path(__file__).with_name("actag24h4.toml"))
     assert isinstance(family, DrawnSet)
     return family.drawings()
 

@@ -15,10 +15,7 @@ from tests.studies.results.digests import digests
 FOLDER = Path(__file__).parent
 NOW = FOLDER / "now.toml"
 PAGE = FOLDER.parent / "RESULTS.md"
-ORDER = (
-    *("paper", "study", "scenes", "scenes_fresh", "ablation", "transfer", "worlds"),
-    *("pictures", "stated", "bound", "speeds", "maps", "scale", "bench"),
-)
+ORDER = (*("paper", "scenes", "scenes_fresh", "transfer", "worlds", "scale", "bench"),)
 """Files of this folder, as they follow each other on the page."""
 HEAD = """# Measured results
 

@@ -44,11 +44,10 @@ _NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 class McapRecording(Recording):
     """A `Recording` of an MCAP file. A damaged or cut file is read as far as possible."""
 
-    def __init__(self, path: Path, at: Path, diagnostics: Diagnostics) -> None:
-        """path: the file's name in messages. at: the file to read, which may be another. Raises
-        SonarrecError if it is no MCAP file, OSError if it cannot be read."""
+    def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
+        """Raises SonarrecError if it is no MCAP file, OSError if it cannot be read."""
         super().__init__(path, diagnostics)
-        log = self._log = McapFile(path, at, self.fault)
+        log = self._log = McapFile(path, self.fault)
         for channel in log.channels.values():
             schema = log.schemas.get(channel.schema_id, _NO_SCHEMA)
             self.channels[channel.id] = Channel(

@@ -65,9 +65,9 @@ class McapFile:
     messages of one channel that are in no chunk and whose times do not go back.
     """
 
-    def __init__(self, path: Path, at: Path, fault: Callable[[str], None]) -> None:
-        """path: the file's name in messages. at: the file to read. fault: is told what is wrong.
-        Raises SonarrecError if it is no MCAP file, OSError if it cannot be read."""
+    def __init__(self, path: Path, fault: Callable[[str], None]) -> None:
+        """fault: is told what is wrong. Raises SonarrecError if it is no MCAP file, OSError if it
+        cannot be read."""
         self.path, self.fault = path, fault
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -81,7 +81,7 @@ class McapFile:
         self._statistics: Statistics | None = None
         self._damaged = 0  # definitions
         self._data_ended = False
-        self.file = at.open("rb")
+        self.file = path.open("rb")
         try:
             self.size = self._end = self.file.seek(0, 2)
             self._scan()

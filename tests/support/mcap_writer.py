@@ -19,11 +19,11 @@ from rosbags.typesys.store import Typestore
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers.messages import foxglove
 from sonarrec.readers.messages.ros import known_messages
-from sonarrec.simulation import mcap_fields as fields
-from sonarrec.simulation.mcap_fields import MakeFields
 from sonarrec.sonar import Geometry
 from sonarrec.tables.outputs import writing
 from sonarrec.tables.toml import brief
+from tests.support import mcap_fields as fields
+from tests.support.mcap_fields import MakeFields
 
 _COMPRESSIONS = {
     "none": CompressionType.NONE,

@@ -1,0 +1,153 @@
+"""Logs and results on servers: a log is fetched whole, run as a local one, its results are put.
+
+fsspec speaks to the servers (the extra `remote`). A broken transfer is not resumed; whoever needs
+that, or a cache, mounts the server (`rclone mount`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from sonarrec.errors import MissingError, SonarrecError, UsageError, hidden, number_of
+from sonarrec.readers.containers.bag_folder import METADATA
+from sonarrec.readers.containers.images import names_an_image
+from sonarrec.readers.named_logs import RESULTS
+from sonarrec.readers.open import log_name, names_a_log
+from sonarrec.tables.order import natural_order
+
+SCHEMES = ("s3", "gs", "https", "http", "sftp")
+COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv")
+"""What may lie beside a log: files of these names, and NAME.sonar.toml and so on."""
+
+
+def check_out(url: str) -> None:
+    """Raise UsageError if results cannot be put there."""
+    if url.partition(":")[0].lower() in ("http", "https"):
+        raise UsageError(f"{hidden(url)}: results cannot be put on a web server; give s3, gs, sftp")
+    with _told(url):
+        _opened(url)
+
+
+def logs_at(url: str, *, recursive: bool = False) -> list[str]:
+    """The URLs of the logs that a URL names: a log, those of a folder, or those of a glob.
+
+    Raises UsageError for another kind of server, SonarrecError if it cannot be read.
+    """
+    if names_a_log(_name(url)) and not set(_name(url)) & set("*?["):
+        return [url]
+    with _told(url):
+        fs, path = _opened(url)
+        front = url.rstrip("/").removesuffix(path.rstrip("/"))
+        if set(path) & set("*?["):
+            found = [p for p in fs.glob(path) if names_a_log(_name(p))]
+        else:
+            found = [*_below(fs, path, recursive)]
+    if not found:
+        raise MissingError(f"{hidden(url)}: no log there")
+    return [front + p for p in sorted(found, key=natural_order)]
+
+
+def _below(fs: Any, top: str, recursive: bool) -> Iterator[str]:
+    """The logs in a folder: the folder itself if it holds images or a bag's parts."""
+    for folder, _, names in fs.walk(top, maxdepth=None if recursive else 1):
+        if RESULTS.intersection(names):
+            continue
+        if METADATA in names or any(map(names_an_image, names)):
+            yield folder
+        else:
+            yield from (f"{folder.rstrip('/')}/{n}" for n in names if names_a_log(n))
+
+
+@contextmanager
+def fetched(url: str) -> Iterator[tuple[Path, str]]:
+    """(the log at a URL as a local one, the URL of its folder), until the block ends.
+
+    What belongs to the log, such as sonar.toml, is fetched with it.
+    """
+    with TemporaryDirectory(prefix="sonarrec-") as folder:
+        with _told(url):
+            fs, path = _opened(url.rstrip("/"))
+            parent, name = path.partition("?")[0].rpartition("/")[0], _name(url)
+            place = Path(folder, name)
+            fetch = fs.get_file if names_a_log(name) else partial(fs.get, recursive=True)
+            fetch(path, str(place))
+            own = [f"{log_name(place)}.{companion}" for companion in COMPANIONS]
+            for companion in filter(lambda c: fs.exists(f"{parent}/{c}"), (*own, *COMPANIONS)):
+                fs.get_file(f"{parent}/{companion}", str(Path(folder, companion)))
+        yield place, hidden(url.partition("?")[0].rstrip("/").rpartition("/")[0])
+
+
+def get(url: str, place: Path) -> None:
+    """Fetch a file or folder, if it is there."""
+    with _told(url):
+        fs, path = _opened(url)
+        if fs.exists(path):
+            fs.get(path, str(place), recursive=True)
+
+
+def put(place: Path, url: str) -> None:
+    """Replace a file or folder on a server; what is there stays until the new one is whole."""
+    with _told(url):
+        fs, path = _opened(url)
+        part = f"{path}.part"
+        try:
+            fs.put(str(place), part, recursive=place.is_dir())
+            sent, came = sum(p.is_file() for p in (place, *place.rglob("*"))), fs.find(part)
+            if len(came) != sent:
+                raise SonarrecError(f"{hidden(url)}: {len(came)} of {number_of(sent, 'file')} came")
+            if fs.exists(path):
+                fs.rm(path, recursive=True)
+            if place.is_dir():
+                fs.makedirs(path, exist_ok=True)
+            for one in sorted(came, key=lambda name: name.endswith("run.toml")):  # that last
+                fs.mv(one, path + one[len(part) :])
+            with suppress(FileNotFoundError):  # where folders are things of their own
+                fs.rm(part, recursive=True)
+        except BaseException:  # Ctrl-C as well
+            with suppress(Exception):
+                fs.rm(part, recursive=True)
+            raise
+
+
+def _name(url: str) -> str:
+    return url.partition("?")[0].rstrip("/").rpartition("/")[2]
+
+
+def _opened(url: str) -> tuple[Any, str]:
+    """(the file system of a URL, the path in it)."""
+    scheme = url.partition(":")[0].lower()
+    if scheme not in SCHEMES:
+        raise UsageError(f"{scheme}://: only {'://, '.join(SCHEMES)}:// and local files are read")
+    try:
+        import fsspec
+
+        if scheme == "sftp":  # sshfs would take any host key; () stands for the user's known_hosts
+            from sshfs import SSHFileSystem
+
+            stated = fsspec.config.conf.get("sftp", {}) | {"known_hosts": (), "connect_timeout": 30}
+            options = SSHFileSystem._get_kwargs_from_urls(url) | stated
+            return SSHFileSystem(**options), SSHFileSystem._strip_protocol(url)
+        fs, path = fsspec.url_to_fs(url, use_listings_cache=False)
+    except ImportError as error:
+        missing = f"{error.name} is missing; pip install 'sonarrec[remote]'"
+        raise SonarrecError(f"{hidden(url)}: {missing}") from None
+    return fs, path
+
+
+@contextmanager
+def _told(url: str) -> Iterator[None]:
+    """Errors of the libraries become one line without secrets."""
+    try:
+        yield
+    except SonarrecError:
+        raise
+    except FileNotFoundError:
+        raise MissingError(f"{hidden(url)}: not there, or no answer from its server") from None
+    except Exception as error:  # s3fs, gcsfs, aiohttp and asyncssh have no common class
+        text = " ".join(hidden(error).split())[:200] or type(error).__name__
+        raise SonarrecError(f"{hidden(url)}: {text}; see `sonarrec help remote`") from None

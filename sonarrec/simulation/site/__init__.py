@@ -1,1 +1,0 @@
-"""`sonarrec site`: how landmarks laid into a recording would be recognised."""
