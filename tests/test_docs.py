@@ -322,4 +322,4 @@ def test_what_is_gone_is_answered_with_what_to_use() -> None:
     for words in (["status"], ["run", "x", "--tables", "parquet"], ["overlay", "x", "--grid"]):
         done = CliRunner().invoke(main, words)
         assert done.exit_code == 2
-        assert "Gone: " in done.stderr
+        assert "It is gone. Instead: " in done.stderr

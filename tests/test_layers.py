@@ -65,7 +65,6 @@ MAY_IMPORT = {
         "recogniser",
         "readers.guess.order",
         "readers.decode.colour",
-        "readers.guess.outline",
         "readers.decode.grey",
         "readers.decode.pixels",
         "readers.containers.video",

@@ -38,7 +38,7 @@ class _Program(click.Group):
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click's own, with what to use in place of a command that is gone."""
         if args and args[0] in REMOVED:
-            ctx.fail(f"No such command {args[0]!r}. Gone: {REMOVED[args[0]]}.")
+            ctx.fail(f"No such command {args[0]!r}. It is gone. Instead: {REMOVED[args[0]]}.")
         return super().resolve_command(ctx, args)
 
     def main(self, *arguments: Any, **options: Any) -> Any:

@@ -54,4 +54,6 @@ def with_advice(error: click.NoSuchOption) -> click.NoSuchOption:
     advice = REMOVED.get(error.option_name)
     if advice is None:
         return error
-    return click.NoSuchOption(error.option_name, f"{error.message} Gone: {advice}.", ctx=error.ctx)
+    return click.NoSuchOption(
+        error.option_name, f"{error.message} It is gone. Instead: {advice}.", ctx=error.ctx
+    )

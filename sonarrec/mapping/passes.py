@@ -23,7 +23,7 @@ from sonarrec.results.sightings import PASS_GAP, ROWS
 from sonarrec.results.stream import SIGMAS, positions
 from sonarrec.tables.read import line_number
 
-# How errors are correlated within a pass, chosen on tuning seeds of `make maps`.
+# How errors are correlated within a pass, chosen on tuning seeds.
 COMMON_SHARE = 0.5  # share of the variance that is common to all frames of a pass
 SAME_FRAMES = 6.0  # number of frames over which the rest of the error is the same
 # Standard errors in addition to those of the frames, since rings are uneven and sonars heave. They

@@ -12,7 +12,6 @@ from typing import Any
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
-from sonarrec.readers.guess.outline import FanOutline
 from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
@@ -70,8 +69,7 @@ class Images:
     keys, as stated or from the first ping. origins: where each of these keys, and the layout, comes
     from: "flag", "message", "header", "default" or the name of a file; a beam_order that nobody
     stated is "found" or "assumed". assumed: values used for keys that nobody states, if the
-    geometry is complete. lacks: the missing keys. outline: of the fan in fan images; None if they
-    do not show it. notes: contradictions and what is uncertain.
+    geometry is complete. lacks: the missing keys. notes: contradictions and what is uncertain.
     problems: one line for each frame that cannot be used (at most 20, then a count).
     """
 
@@ -92,7 +90,6 @@ class Images:
     origins: dict[str, str]
     assumed: dict[str, Any]
     lacks: list[str]
-    outline: FanOutline | None
     notes: list[str]
     problems: list[str]
 
@@ -283,12 +280,7 @@ def _images(
         origins["beam_order"] = log.order_from
     layout = geometry.pop("layout")
     polar = raw.polar or layout == "polar"
-    height_stated = log.sonar.height_m is not None
-    doubts = (
-        []
-        if lacks
-        else plausibility.contradictions(height_stated=height_stated, rows_stated=log.rows_stated)
-    )
+    doubts = [] if lacks else plausibility.contradictions()
     assumed: dict[str, Any] = {}
     if not lacks and log.fan is not None:
         fan = log.fan
@@ -317,7 +309,6 @@ def _images(
         origins=origins,
         assumed={k: value for k, value in assumed.items() if getattr(log.sonar, k) is None},
         lacks=lacks,
-        outline=plausibility.outline,
         notes=[*log.diagnostics.notes, *doubts],
         problems=log.diagnostics.skipped or why,
     )

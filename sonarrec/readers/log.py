@@ -81,11 +81,6 @@ class Log:
         return self._make.order_from
 
     @property
-    def rows_stated(self) -> bool:
-        """Whether it is known which row of its polar images is the nearest."""
-        return self._raw.polar or self.sonar.range_order is not None
-
-    @property
     def fan(self) -> Fan | None:
         """The geometry of the fan images; None before the first frame."""
         return self._make.fan

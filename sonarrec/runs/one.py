@@ -156,9 +156,7 @@ def _recognise(
 def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
     """Tell the user what showed at the end of the run."""
     log, note, restored = job.log, job.log.diagnostics.note, job.recogniser.restored
-    doubts = plausibility.contradictions(
-        height_stated=log.sonar.height_m is not None, rows_stated=log.rows_stated
-    )
+    doubts = plausibility.contradictions()
     if not writer.candidates:
         width = disc_width_px(job.fan, job.landmarks)
         hint = "" if width >= 1 else " (are the ranges in metres?)"

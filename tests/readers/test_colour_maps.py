@@ -62,6 +62,21 @@ def test_the_map_is_found(name: str, quality: int | None) -> None:
     assert np.median(off) <= (2 if quality is None else 6)
 
 
+@pytest.mark.parametrize("name", MAPS)
+def test_a_map_reversed_or_with_red_and_blue_exchanged_is_not_taken_for_another(name: str) -> None:
+    """Its levels would come out turned round, or wrong; their luminance is at least told."""
+    grey = picture()
+    for drawn in (
+        cv2.applyColorMap(255 - grey, MAPS[name]),
+        cv2.applyColorMap(grey, MAPS[name])[:, :, ::-1],
+    ):
+        drawn[grey == 0] = 0  # outside of the fan
+        found = find_map([drawn])
+        if found is not None:
+            off = np.abs(map_levels(drawn, found).astype(int) - grey)[grey >= 24]
+            assert np.median(off) <= 6
+
+
 @pytest.mark.parametrize("name", ["jet", "viridis", "inferno", "magma", "plasma", "turbo"])
 def test_the_maps_are_those_of_matplotlib(name: str) -> None:
     colours = mpl.colormaps[name](picture())[:, :, 2::-1]

@@ -51,7 +51,7 @@ def bare_floor(low: float, high: float, tilt: float, height: float) -> Scene:
 
 @pytest.mark.parametrize("window", WINDOWS)
 def test_of_a_bare_floor(window: tuple[float, float, float, float]) -> None:
-    """A height that is wrong by a fifth loses no landmark (`make stated`)."""
+    """A height that is wrong by a fifth loses no landmark."""
     scene = bare_floor(*window)
     fan = replace(scene_fan(scene), height_m=None)
     found = height_from_images([frame.image for frame in render(scene)], fan)

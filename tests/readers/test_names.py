@@ -81,6 +81,7 @@ def test_any_length_of_fraction_tells_the_same(times: list[int]) -> None:
         "1795168800.5 000001",
         "1795168800.5_1795168800.75 1795168801.5_1795168801.75",
         "9999999999999999999",
+        "2026-11-20_10-00-00_PM 2026-11-20_10-00-01_PM",
     ],
 )
 def test_names_without_times(stems: str) -> None:

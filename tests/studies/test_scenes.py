@@ -1,4 +1,4 @@
-"""What `make scenes` and `make study` tell is what the commands would, on seeds kept apart."""
+"""What `make scenes` tells is what the commands would, on seeds kept apart."""
 
 from __future__ import annotations
 

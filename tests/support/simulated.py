@@ -1,4 +1,4 @@
-"""Simulated scenes through every method in memory: what `make scenes` and `make study` rest on.
+"""Simulated scenes through every method in memory: what `make scenes` rests on.
 
 The results are the tables that `sonarrec run` writes, so that the project's own evaluation reads
 them; only the images never touch the disk.

@@ -38,6 +38,9 @@ _BLACK = 24  # a pixel is black, as outside of a fan in any map, if all channels
 # those whose neighbours JPEG, video or another size mixed. True maps: 1.5, and 21 in strong JPEG.
 _MOST_COLOURS, _NEAR, _NEAR_IF_MIXED = 300, 4.0, 22.0
 _CLEARLY = 0.85  # of the next map's distance
+_BRIGHT = (
+    150.0  # mean level; of sonar pictures 60 to 120, of those in a map's reverse the rest to 255
+)
 _LEAST_COLOURED = 0.1  # share of the pixels of a picture that is not grey
 _SAMPLED = 2000  # pixels of each picture
 _BITS = 6  # of each channel, in the table of colours
@@ -53,20 +56,27 @@ def find_map(images: Sequence[np.ndarray]) -> str | None:
     """The colour map of a log's first images; None if it is not one of MAPS. images: (rows,
     columns, 3 or more) uint8, BGR.
 
-    Their colours must be nearer to the map than to any straight line, such as a ramp of one hue.
+    Their colours must be nearer to the map than to any straight line, such as a ramp of one hue, or
+    to any map with red and blue exchanged. In a reversed map they would be bright as those of no
+    sonar are.
     """
     colours = np.concatenate([_sample(image) for image in images])
     if not len(colours):
         return None
     is_mixed = len(np.unique(colours, axis=0)) > _MOST_COLOURS
-    squared = {name: _squared(_colours(name), colours).min(axis=1) for name in MAPS}
-    off = {name: np.sqrt(least, dtype=float).mean() for name, least in squared.items()}
+    tables = {name: _colours(name) for name in MAPS}
+    # Jet exchanged is jet reversed.
+    exchanged = {f"{name}_bgr": tables[name][:, ::-1] for name in MAPS if name != "jet"}
+    squared = {name: _squared(table, colours) for name, table in (tables | exchanged).items()}
+    off = {name: np.sqrt(s.min(axis=1), dtype=float).mean() for name, s in squared.items()}
     nearest, second = sorted(off, key=lambda name: off[name])[:2]
     centred = colours - colours.mean(axis=0)
     along = np.linalg.svd(centred[:_SAMPLED].astype(float), full_matrices=False)[2][0]
     off_line = np.linalg.norm(centred - np.outer(centred @ along, along), axis=1).mean()
     most = min(_NEAR_IF_MIXED if is_mixed else _NEAR, off_line, _CLEARLY * off[second])
-    return nearest if off[nearest] <= most else None
+    if off[nearest] > most or nearest in exchanged:
+        return None
+    return nearest if squared[nearest].argmin(axis=1).mean() <= _BRIGHT else None
 
 
 def map_levels(pixels: np.ndarray, name: str) -> ByteImage:

@@ -2,7 +2,7 @@
 
 The floor begins in the image where the lower edge of the vertical beam meets it. Without that, the
 height could only follow from where the window lies; but users set windows much longer than the
-floor that they see, and a height that is half too large loses most landmarks (`make stated`).
+floor that they see, and a height that is half too large loses most landmarks.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sonarrec.arrays import ByteImage, quantile
-from sonarrec.geometry import floor_depth
+from sonarrec.arrays import ByteImage, FloatArray, quantile
+from sonarrec.geometry import floor_depth, pixel_from_polar
 from sonarrec.nouns import Fan
-from sonarrec.readers.guess.plausible import as_polar, levels_by_range
 
 HALF_BEAM_DEG = 10.0  # vertical beams of imaging sonars are 14 to 28 deg wide
 STEEPEST_DEG = 85.0
@@ -24,6 +23,8 @@ STEEPEST_DEG = 85.0
 LIT, RINGS, MOST_OF = 0.5, 8, 0.75
 DARK = 6.0  # grey level that no floor is below
 LEAST = 0.5  # of the height with which the beam's axis meets the floor in the middle of the window
+
+_RINGS, _BEAMS = 96, 64  # of a polar picture of the fan
 
 
 def height_from_images(images: Sequence[ByteImage], fan: Fan) -> float | None:
@@ -34,8 +35,8 @@ def height_from_images(images: Sequence[ByteImage], fan: Fan) -> float | None:
     bright near the sonar may be noise, and a window may begin beyond the nearest floor.
     """
     assert fan.height_m is None
-    picture = np.mean([as_polar(image, fan) for image in images], axis=0)
-    range_m, levels = levels_by_range(picture, fan)
+    picture = np.mean([_as_polar(image, fan) for image in images], axis=0)
+    range_m, levels = _levels_by_range(picture, fan)
     bright = float(quantile(levels, 0.9)) if levels.size else 0.0
     if bright < DARK:
         return None
@@ -46,3 +47,34 @@ def height_from_images(images: Sequence[ByteImage], fan: Fan) -> float | None:
     highest = floor_depth(fan)
     height = min(max(begins_m * math.sin(math.radians(edge_deg)), LEAST * highest), highest)
     return float(f"{height:.3g}") or None
+
+
+def _rings_and_bearings(fan: Fan) -> tuple[FloatArray, FloatArray]:
+    """(rings, 1) slant ranges (m) and (beams,) bearings (deg), evenly over the fan."""
+    share = (np.arange(_RINGS) + 0.5) / _RINGS
+    across = (np.arange(_BEAMS) + 0.5) / _BEAMS
+    bearings = fan.bearing_min_deg + across * (fan.bearing_max_deg - fan.bearing_min_deg)
+    return (fan.range_min_m + share * fan.window_m)[:, None], bearings
+
+
+def _as_polar(picture: FloatArray | ByteImage, fan: Fan) -> FloatArray:
+    """(rings, beams) grey levels of the fan; NaN outside of the picture."""
+    column, row = (
+        np.rint(at).astype(int) for at in pixel_from_polar(fan, *_rings_and_bearings(fan))
+    )
+    inside = (column >= 0) & (column < fan.columns) & (row >= 0) & (row < fan.rows)
+    cells = picture[np.clip(row, 0, fan.rows - 1), np.clip(column, 0, fan.columns - 1)]
+    return np.where(inside, cells, np.nan)
+
+
+def _levels_by_range(picture: FloatArray, fan: Fan) -> tuple[FloatArray, FloatArray]:
+    """(n,) slant ranges (m) that the picture shows, and (n,) median grey levels there. picture: as
+    `_as_polar` gives it."""
+    is_shown = ~np.isnan(picture).all(axis=1)
+    if not is_shown.any():
+        return np.empty(0), np.empty(0)
+    # Sorting puts NaN last. nanmedian would load numpy.ma, and nanquantile goes row by row.
+    ordered = np.sort(picture[is_shown], axis=1)
+    row, count = np.arange(len(ordered)), np.count_nonzero(~np.isnan(ordered), axis=1)
+    lower, upper = ordered[row, (count - 1) // 2], ordered[row, count // 2]
+    return _rings_and_bearings(fan)[0][is_shown, 0], upper - (upper - lower) / 2

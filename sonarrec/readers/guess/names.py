@@ -18,12 +18,12 @@ _GAP = 20  # times the least step, from which on a counter may have reached its 
 
 # Since 1970, from 2004 to 2033: seconds with or without decimals, or milli-, micro- or nanoseconds.
 _SINCE_1970 = re.compile(
-    r"(?<![0-9.])(1[1-9][0-9]{8})(?:\.([0-9]{1,9})|([0-9]{3}(?:[0-9]{3}){0,2}))?(?![0-9])"
+    r"(?<![0-9])(1[1-9][0-9]{8})(?:\.([0-9]{1,9})|([0-9]{3}(?:[0-9]{3}){0,2}))?(?![0-9])"
 )
 # As ISO 8601 has them. File systems do not like colons, so that other signs stand for them.
 _ISO = re.compile(
     r"(?<![0-9])(20[0-9]{2})(-?)([0-9]{2})\2([0-9]{2})[-_T ]"
-    r"([0-9]{2})([-_.:]?)([0-9]{2})\6([0-9]{2})(?:[.,]([0-9]{1,9}))?(?![0-9])"
+    r"([0-9]{2})([-_.:]?)([0-9]{2})\6([0-9]{2})(?:[.,]([0-9]{1,9}))?(?![0-9]|[\s_]?[AaPp][Mm])"
 )
 
 

@@ -11,7 +11,6 @@ from sonarrec.readers.decode.grey import grey_scale, holds_amplitudes
 from sonarrec.readers.guess.height import height_from_images
 from sonarrec.readers.guess.names import in_order, times_in_names
 from sonarrec.readers.guess.order import looks_beam_major
-from sonarrec.readers.guess.outline import find_outline
 from sonarrec.readers.guess.plausible import Plausibility
 
 
@@ -30,15 +29,14 @@ class Guess:
 
 
 GUESSES = (
-    Guess("colour map", find_map, ("_NEAR", "_NEAR_IF_MIXED"), ("colour_map",)),
+    Guess("colour map", find_map, ("_NEAR", "_NEAR_IF_MIXED", "_BRIGHT"), ("colour_map",)),
     Guess("amplitudes", holds_amplitudes, ("_AMPLITUDES", "_LEAST_SPECKLE"), ("pixel_scale",)),
     Guess(
         "grey scale", grey_scale, ("_MEDIAN_AT", "_NEXT_TO_BLACK"), ("pixel_scale", "full_scale")
     ),
     Guess("beam order", looks_beam_major, (), ("beam_order",)),
     Guess("height", height_from_images, ("HALF_BEAM_DEG", "LIT", "LEAST"), ("height_m",)),
-    Guess("outline", find_outline, ("BACKGROUND", "ON_EDGE", "ON_ARC"), ()),
-    Guess("contradictions", Plausibility.contradictions, ("_OUTSIDE", "_APART", "_CUT"), ()),
+    Guess("contradictions", Plausibility.contradictions, ("_OUTSIDE", "_CUT"), ()),
     Guess("order of images", in_order, ("_GAP",), ()),
     Guess("times in names", times_in_names, ("LEAST_STEP_NS",), ()),
 )
