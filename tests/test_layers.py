@@ -12,13 +12,12 @@ import pytest
 from sonarrec.cli import COMMANDS
 
 FLOORS = (
-    {"arrays", "times", "errors"},
+    {"arrays", "errors"},
     {"nouns"},
     {"tables"},
-    {"config", "sonar", "landmarks", "poses"},
+    {"config", "sonar", "landmarks"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
-    {"remote"},
     {"truth", "runs"},
     {"evaluation", "overlays", "learning", "mapping"},
     {"reports"},
@@ -54,8 +53,8 @@ MAY_IMPORT = {
         "functions",
     ),
     "matplotlib": ("evaluation.plots", "mapping.picture", "reports.svg"),
-    "fsspec": ("remote",),
-    "sshfs": ("remote",),
+    "fsspec": ("runs.remote",),
+    "sshfs": ("runs.remote",),
     "jinja2": ("reports.page",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
@@ -197,7 +196,7 @@ def faults(sources: Sources) -> list[str]:
             found += [
                 f"{name} imports {other} before a command is run"
                 for other in ours(sources, name, top_level_only=True)
-                if room(other) not in ("cli", "errors", "nouns", "times")
+                if room(other) not in ("cli", "errors", "nouns")
             ]
         found += [
             f"{name} must not import {package}"

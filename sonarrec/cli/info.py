@@ -21,7 +21,7 @@ from sonarrec.cli.options_log import (
     named_logs,
 )
 from sonarrec.errors import MissingError, SonarrecError, UsageError, local, name_as_text, number_of
-from sonarrec.times import date_text, is_date
+from sonarrec.nouns import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Container, Images, LogInfo

@@ -116,7 +116,7 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
     found: list[NamedLog] = []
     for name in log_arguments(logs, listed()):
         if is_url(name):
-            from sonarrec.remote import logs_at  # with fsspec, only where needed
+            from sonarrec.runs.remote import logs_at  # with fsspec, only where needed
 
             found += map(NamedLog, logs_at(name, recursive=recursive))
         else:

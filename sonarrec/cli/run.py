@@ -154,7 +154,7 @@ def run(
     with ExitStack() as stack:
         local_out = Path(out)
         if is_url(out):
-            from sonarrec.remote import check_out, get  # with fsspec, only where needed
+            from sonarrec.runs.remote import check_out, get  # with fsspec, only where needed
 
             check_out(out)
             local_out = Path(stack.enter_context(TemporaryDirectory(prefix="sonarrec-")))

@@ -17,13 +17,13 @@ import click
 from sonarrec.cli.bars import progress_of_frames, progress_of_logs
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, say, tell
 from sonarrec.errors import MissingError, SonarrecError, hidden, number_of, printable
+from sonarrec.nouns import date_text, is_date
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import PROGRAM
 from sonarrec.runs.logs_table import NAME, LogsTable
 from sonarrec.runs.many import Watch
 from sonarrec.runs.one import Summary
 from sonarrec.runs.task import Outcome, Task
-from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.results.sightings import Sighting
@@ -76,7 +76,7 @@ class RunWatch(Watch):
         try:
             self.table.write()
             if self.server_out and kind is None:  # a stopped run does not wait for a server
-                from sonarrec.remote import put  # with fsspec, only where needed
+                from sonarrec.runs.remote import put  # with fsspec, only where needed
 
                 put(self.out / NAME, f"{self.server_out.rstrip('/')}/{NAME}")
         except SonarrecError as error:

@@ -24,8 +24,7 @@ from sonarrec.drawing.pen import (
 )
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan
-from sonarrec.times import is_date, time_text
+from sonarrec.nouns import Estimate, Fan, is_date, time_text
 
 AROUND = 1.15
 """Radius, in discs, at which truth is drawn, so that estimates do not hide it."""

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError
+from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.join import Landmark, MappedLog, frames_of, join
 from sonarrec.mapping.passes import find_passes, read_declared
 from sonarrec.mapping.path import Drift, measured_motion_path, path_from_poses, read_frames
-from sonarrec.poses import PoseTable
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost

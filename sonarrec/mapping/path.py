@@ -16,7 +16,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError
-from sonarrec.poses import PoseTable
+from sonarrec.geometry import PoseTable
 from sonarrec.tables.outputs import write_csv, writing
 from sonarrec.tables.read import Kind, Table, read_table
 

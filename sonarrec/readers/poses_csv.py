@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.arrays import IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.poses import PoseTable, pose_table
+from sonarrec.geometry import PoseTable, pose_table
 
 if TYPE_CHECKING:
     from sonarrec.tables.read import Table

@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 
 from sonarrec.config import Config
+from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan, Frame, FrameResult, Selection
-from sonarrec.poses import PoseTable
 from sonarrec.recogniser.between_stages import AfterStage2, Batch, WorkingImage
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.motion.odometry import Odometry

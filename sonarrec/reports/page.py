@@ -23,14 +23,13 @@ from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import over_units, units_text
 from sonarrec.evaluation.tables import Evaluation
-from sonarrec.nouns import VERSION
+from sonarrec.nouns import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts
 from sonarrec.reports.frames import Picture, ShownLog
 from sonarrec.reports.logs import ReportedLog, Track, judged_sightings, tracks, true_landmark
 from sonarrec.reports.mistakes import Episode, in_words
 from sonarrec.reports.svg import STYLES, darkened, frames_a_bar, glyph
 from sonarrec.results.sightings import PASS_GAP, Sighting
-from sonarrec.times import date_text, is_date, time_text
 
 MOST_TRACKS = 12
 MOST_SILENT = 40

@@ -15,10 +15,9 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.geometry import ground_range
+from sonarrec.geometry import PoseTable, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, follows
-from sonarrec.poses import PoseTable
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.sonar import Sonar
 

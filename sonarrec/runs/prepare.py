@@ -14,9 +14,9 @@ from typing import Any
 from sonarrec.config import Config
 from sonarrec.drawing.landmarks import distances, doubts
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
 from sonarrec.nouns import Fan, Frame
-from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log, digest_of
 from sonarrec.readers.open import Source, find_log

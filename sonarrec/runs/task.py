@@ -96,7 +96,7 @@ def run_task(
                 served_as=served_as,
             )
             if task.server_out and not summary.up_to_date:
-                from sonarrec.remote import put  # with fsspec, only where needed
+                from sonarrec.runs.remote import put  # with fsspec, only where needed
 
                 put(summary.folder, f"{task.server_out.rstrip('/')}/{task.name}")
     except SonarrecError as error:
@@ -123,7 +123,7 @@ def _at_hand(task: Task) -> Iterator[tuple[Path, Path, Callable[[str], str]]]:
     with ExitStack() as stack:
         try:
             if task.url or task.server_out:
-                from sonarrec.remote import fetched, get  # with fsspec, only where needed
+                from sonarrec.runs.remote import fetched, get  # with fsspec, only where needed
             if task.url:
                 path, there = stack.enter_context(fetched(task.url))
                 names[str(path.parent)] = there

@@ -10,7 +10,7 @@ import numpy as np
 from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.errors import Diagnostics, number_of
 from sonarrec.geometry import polar_from_plane
-from sonarrec.times import is_date
+from sonarrec.nouns import is_date
 from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, match_times, pixels_apart, share_in_image
 from sonarrec.truth.table import TruthTable
 

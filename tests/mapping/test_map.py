@@ -24,6 +24,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.axes import CHI2_95, ellipse
 from sonarrec.mapping.build import MapOptions, make_map
@@ -31,7 +32,6 @@ from sonarrec.mapping.join import MappedLog, frame_shares, join
 from sonarrec.mapping.passes import HEIGHT_SIGMA_M, DeclaredEstimates, find_passes
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, path_from_poses
 from sonarrec.nouns import Estimate, FrameResult
-from sonarrec.poses import pose_table
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter

@@ -19,8 +19,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.config import preset
 from sonarrec.errors import SonarrecError
+from sonarrec.geometry import pose_table
 from sonarrec.nouns import Frame, Motion
-from sonarrec.poses import pose_table
 from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.plane import working_plane

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
 from sonarrec.functions import run
+from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate, FrameResult
-from sonarrec.poses import pose_table
 from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.errors import Diagnostics
-from sonarrec.nouns import IMAGE_SUFFIXES
+from sonarrec.nouns import IMAGE_SUFFIXES, date_text
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
 from sonarrec.readers.guess.names import in_order, times_in_names
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
-from sonarrec.times import date_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
 

@@ -14,8 +14,8 @@ from sonarrec.errors import (
     UsageError,
     number_of,
 )
+from sonarrec.geometry import PoseTable, pose_table
 from sonarrec.nouns import Clock, Stamps
-from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.containers.recording import Recording
 from sonarrec.readers.messages.fields import DefinitionError, Fields
 from sonarrec.readers.messages.types import Decode, fields_decoder, message_type

@@ -10,9 +10,9 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.config import Config
+from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet
 from sonarrec.nouns import Fan, FrameResult, Selection
-from sonarrec.poses import PoseTable
 from sonarrec.recogniser.between_stages import AfterStage2, Batch, WorkingImage
 from sonarrec.recogniser.drawn.drawings import Drawings
 from sonarrec.recogniser.drawn.model import built_in_model

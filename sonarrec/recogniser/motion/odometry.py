@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from sonarrec.arrays import ByteImage
 from sonarrec.config import Continuity
 from sonarrec.errors import Diagnostics
+from sonarrec.geometry import PoseTable
 from sonarrec.nouns import Motion
-from sonarrec.poses import PoseTable
 from sonarrec.recogniser.motion.image_motion import ImageMotion
 from sonarrec.recogniser.plane import Plane
 

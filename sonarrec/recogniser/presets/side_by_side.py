@@ -12,9 +12,9 @@ import cv2
 
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics
+from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import Fan, Frame, FrameResult, Selection
-from sonarrec.poses import PoseTable
 from sonarrec.recogniser.between_stages import AfterStage2, WorkingImage
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.presets.second_look import SecondLook, looks_again

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from sonarrec import remote
 from sonarrec.errors import SonarrecError, hidden, is_url
+from sonarrec.runs import remote
 from tests.support.command import sonarrec
 from tests.support.logs import cdr_image, frames, mcap_file
 from tests.support.rows import read_rows
