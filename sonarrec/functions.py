@@ -26,7 +26,7 @@ from sonarrec.mapping.path import Drift
 from sonarrec.mapping.write import MAP_COLUMNS, PASS_COLUMNS, map_rows, pass_rows, write_all
 from sonarrec.nouns import Clock
 from sonarrec.results.run_file import LogOptions, frame_span, span_text
-from sonarrec.runs.cores import cores
+from sonarrec.runs import cores
 from sonarrec.runs.frames import Presets, configs_of
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, Row
 from sonarrec.runs.many import Watch, run_apart, run_here

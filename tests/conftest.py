@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import sonarrec  # noqa: F401 - before numpy: it has BLAS run in one thread, as users have it
-from sonarrec.runs.cores import cores
+from sonarrec.runs import cores
 from tests.support.one_core import one_core
 
 # Before OpenCV is loaded, here and in what tests start: there are more test processes than cores,

@@ -62,7 +62,7 @@ MAY_IMPORT = {
         "landmarks",  # pictures of drawn plates
         "drawing",
         "recogniser",
-        "readers.guess.order",
+        "readers.decode.ping_geometry",
         "readers.decode.colour",
         "readers.decode.grey",
         "readers.decode.pixels",

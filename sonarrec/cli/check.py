@@ -170,7 +170,7 @@ def _run(
     """
     from sonarrec.cli.run import run_tasks, stoppable
     from sonarrec.cli.run_watch import RunWatch
-    from sonarrec.runs.cores import cores
+    from sonarrec.runs import cores
     from sonarrec.runs.logs_table import LogsTable
 
     jobs, out = min(jobs or cores(), len(tasks)), Path(tasks[0].out)
@@ -234,8 +234,11 @@ def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None)
 
 def _print(judged: Judgement, compared: Comparison, out: Path | None, quiet: bool) -> None:
     """Print the judgement and, if the results are kept, write the comparison's files."""
-    from sonarrec.evaluation.compare_screen import judgement_screen, settings_lines
-    from sonarrec.evaluation.compare_write import write_comparison
+    from sonarrec.evaluation.compare_output import (
+        judgement_screen,
+        settings_lines,
+        write_comparison,
+    )
 
     tell(compared.unused)
     files = () if out is None else write_comparison(out / "evaluation", compared)

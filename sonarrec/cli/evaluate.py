@@ -87,8 +87,7 @@ def evaluate(
     worse: list[str] = []
     if compare is not None:
         from sonarrec.evaluation.compare import compare as compare_results
-        from sonarrec.evaluation.compare_screen import screen
-        from sonarrec.evaluation.compare_write import comparison_json, write_comparison
+        from sonarrec.evaluation.compare_output import comparison_json, screen, write_comparison
         from sonarrec.evaluation.limits import judge_by
 
         old, *news = (*compare, *results)

@@ -123,7 +123,7 @@ def run(
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
     from sonarrec.cli.run_watch import RunWatch
-    from sonarrec.runs.cores import cores
+    from sonarrec.runs import cores
     from sonarrec.runs.logs_table import NAME, LogsTable
     from sonarrec.runs.prepare import RunOptions
 

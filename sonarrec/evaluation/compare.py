@@ -29,7 +29,7 @@ from sonarrec.evaluation.pairing import CountedPair, LogPair, count_pair, pair_l
 from sonarrec.evaluation.pairs import Pair
 from sonarrec.evaluation.summary import SEED, units_text
 from sonarrec.nouns import follows
-from sonarrec.results.methods import chosen
+from sonarrec.results.columns import chosen
 from sonarrec.results.run_file import read_run
 from sonarrec.truth.fits import tell_rows
 

@@ -27,7 +27,7 @@ from sonarrec.evaluation.judge import PROTOCOLS, judge
 from sonarrec.evaluation.match import Matched, truth_beneath
 from sonarrec.evaluation.passes import UnitKind, find_passes
 from sonarrec.evaluation.tracking import tracking
-from sonarrec.results.methods import chosen
+from sonarrec.results.columns import chosen
 
 NOBODY = "\0"
 """A method that claims nothing: its counts hold for those that a log lacks. No method that is read

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import UsageError
-from sonarrec.results.methods import in_order
+from sonarrec.results.columns import in_order
 from sonarrec.results.read import LogResults
 from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.truth.match import Truth

@@ -17,7 +17,6 @@ import numpy as np
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import PoseTable
-from sonarrec.tables.outputs import write_csv, writing
 from sonarrec.tables.read import Kind, Table, read_table
 
 # Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
@@ -30,7 +29,6 @@ MOVED = ("dyaw_deg", "dx_m", "dy_m")
 MOVED_SIGMA = ("dyaw_sigma_deg", "dx_sigma_m", "dy_sigma_m")
 """Columns of frames.csv with the measured motion since the previous frame, and its standard errors:
 rotation to the right, shift to the right, shift ahead, in the axes of the previous frame."""
-PATH_COLUMNS = ("timestamp_ns", "yaw", "x", "y", "yaw_sigma_deg", "x_sigma_m", "y_sigma_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,23 +106,6 @@ class SonarPath:
         if since is None:
             return np.asarray(self.sums[row])
         return np.asarray(self.sums[np.maximum(row, since)] - self.sums[np.minimum(row, since)])
-
-    def step_covariance(self, before: int, after: int) -> FloatArray:
-        """(3, 3) covariance of the pose in one frame relative to that in an earlier one.
-
-        It is of x, y (m) and yaw (rad), in the path's axes.
-        """
-        position = self.pose[[after], 1:]
-        s = self.sums[after] - self.sums[before]
-        x, y = position[0] - self.origin
-        cross = np.array([s[3] * y - s[5], -(s[3] * x - s[4])])
-        rows = np.array([after]), np.array([before])
-        rotated = self._rotated(*rows, position)[0]
-        covariance = np.empty((3, 3))
-        covariance[:2, :2] = self.position_covariance(rows[0], position, rows[1])[0]
-        covariance[2, :2] = covariance[:2, 2] = cross + rotated[:2] * rotated[2]
-        covariance[2, 2] = s[3] + rotated[2] ** 2
-        return covariance
 
 
 def path_from_poses(
@@ -231,25 +212,3 @@ def measured_motion_path(folder: Path, table: Table, diagnostics: Diagnostics) -
             "seen from there on is not placed"
         )
     return path
-
-
-def write_path(folder: Path, out: Path) -> None:
-    """Write the path in a log's results as a table that `sonarrec run --odometry` reads.
-
-    Raises SonarrecError if no motion was measured, or if the table cannot be written.
-    """
-    table = read_frames(folder)
-    if "timestamp_ns" not in table:
-        raise SonarrecError(f"{folder}: frames.csv has no timestamp_ns, by which poses are told")
-    path = measured_motion_path(folder, table, Diagnostics())
-    row = path.known
-    pose = path.pose[row]
-    covariance = path.position_covariance(row, pose[:, 1:])
-    variance = [path.yaw_variance(row), covariance[:, 0, 0], covariance[:, 1, 1]]
-    sigma = np.sqrt(np.maximum(np.column_stack(variance), 0))
-    rows = (
-        [int(at), f"{yaw:.5f}", f"{x:.6f}", f"{y:.6f}", f"{a:.4f}", f"{b:.5f}", f"{c:.5f}"]
-        for at, (yaw, x, y), (a, b, c) in zip(path.timestamp_ns[row], pose, sigma, strict=True)
-    )
-    with writing(out):
-        write_csv(out, PATH_COLUMNS, rows)

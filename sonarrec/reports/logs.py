@@ -12,8 +12,8 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.match import Matched, ScoringOptions, match, truth_beneath
 from sonarrec.nouns import follows
+from sonarrec.results.columns import chosen, leading
 from sonarrec.results.folders import log_of
-from sonarrec.results.methods import chosen, leading
 from sonarrec.results.read import LogResults, of_methods, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.sightings import Sighting, read_sightings

@@ -22,11 +22,11 @@ from sonarrec.results.columns import (
     FRAMES_HEADER,
     belief_names,
     estimate_columns,
+    in_order,
     kinds,
     needed,
 )
 from sonarrec.results.folders import aside_of, log_of, part_of
-from sonarrec.results.methods import in_order
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
 from sonarrec.tables.order import natural_order

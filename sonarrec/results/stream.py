@@ -18,10 +18,11 @@ from sonarrec.results.columns import (
     CORNERS,
     ESTIMATES_HEADER,
     belief_names,
+    chosen,
     estimate_columns,
+    leading,
     needed,
 )
-from sonarrec.results.methods import chosen, leading
 from sonarrec.results.read import estimate_tables
 from sonarrec.tables.read import POSITION_KINDS, Table, line_number, read_tables
 

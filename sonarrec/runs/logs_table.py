@@ -13,9 +13,8 @@ from time import monotonic
 from typing import Any, get_args
 
 from sonarrec.errors import SonarrecError
-from sonarrec.results.folders import LockedError, part_of
+from sonarrec.results.folders import LockedError, locked, part_of
 from sonarrec.runs.task import Outcome, Status, Task
-from sonarrec.tables.locks import locked
 from sonarrec.tables.outputs import is_filled, write_csv
 
 NAME = "logs.csv"

@@ -24,16 +24,13 @@ from sonarrec.nouns import IMAGE_SUFFIXES
 
 Kind = Literal[
     "report",
-    "comparison",
     "manual",
     "picture",
     "overlay",
     "video",
     "model",
-    "bound",
     "table",
     "JSON",
-    "graph",
 ]
 OVERLAY_LIBRARY = "sonarrec overlay"
 """Library name in the header of an overlay's MCAP."""
@@ -49,16 +46,14 @@ _PNG_HEADER = 33
 _HEAD = 4096
 _MARKS: dict[Kind, bytes] = {
     "report": b"sonarrec report</title>",
-    "comparison": b"sonarrec comparison</title>",
     "manual": b"sonarrec manual</title>",
     "picture": b"Software\0sonarrec",
     "overlay": OVERLAY_LIBRARY.encode(),
     "video": VIDEO_MARK,
     "model": MODEL_MARK.encode(),
-    "bound": b"[bound]\nshare = ",
 }
 """What our files of a kind have in their first bytes, or at their end. Tables and JSON are known by
-how they begin. A graph of g2o cannot hold a mark, so it is never taken for ours."""
+how they begin."""
 
 
 def check_output(

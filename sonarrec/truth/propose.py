@@ -14,8 +14,8 @@ from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_plane
 from sonarrec.nouns import follows
+from sonarrec.results.columns import leading
 from sonarrec.results.folders import log_of
-from sonarrec.results.methods import leading
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
 from sonarrec.truth.match import share_in_image

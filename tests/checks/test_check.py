@@ -106,19 +106,6 @@ def test_limits_replace_those_of_the_file() -> None:
 
 
 @pytest.mark.slow
-def test_in_markdown() -> None:
-    sonarrec("check", "--update", "-q")
-    told = sonarrec("check", "--markdown", "--set", "features.declare=0.99", code=4)
-    lines = told.stdout.splitlines()
-    assert lines[0].startswith("**worse: TPR ")
-    assert lines[2] == "| log | method | protocol | TPR before | now | FPR before | now |  |"
-    assert {line.count("|") for line in lines[2:6]} == {9}
-    assert lines[-1] == "- features.declare: 0.75 -> 0.99"
-    # On a build server stdout goes to a file: the log has the sentence.
-    assert told.stderr == f"sonarrec: {lines[0].strip('*')}\n"
-
-
-@pytest.mark.slow
 def test_a_log_that_cannot_be_run_leaves_the_record(repository: Path) -> None:
     log(repository, "other", 4)
     FILE.write_text(FILE.read_text() + '[[log]]\npath = "other"\n')

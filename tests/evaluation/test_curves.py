@@ -105,7 +105,7 @@ def test_macro_curve_at_equal_fpr() -> None:
 @pytest.mark.usefixtures("pictures")
 def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
     results, truth = paper_case(tmp_path)
-    sonarrec("evaluate", "--ground-truth", truth, results, "--det", "--details")
+    sonarrec("evaluate", "--ground-truth", truth, results, "--details")
     folder = results / "evaluation"
     with (folder / "figures.csv").open() as file:
         figures = {
@@ -113,7 +113,7 @@ def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
             for r in csv.DictReader(file)
             if r["protocol"] == "paper"
         }
-    for name in ("tpr", "auc", "pauc_0.05", "tpr_at_fpr_0.01", "frames_to_id_median"):
+    for name in ("tpr", "auc", "frames_to_id_median"):
         assert figures["smi", "2", name]["value"] == ""
         assert figures["smi", "2", name]["note"] == "0/0: nothing to measure"
     assert figures["smi", "2", "fpr"]["value"] == str(3 / 992)
@@ -121,8 +121,6 @@ def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
     # The mean of ID.1, ID.3 and ID.4.
     mean = (353 / 362 + 266 / 347 + 239 / 334) / 3
     assert float(figures["smi", "macro", "tpr"]["value"]) == pytest.approx(mean, abs=1e-12)
-    with (folder / "roc.csv").open() as file:
-        assert {r["tpr"] for r in csv.DictReader(file) if r["landmark"] == "2"} == {""}
     for name in ("roc.png", "roc_by_id.png", "det.png"):
         picture = cv2.imread(str(folder / name))
         for bgr in ((0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)):  # the colours of both methods

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sonarrec.evaluation.compare import compare
-from sonarrec.evaluation.compare_screen import MOST_ROWS, judgement_screen
+from sonarrec.evaluation.compare_output import MOST_ROWS, judgement_screen
 from sonarrec.evaluation.limits import EACH, Limits, judge_by
 from sonarrec.evaluation.pairs import Pair
 from tests.evaluation.test_compare import FRAMES, TRUTH, claims, command

@@ -14,12 +14,10 @@ import tomli_w
 from sonarrec.arrays import FloatArray
 from sonarrec.mapping.axes import CHI2_95
 from sonarrec.mapping.build import make_map
-from sonarrec.readers.poses_csv import read_poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
 from tests.support.command import sonarrec
-from tests.support.rows import read_rows
-from tests.support.vehicle import RATE_HZ, VehicleRun, truth_of, vehicle_run
+from tests.support.vehicle import VehicleRun, truth_of, vehicle_run
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +39,7 @@ def dive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     (folder / "landmarks.toml").write_text(tomli_w.dumps(run.scene.landmark_set.as_table()))
     (folder / "seed").write_text(str(request.param))
     words = ["--landmarks", folder / "landmarks.toml", "-o", folder / "out", "-q"]
-    sonarrec("run", log, *words, "--odometry-out", folder / "path.csv")
+    sonarrec("run", log, *words)
     return folder
 
 
@@ -55,34 +53,6 @@ def from_first(path: FloatArray) -> FloatArray:
     x, y = (path[:, 1:] - path[0, 1:]).T
     cos, sin = math.cos(yaw), math.sin(yaw)
     return np.column_stack([path[:, 0] - path[0, 0], x * cos - y * sin, x * sin + y * cos])
-
-
-def test_the_path_written_is_the_true_one_within_its_errors(dive: Path) -> None:
-    true = from_first(truth(dive).path[:FRAMES])
-    poses = read_poses(dive / "path.csv")
-    assert poses.at.tolist() == [round(n * 1e9 / RATE_HZ) for n in range(FRAMES)]
-    off = poses.pose - true
-    # 7.8 m of way: 60 mm is 0.8 %, of which 0.3 to 0.6 % is the height that is stated wrongly.
-    assert (np.abs(off) < (1.5, 0.06, 0.06)).all()
-    rows = read_rows(dive / "path.csv")
-    sigma = np.array(
-        [[float(r[k]) for k in ("yaw_sigma_deg", "x_sigma_m", "y_sigma_m")] for r in rows]
-    )
-    assert (np.diff(sigma[:, 0]) >= 0).all()
-    assert (np.abs(off[1:]) < 4 * sigma[1:]).all()
-    # A frame that faded is bridged by the last speed, give or take 2 deg of turn.
-    assert (sigma[-1] < (4, 0.1, 0.1)).all()
-
-
-def test_the_path_read_back_tells_the_motion_that_was_measured(dive: Path) -> None:
-    again = dive / "again.csv"
-    words = ["--landmarks", dive / "landmarks.toml", "-q", "--odometry-out", again]
-    sonarrec("run", dive / "dive", *words, "-o", dive / "told", "--odometry", dive / "path.csv")
-    first, second = (read_poses(dive / name).pose for name in ("path.csv", "again.csv"))
-    np.testing.assert_allclose(second, first, atol=2e-3)  # frames.csv has a hundredth of a mm
-    told = read_rows(dive / "told" / "dive" / "frames.csv")
-    assert {row["dx_sigma_m"] for row in told} == {""}
-    assert abs(float(told[10]["dy_m"])) > 0.05
 
 
 def test_a_map_without_poses_is_relative_to_the_first_frame(dive: Path) -> None:
@@ -100,18 +70,3 @@ def test_a_map_without_poses_is_relative_to_the_first_frame(dive: Path) -> None:
         squared.append(off[nearest] @ np.linalg.inv(one.covariance) @ off[nearest])
     assert len(squared) >= 4
     assert np.mean(np.array(squared) < CHI2_95) >= 0.75
-
-
-def test_several_logs_or_another_file_are_refused(dive: Path) -> None:
-    two = [dive / "dive", SAMPLE]
-    told = sonarrec("run", *two, "-o", dive / "x", "--odometry-out", dive / "p.csv", code=2)
-    assert "--odometry-out is for one log" in told.stderr
-    (dive / "mine.csv").write_text("something else\n")
-    words = ["-o", dive / "x", "--odometry-out", dive / "mine.csv"]
-    told = sonarrec("run", dive / "dive", *words, code=2)
-    assert "not overwritten" in told.stderr
-    assert (dive / "mine.csv").read_text() == "something else\n"
-    sonarrec("run", dive / "dive", "-o", dive / "p", "--preset", "paper", "-q")
-    words = ["-o", dive / "p", "--preset", "paper", "-q", "--odometry-out", dive / "none.csv"]
-    told = sonarrec("run", dive / "dive", *words, code=1)
-    assert "measured motion" in told.stderr

@@ -17,7 +17,7 @@ from sonarrec.errors import Diagnostics, SonarrecError, UsageError
 from sonarrec.geometry import PolarToFan, polar_from_pixel
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.frame_maker import FrameMaker
-from sonarrec.readers.guess.order import looks_beam_major
+from sonarrec.readers.decode.ping_geometry import looks_beam_major
 from sonarrec.readers.info import describe
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.results.run_file import LogOptions

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-import sys
 from collections.abc import Callable
-from dataclasses import fields
 from itertools import islice
 from pathlib import Path
 
@@ -17,7 +15,6 @@ import pytest
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.guess.plausible import FRAMES, Plausibility
-from sonarrec.readers.guess.table import GUESSES, Guess
 from sonarrec.readers.info import describe
 from sonarrec.sonar import Sonar
 from tests.support.command import sample_log, sonarrec
@@ -160,10 +157,3 @@ def test_info_says_it_too(tmp_path: Path) -> None:
     (images,) = describe(bare, sonar=Sonar(height_m=3.0)).images
     assert images.lacks
     assert images.notes == []
-
-
-@pytest.mark.parametrize("guess", GUESSES, ids=lambda guess: guess.what)
-def test_the_table_of_guesses_is_true(guess: Guess) -> None:
-    module = sys.modules[guess.function.__module__]
-    assert all(hasattr(module, name) for name in guess.constants)
-    assert set(guess.keys) <= {field.name for field in fields(Sonar)}

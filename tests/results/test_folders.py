@@ -121,11 +121,10 @@ def test_all_that_is_made_from_results_goes_with_them(log: Path, tmp_path: Path)
     kept = {path.name for path in folder.iterdir()}
     header, *rows = (SAMPLE / "gt.csv").read_text().splitlines(keepends=True)
     truth.write_text(header + "".join(row for row in rows if int(row.split(",")[0]) < FRAMES))
-    sonarrec("evaluate", "--ground-truth", truth, folder, "--det")
+    sonarrec("evaluate", "--ground-truth", truth, folder)
     sides = ["--compare", folder, folder]
     sonarrec("evaluate", "--ground-truth", truth, *sides, "-o", folder / "evaluation")
     sonarrec("report", "--ground-truth", truth, folder, "-q")
-    sonarrec("report", "--ground-truth", truth, *sides, "-o", folder / "compare.html")
     sonarrec("map", folder, "--origin", "54,10,0", "--min-frames", "3")
     made = {path for path in folder.rglob("*") if path.is_file() and path.name not in kept}
     assert len(made) > 15

@@ -123,9 +123,6 @@ def test_a_call_that_is_stopped_goes_on(
         told = rows(out)["slow"]
         assert (told["status"], told["message"]) == ("waiting", "stopped")
         assert int(told["frames"]) == len(kept) - 1
-        assert "waiting: slow: stopped" in sonarrec("status", out).stdout
-        others = sonarrec("run", *logs, "-o", out, "--retry-failed").stderr
-        assert others.startswith("nothing to do; ")
     assert not (out / "slow").exists()
     finished = {
         name: (out / name / "run.toml").stat().st_mtime_ns
@@ -171,20 +168,6 @@ def test_a_share_that_cannot_be(share: str, tmp_path: Path) -> None:
     assert "expected I/N" in done.stderr
 
 
-@pytest.mark.slow
-def test_status_tells_the_table_while_it_grows_and_after(tmp_path: Path) -> None:
-    logs = made(tmp_path, "a", "slow", frames=20)
-    out = tmp_path / "out"
-    with subprocess.Popen(
-        command("run", *logs, "-j", 2, "-o", out, "-q"), env=environment(tmp_path)
-    ) as running:
-        until((out / "logs.csv").is_file, running)
-        until(lambda: '"running"' in sonarrec("status", out, "--json").stdout, running)
-        (tmp_path / "slow.go").touch()
-    told = sonarrec("status", out)
-    assert told.stdout.startswith("2 logs: 2 done\n40 frames, 0 unusable")
-
-
 def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     (log,) = made(tmp_path, "a", frames=3)
     (tmp_path / "out").mkdir()
@@ -197,7 +180,7 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
 
 
 def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Path) -> None:
-    """It was told as failed though it was done, and --retry-failed did it again."""
+    """It was told as failed though it was done."""
     task = Task("a", "a", str(tmp_path), LogOptions(), RunOptions([]))
     first, second = (LogsTable(tmp_path, [task]) for _ in range(2))
     for table in (first, second):
@@ -236,7 +219,7 @@ def test_what_failed_is_one_line_without_the_example(sonar: Sonar) -> None:
 
 
 @pytest.mark.slow
-def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
+def test_a_second_call_does_what_failed_or_was_partly_read(tmp_path: Path) -> None:
     logs = made(tmp_path, "a", "cut", "dies", frames=3)
     (logs[1] / "000001.png").write_bytes(b"not an image")
     out = tmp_path / "out"
@@ -252,11 +235,8 @@ def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
     }
     assert rows(out)["cut"]["unusable"] == "1"
     shutil.copy(SAMPLE / "000001.png", logs[1])
-    kept = (out / "a" / "run.toml").stat().st_mtime_ns
-    assert sonarrec(*call, "--retry-failed").stdout.splitlines()[-1] == "2 done"
-    assert (out / "a" / "run.toml").stat().st_mtime_ns == kept
+    sonarrec(*call, "--overwrite")
     assert [row["status"] for row in rows(out).values()] == ["done"] * 3
-    assert sonarrec(*call, "--retry-failed").stderr == "nothing to do\n"
 
 
 @pytest.mark.slow
@@ -278,7 +258,7 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path: Path) -> N
     anew = told("--dry-run", "--overwrite")
     assert anew[:2] == ["done again (asked for)"] * 2
     assert anew[2].startswith("fails (")
-    changed = told("--dry-run", "--set", "features.declare=.9", "--seed", "3")
+    changed = told("--dry-run", "--set", "features.declare=.9", "--set", "seed=3")
     assert changed[0] == "done again (other settings: seed, features.declare)"
     assert sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*")) == before
 
@@ -318,10 +298,8 @@ def test_a_refused_namesake_leaves_the_row_of_results_that_stand(tmp_path: Path)
     assert "holds the results of another log" in sonarrec(*both, code=3).stderr
     assert states() == {str(logs[0]): "done", str(logs[2]): "done", str(logs[1]): "failed"}
     kept = tables(out / "dive")
-    assert "holds the results" in sonarrec(*both, "--retry-failed", code=1).stderr
+    assert "holds the results" in sonarrec(*both, code=3).stderr
     assert tables(out / "dive") == kept, "replaced unasked"
-    first = ["run", logs[0], logs[2], "-o", out]
-    assert sonarrec(*first, "--retry-failed").stderr == "nothing to do\n"
     sonarrec(*both, "--overwrite", "-q")
     assert states() == {str(logs[2]): "done", str(logs[1]): "done"}
 

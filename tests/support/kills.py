@@ -54,7 +54,9 @@ def stop_at_random(log: Path, out: Path, moments: int) -> tuple[int, int]:
     readable to its last whole frame. Returns how often a part was left, and a run was done.
     """
     folder = out / log.name
-    words = [command("run", "-q", log, "-o", out, "--overwrite", "--seed", n) for n in ("0", "1")]
+    words = [
+        command("run", "-q", log, "-o", out, "--overwrite", "--set", f"seed={n}") for n in (0, 1)
+    ]
     whole = []
     for one in words:
         begun = time.monotonic()

@@ -147,7 +147,7 @@ def _foxglove_family(name: str, encoding: str) -> _Family:
     message = foxglove.message_class(name)
     named = partial(fields.with_clock, make, "seconds", "nanos")
     return _Family(
-        name, "protobuf", foxglove.descriptor_set(name), "protobuf", named,
+        name, "protobuf", descriptor_set(name), "protobuf", named,
         lambda values: bytes(message(**values).SerializeToString()),
     )  # fmt: skip
 
@@ -236,3 +236,21 @@ class McapImageWriter:
         else:
             self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.close()
+
+
+def descriptor_set(name: str) -> bytes:
+    """The serialised FileDescriptorSet of a message: its schema in an MCAP."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    files: dict[str, Any] = {}
+
+    def add(file: Any) -> None:
+        for dependency in file.dependencies:
+            add(dependency)
+        files[file.name] = file
+
+    add(foxglove.message_class(name).DESCRIPTOR.file)
+    schema = FileDescriptorSet()
+    for file in files.values():
+        file.CopyToProto(schema.file.add())
+    return bytes(schema.SerializeToString())

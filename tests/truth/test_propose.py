@@ -234,7 +234,7 @@ def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
         apart = math.hypot(x - float(true[key]["x_px"]), y - float(true[key]["y_px"]))
         assert apart * metres_per_pixel < 0.075
     gt = summary.folder.parent / "proposed.csv"
-    sonarrec("truth", "check", gt, SAMPLES / "pan", "--sheet", tmp_path / "sheet.png")
+    sonarrec("truth", "check", gt, SAMPLES / "pan")
 
 
 def test_scoring_counts_the_rows_that_nobody_has_checked(tmp_path: Path) -> None:

@@ -28,11 +28,11 @@ from sonarrec.readers.decode.ping_geometry import (
     as_stated,
     as_wide,
     extent,
+    looks_beam_major,
     same_view,
     shows,
 )
 from sonarrec.readers.guess.height import height_from_images
-from sonarrec.readers.guess.order import looks_beam_major
 from sonarrec.readers.raw import RawFrame, UnusableError, showing
 from sonarrec.sonar import BeamOrder, Geometry, PingGeometry, Sonar
 

@@ -85,24 +85,6 @@ def message_class(name: str) -> Any:
     return getattr(importlib.import_module(f"foxglove_schemas_protobuf.{short}_pb2"), short)
 
 
-def descriptor_set(name: str) -> bytes:
-    """The serialised FileDescriptorSet of a message: its schema in an MCAP."""
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet
-
-    files: dict[str, Any] = {}
-
-    def add(file: Any) -> None:
-        for dependency in file.dependencies:
-            add(dependency)
-        files[file.name] = file
-
-    add(message_class(name).DESCRIPTOR.file)
-    schema = FileDescriptorSet()
-    for file in files.values():
-        file.CopyToProto(schema.file.add())
-    return bytes(schema.SerializeToString())
-
-
 def json_schema(name: str) -> dict[str, Any]:
     """The JSON schema of a message, as Foxglove publishes it, without the descriptions."""
     return {"title": name, **_object(message_class(name).DESCRIPTOR)}

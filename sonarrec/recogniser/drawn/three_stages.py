@@ -17,14 +17,13 @@ from sonarrec.recogniser.between_stages import AfterStage2, Batch, WorkingImage
 from sonarrec.recogniser.drawn.drawings import Drawings
 from sonarrec.recogniser.drawn.model import built_in_model
 from sonarrec.recogniser.drawn.pose import PoseFitter
-from sonarrec.recogniser.drawn.stage1 import PlateScore
 from sonarrec.recogniser.drawn.stage2 import Plates
 from sonarrec.recogniser.drawn.stage3 import PlateEvidence, PlateMeasurement
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.motion.odometry import Odometry
-from sonarrec.recogniser.plane import working_plane
+from sonarrec.recogniser.plane import Plane, working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
-from sonarrec.recogniser.stage1 import CandidateSelector
+from sonarrec.recogniser.stage1 import CandidateSelector, ScoreMaps
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
 from sonarrec.recogniser.three_stages import ThreeStages
@@ -117,3 +116,38 @@ def _from_far(corners: FloatArray) -> FloatArray:
     """(4, 2) corners, with the two of the far edge first. corners: range first."""
     edges = corners[:, 0] + np.roll(corners[:, 0], -1)
     return np.roll(corners, -int(edges.argmax()), axis=0)
+
+
+# Sides of the window, in sides of a plate: along the range a tilted one is shorter.
+WINDOW = (0.9, 0.65)
+LEAST_SEEN = 0.7  # of the window inside the fan
+# A drawing's levels differ between a tenth and half of a side. So many sigmas of the frame's grey
+# levels, with those by which the whole is brighter than its surroundings, score 1; plates have .7
+# to 1.9.
+FULL_CONTRAST = 1.7
+FINE_SHARE, BROAD_SHARE = 1 / 10, 1 / 2
+
+
+class PlateScore:
+    """How uneven a plate-sized window is inside, and how bright over its surroundings."""
+
+    def __init__(self, plane: Plane) -> None:
+        side = 2 * plane.axes[0]
+        self._window = tuple(max(3, round(share * side)) for share in WINDOW)
+        self._sizes = tuple(max(1, round(share * side)) for share in (FINE_SHARE, BROAD_SHARE))
+        inside = plane.inside.astype(np.float32)
+        seen = np.asarray(cv2.blur(inside, self._window), np.float32)
+        self._share = np.where(seen >= LEAST_SEEN, 1 / np.maximum(seen, 0.1), 0).astype(np.float32)
+
+    def __call__(self, _: ByteImage, relief: FloatImage, sigma: float) -> ScoreMaps:
+        """As of `Detector`."""
+        fine, broad = (cv2.blur(relief, (size, size)) for size in self._sizes)
+        inner = np.maximum(self._mean((fine - broad) ** 2), 0)
+        bright = np.maximum(self._mean(relief), 0)
+        score = np.sqrt(inner + bright**2) / np.float32(FULL_CONTRAST * sigma)
+        # Of plateaus the middle is the candidate.
+        peaks = np.asarray(cv2.GaussianBlur(score, (0, 0), self._sizes[0]), np.float32)
+        return ScoreMaps(score, peaks, score, np.full((1, 1), sigma, np.float32))
+
+    def _mean(self, values: FloatImage) -> FloatImage:
+        return np.asarray(cv2.blur(values, self._window) * self._share, np.float32)

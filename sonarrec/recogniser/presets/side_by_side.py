@@ -147,17 +147,16 @@ class SideBySide:
         of_each = zip(self._recognisers.values(), zip(*tracked, strict=True), strict=True)
         by_recogniser = [recogniser.stage3(frames) for recogniser, frames in of_each]
         for of_frame in zip(*by_recogniser, strict=True):
-            results = self._of_each(dict(zip(self._recognisers, of_frame, strict=True)))
-            for i, result in enumerate(results):
-                for part in (self._hindsight[i], self._looks[i]):
-                    if part is not None:
-                        part.learn(result)
-            self._found.append(results)
+            self._found.append(self._of_each(dict(zip(self._recognisers, of_frame, strict=True))))
 
     def _settled(self) -> Iterator[FrameResult]:
         """The results that are final once those found come behind them."""
         while self._found:
             self._pending.append(self._found.popleft())
+            for i, result in enumerate(self._pending[-1]):
+                for part in (self._hindsight[i], self._looks[i]):
+                    if part is not None:
+                        part.learn(result)
             # Each at its own lag, so that a preset's results do not depend on the others.
             for i, hindsight in enumerate(self._hindsight):
                 if hindsight is not None and len(self._pending) > hindsight.lag:
