@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import nullcontext
 from heapq import nlargest
 from pathlib import Path
 from typing import Any
@@ -102,16 +103,13 @@ def convert(
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.basis import chosen_landmarks
     from sonarrec.truth.convert import convert as convert_annotations
-    from sonarrec.truth.convert import look_at
 
     source = None if log is None else find_log(log)
-    landmark_set, images = chosen_landmarks(source, landmarks, read_run(None))[0], None
-    if log is not None:
-        with open_log(log, **log_choice.arguments()) as opened:
-            images = look_at(opened)
-    counts, told = convert_annotations(
-        annotations, out, landmark_set, labels=labels, first_frame=first_frame, log=images
-    )
+    landmark_set = chosen_landmarks(source, landmarks, read_run(None))[0]
+    with nullcontext() if log is None else open_log(log, **log_choice.arguments()) as opened:
+        counts, told = convert_annotations(
+            annotations, out, landmark_set, labels=labels, first_frame=first_frame, log=opened
+        )
     tell(told.problems)
     if not quiet:
         by_id = ", ".join(f"ID.{i} {count}" for i, count in counts.items()) or "no landmark"

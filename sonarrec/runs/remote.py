@@ -1,8 +1,4 @@
-"""Logs and results on servers: a log is fetched whole, run as a local one, its results are put.
-
-fsspec speaks to the servers (the extra `remote`). A broken transfer is not resumed; whoever needs
-that, or a cache, mounts the server (`rclone mount`).
-"""
+"""Logs on servers, by fsspec: a log is fetched whole, run as a local one, its results are put."""
 
 from __future__ import annotations
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -18,11 +17,9 @@ from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Fan
 from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
-from sonarrec.sonar import Sonar
 from sonarrec.tables.order import natural_order
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
@@ -31,11 +28,10 @@ PARTLY_HIDDEN = 0.5  # `visible` of a shape flagged as occluded; the flag does n
 HALF_A_PIXEL = 0.5  # tools put (0, 0) at the image's corner, we at the centre of its first pixel
 _PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECASE)
 _LAST_NUMBER = re.compile(r"[0-9]{1,18}$")
-_EXPORTED = (
-    re.compile(r"(.+?)(?:_(?:png|jpe?g|bmp|tiff?))?\.rf\.[0-9A-Za-z]{7,}"),  # by Roboflow
-    re.compile(r"(?=[0-9]*[a-f])[0-9a-f]{8}-(.+)"),  # by Label Studio
+# Label Studio puts a hash before the names of images, Roboflow one behind.
+_HASH = re.compile(
+    r"^(?=[0-9]*[a-f])[0-9a-f]{8}-|(?:_(?:png|jpe?g|bmp|tiff?))?\.rf\.[0-9A-Za-z]{7,}$"
 )
-"""Names without suffix into which these tools put a hash; the group is the name before."""
 
 
 class _Image(msgspec.Struct):
@@ -66,29 +62,6 @@ class _Coco(msgspec.Struct):
     annotations: list[_Annotation]
 
 
-@dataclass(frozen=True, slots=True)
-class LogImages:
-    """What a log says about the images that were annotated.
-
-    sonar, fan: its geometry, and that of its fan images. names: its image files in frame order;
-    empty for a log in one file, whose frames have no names.
-    """
-
-    sonar: Sonar
-    fan: Fan
-    names: tuple[str, ...]
-
-
-def look_at(log: Log) -> LogImages:
-    """Read the first frame of a log, for its geometry, and the names of its files.
-
-    Raises SonarrecError where no frame can be used.
-    """
-    fan = next(iter(log)).fan
-    names = tuple(file.name for file in find_log(log.path).files if is_image(file))
-    return LogImages(log.sonar, fan, names)
-
-
 def convert(
     source: Path,
     out: Path,
@@ -96,7 +69,7 @@ def convert(
     *,
     labels: Mapping[str, int | None] | None = None,
     first_frame: int = 0,
-    log: LogImages | None = None,
+    log: Log | None = None,
 ) -> tuple[dict[int, int], Diagnostics]:
     """Write the annotations in a COCO document as `out`, a new gt.csv; (rows per ID, what is told).
 
@@ -131,7 +104,9 @@ def convert(
             f"{number_of(len(without), 'annotation')} without one centre, {more}, left out"
         )
     ids = _landmark_ids(Counter(label for _, label, *_ in found), labels or {}, landmarks, told)
-    frames, rule = _frames_of([i.file_name for i in coco.images], log.names if log else ())
+    files = find_log(log.path).files if log is not None else []
+    in_log = [file.name for file in files if is_image(file)]
+    frames, rule = _frames_of([i.file_name for i in coco.images], in_log)
     if rule is None:
         frames = {name: number - first_frame for name, number in frames.items()}
         rule = f"frames by the number that ends every image name, from {first_frame}"
@@ -218,14 +193,13 @@ def _frames_of(images: Sequence[str], in_log: Sequence[str]) -> tuple[dict[str, 
     """
     stems = {name: Path(unquote(name.replace("\\", "/").partition("?")[0])).stem for name in images}
     of_log = {Path(name).stem: n for n, name in enumerate(in_log)}
-    if in_log and not set(stems.values()) & set(of_log):
-        stems = _as_before_export(stems)
+    if not set(stems.values()) & set(of_log):
+        stems = {name: _HASH.sub("", stem) for name, stem in stems.items()}
     if in_log:
         found = {name: of_log[stem] for name, stem in stems.items() if stem in of_log}
         if images and not found:
             raise SonarrecError(f"no image of the log is called {images[0]!r}; give its own log")
         return found, "frames by image name in the log"
-    stems = _as_before_export(stems)
     ends = {name: _LAST_NUMBER.search(stem) for name, stem in stems.items()}
     numbers = {name: int(end[0]) for name, end in ends.items() if end}
     if len(numbers) == len(stems):
@@ -235,24 +209,15 @@ def _frames_of(images: Sequence[str], in_log: Sequence[str]) -> tuple[dict[str, 
     return {name: n for n, name in enumerate(order)}, by_order
 
 
-def _as_before_export(stems: dict[str, str]) -> dict[str, str]:
-    """The names as they were before a tool put a hash into every one."""
-    for form in _EXPORTED:
-        found = {name: form.fullmatch(stem) for name, stem in stems.items()}
-        plain = {name: match[1] for name, match in found.items() if match}
-        if plain and len(plain) == len(stems):
-            return plain
-    return stems
-
-
 def _in_fan_pixels(
-    source: Path, sizes: set[Any], log: LogImages, x: FloatArray, y: FloatArray, radius_m: float
+    source: Path, sizes: set[Any], log: Log, x: FloatArray, y: FloatArray, radius_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(column, row, share of the disc in the image), each (N,), in the log's fan images.
 
     sizes: (columns, rows) of the annotated images.
     """
-    sonar, fan = log.sonar, log.fan
+    fan = next(iter(log)).fan
+    sonar = log.sonar
     bins = round(fan.window_m / fan.metres_per_pixel)
     beams = len(sonar.bearings_deg) if sonar.bearings_deg else 0
     if sizes == {(fan.columns, fan.rows)}:
