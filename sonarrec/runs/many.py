@@ -116,7 +116,7 @@ class Processes:
         """End the processes and start none; logs keep their frames so far. Returns at once."""
         with self._starting:
             self._stopped = True
-            for child in self._running:
+            for child in [*self._running]:  # their threads take them out meanwhile
                 Thread(target=_end, args=(child,), daemon=True).start()
 
     def run(

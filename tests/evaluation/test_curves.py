@@ -121,10 +121,9 @@ def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
     # The mean of ID.1, ID.3 and ID.4.
     mean = (353 / 362 + 266 / 347 + 239 / 334) / 3
     assert float(figures["smi", "macro", "tpr"]["value"]) == pytest.approx(mean, abs=1e-12)
-    for name in ("roc.png", "roc_by_id.png", "det.png"):
-        picture = cv2.imread(str(folder / name))
-        for bgr in ((0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)):  # the colours of both methods
-            assert np.count_nonzero((picture == bgr).all(axis=2)) > 100, name
+    picture = cv2.imread(str(folder / "roc.png"))
+    for bgr in ((0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)):  # the colours of both methods
+        assert np.count_nonzero((picture == bgr).all(axis=2)) > 100
 
 
 def test_methods_of_any_name_stand_in_the_legend(monkeypatch: pytest.MonkeyPatch) -> None:
