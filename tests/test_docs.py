@@ -117,7 +117,11 @@ def test_commands_in_order_print_what_is_shown(
     shutil.copytree(ROOT / "sample_data", tmp_path / "sample_data")
     monkeypatch.chdir(tmp_path)
     found = examples(document)
-    without = document.stem in ("changes", "develop", "limits")  # which tell no command of the program
+    without = document.stem in (
+        "changes",
+        "develop",
+        "limits",
+    )  # which tell no command of the program
     assert without or any("sonarrec" in command for command, _ in found)
     for command, shown in found:
         words = command.split()

@@ -16,11 +16,11 @@ from mcap.reader import make_reader
 
 from sonarrec.cli import main
 from sonarrec.readers import open_log
+from sonarrec.simulation.mcap import McapWriter
 from sonarrec.sonar import Sonar
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.hard_logs import HardLog
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file, video_file
-from tests.support.mcap_writer import McapImageWriter
 
 IMAGES = frames(20, 30, 24)
 START_NS = 1_700_000_000 * 10**9
@@ -157,8 +157,7 @@ def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
     bearings = tuple(np.linspace(-30, 30, 24).tolist())
     sonar = Sonar(range_min_m=1, range_max_m=4, tilt_deg=20, bearings_deg=bearings).complete("test")
     path = tmp_path / "log.mcap"
-    schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
-    with McapImageWriter(path, schema=schema, sonar=sonar) as writer:
+    with McapWriter(path, sonar) as writer:
         for k, image in enumerate(IMAGES):
             writer.write(k * PERIOD_NS, image)
     (images,) = table(path)["images"]

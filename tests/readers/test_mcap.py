@@ -1,39 +1,29 @@
-"""MCAP files as the field sends them: odd, cut, damaged, hostile; and what the writer writes."""
+"""MCAP files as the field sends them: odd, cut, damaged, hostile."""
 
 from __future__ import annotations
 
 import base64
-import dataclasses
 import json
 import random
 import struct
 from pathlib import Path
-from typing import Any
 
 import cv2
-import jsonschema
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap.records import Channel, Schema
-from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers import open_log
-from sonarrec.readers.messages.types import decoder_for, message_type
+from sonarrec.readers.messages.types import decoder_for
 from sonarrec.readers.raw import UnusableError
-from sonarrec.sonar import Sonar
 from tests.support.logs import (
     PERIOD_NS,
-    SONAR_TOML,
     cdr_compressed_image,
     cdr_image,
     frames,
     mcap_file,
     read,
 )
-from tests.support.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 
 IMAGE = frames(1)[0]
 
@@ -186,89 +176,3 @@ def test_log_time_order(options: dict[str, bool], tmp_path: Path) -> None:
     assert [f.timestamp_ns for f in found] == [times[k] for k in expected]
     for frame, k in zip(found, expected, strict=True):
         np.testing.assert_array_equal(frame.image, images[k])
-
-
-# The writer
-
-
-POLAR = Sonar(range_min_m=1.0, range_max_m=1.9, field_of_view_deg=28.0, tilt_deg=20.0).complete(
-    "test"
-)
-
-
-def read_by_others(schema: Schema, channel: Channel, data: bytes) -> dict[str, Any]:
-    """By rosbags from the definition in the file, by protobuf from the descriptor in the file, by
-    json from its schema. Times are called sec and nanosec."""
-    if channel.message_encoding == "protobuf":
-        message = ProtobufDecoders().decoder_for("protobuf", schema)(data)  # type: ignore[misc]
-        fields = {d.name: value for d, value in message.ListFields()}
-        clock = fields["timestamp"]
-        return fields | {"timestamp": {"sec": clock.seconds, "nanosec": clock.nanos}}
-    if channel.message_encoding == "json":
-        table = json.loads(data)
-        jsonschema.validate(table, json.loads(schema.data))
-        return json.loads(data.replace(b'"nsec"', b'"nanosec"'))  # type: ignore[no-any-return]
-    ros1 = channel.message_encoding == "ros1"
-    store = get_typestore(Stores.EMPTY)
-    name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
-    store.register(get_types_from_msg(schema.data.decode(), name))
-    deserialise = store.deserialize_ros1 if ros1 else store.deserialize_cdr
-    return dataclasses.asdict(deserialise(data, name))
-
-
-def agrees(written: Any, read: Any) -> bool:
-    """What was to be written is what was read: numbers of 32 bits to their precision."""
-    if isinstance(written, dict):
-        return all(agrees(value, read[key]) for key, value in written.items() if key in read)
-    if isinstance(written, bytes):
-        return written == (base64.b64decode(read) if isinstance(read, str) else bytes(read))
-    if isinstance(written, list):
-        pairs = zip(written, read, strict=True)
-        return all(agrees(mine, theirs) for mine, theirs in pairs)
-    return written == read or (isinstance(written, float) and written == pytest.approx(read))
-
-
-@pytest.mark.parametrize("schema", SCHEMAS)
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_others_read_what_the_writer_writes(schema: str, dtype: type, tmp_path: Path) -> None:
-    image = np.random.default_rng(5).integers(0, np.iinfo(dtype).max, (9, 7)).astype(dtype)
-    path = tmp_path / "log.mcap"
-    stamp = 1_700_000_000_123_456_789
-    with McapImageWriter(path, topic="/x", schema=schema, sonar=POLAR) as writer:
-        for k in range(3):
-            writer.write(stamp + k, image)
-    with path.open("rb") as file:
-        found = list(make_reader(file, validate_crcs=True).iter_messages())
-    assert [m.log_time for _, _, m in found] == [stamp, stamp + 1, stamp + 2]
-    record, channel, message = found[1]
-    assert record is not None
-    assert channel.topic == "/x"
-    key = message_type(schema.partition("+")[0])
-    assert message_type(record.name) == key
-    make = _ROS_TYPES[key.replace("foxglove/", "foxglove_msgs/")]
-    assert agrees(make(stamp + 1, image, POLAR), read_by_others(record, channel, message.data))
-
-
-def test_writer_refuses(tmp_path: Path) -> None:
-    with pytest.raises(SonarrecError, match=r"sensor_msgs/msg/Image"):
-        McapImageWriter(tmp_path / "a.mcap", schema="sensor_msgs/msg/Imu")
-    with pytest.raises(SonarrecError, match="none, lz4, zstd"):
-        McapImageWriter(tmp_path / "a.mcap", compression="bz2")
-    with pytest.raises(SonarrecError, match="cannot be written"):
-        McapImageWriter(tmp_path / "nowhere" / "a.mcap")
-    with (
-        pytest.raises(ValueError, match="2-D uint8"),
-        McapImageWriter(tmp_path / "a.mcap") as writer,
-    ):
-        writer.write(0, np.zeros((3, 3), np.float32))
-
-
-def test_writer_left_by_an_error_leaves_a_file_that_says_so(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
-    with pytest.raises(AttributeError), McapImageWriter(path) as writer:  # noqa: PT012
-        for image in (IMAGE, None):
-            writer.write(0, image)  # type: ignore[arg-type]
-    found, problems = read(path)
-    np.testing.assert_array_equal(found[0].image, IMAGE)
-    assert "cut short" in problems[0]

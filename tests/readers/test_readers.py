@@ -32,7 +32,6 @@ from tests.support.logs import (
     read,
     video_file,
 )
-from tests.support.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from tests.support.sonar_files import aris_file, gemini_log, gemini_record, oculus_ping
 
 Maker = Callable[[Path, list[np.ndarray]], Path]
@@ -40,18 +39,6 @@ Maker = Callable[[Path, list[np.ndarray]], Path]
 
 def folder(suffix: str, change: Callable[[np.ndarray], np.ndarray] = lambda image: image) -> Maker:
     return lambda path, images: image_folder(path / "log", [change(i) for i in images], suffix)
-
-
-def ours(schema: str, compression: str, scale: int = 1) -> Maker:
-    def make(path: Path, images: list[np.ndarray]) -> Path:
-        (path / "sonar.toml").write_text(SONAR_TOML)
-        with McapImageWriter(path / "log.mcap", schema=schema, compression=compression) as writer:
-            for k, image in enumerate(images):
-                pixels = image if scale == 1 else image.astype(np.uint16) * scale
-                writer.write(k * PERIOD_NS, pixels)
-        return path / "log.mcap"
-
-    return make
 
 
 def theirs(**options: object) -> Maker:
@@ -106,13 +93,6 @@ SAME_FRAMES: dict[str, Maker] = {
     "mcap, no index": theirs(indexed=False),
     "mcap, dotted schema": theirs(schema="sensor_msgs.msg.Image"),
     "mcap, short schema": theirs(schema="sensor_msgs/Image"),
-    "mcap, mono16": ours("sensor_msgs/msg/Image", "zstd", scale=257),
-    **{
-        f"mcap, {schema}, {compression}": ours(schema, compression)
-        for schema in SCHEMAS
-        if not is_polar(schema)
-        for compression in ("none", "zstd")
-    },
 }
 
 

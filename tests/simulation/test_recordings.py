@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import load_landmarks
@@ -132,8 +133,13 @@ def test_written_recordings_read_back(tmp_path) -> None:
     for name in ("sonar.toml", "gt.csv", "scene.toml"):
         assert (tmp_path / f"log.{name}").read_bytes() == (tmp_path / "log" / name).read_bytes()
     with (tmp_path / "log.mcap").open("rb") as file:
-        times = [message.log_time for _, _, message in make_reader(file).iter_messages()]
+        read_by_others = [
+            *make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        ]
+    times = [one.message.log_time for one in read_by_others]
     assert times == [frame.timestamp_ns for frame in frames] == [0, 333333333, 666666667]
+    for one, frame in zip(read_by_others, frames, strict=True):
+        assert bytes(one.decoded_message.data) == frame.image.tobytes()
     with pytest.raises(SonarrecError, match="already exists"):
         write_recording(scene, tmp_path / "log")
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import resource
 import shutil
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -28,13 +27,12 @@ from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.baseline import HoughSmi, fan_of, read_grey
 from tests.studies.results.record import judge, options, save, show
-from tests.support.mcap_writer import McapImageWriter
+from tests.support.logs import cdr_image, mcap_file
 
 FRAMES = 144
 REPEATS = 4
 QUIET = 0.5  # load average; on a busier machine wall times say nothing
 SHORT, LOGS = 60, 8  # frames in a short log, and how many of them one run takes
-ROUNDS = 6  # of the frames, in a log for one core and for two
 LONG = (500, 3000)
 # Scenes the baseline's accuracy is reported on: not those that baseline.py tunes it on.
 REPORTED = ("basin", (501, "plain"), (502, "near_miss"), (503, "fading"))
@@ -95,9 +93,8 @@ def interleaved(tasks: dict[str, Callable[[], object]]) -> dict[str, float]:
 
 def write_mcap(path: Path, images: Iterable[np.ndarray], compression: str, sonar: Path) -> None:
     """One image channel at 4 Hz, with its sonar.toml beside it."""
-    with McapImageWriter(path, compression=compression) as writer:
-        for number, image in enumerate(images):
-            writer.write(number * 250_000_000, image)
+    messages = (("/sonar", n * 250_000_000, cdr_image(image)) for n, image in enumerate(images))
+    mcap_file(path, messages, compression=compression, chunk_size=2**20)
     path.with_suffix(".sonar.toml").write_bytes(sonar.read_bytes())
 
 
@@ -161,9 +158,6 @@ def cost(work: Path) -> None:
     memory(work, images)
 
 
-# As a plain installation runs it: pandas loads pyarrow, an extra, wherever it finds it.
-_PLAIN = "import sys; sys.modules['pyarrow'] = None; from sonarrec.cli import main; main()"
-
 # On Linux a new process is charged with the peak of the one it was forked from, until it runs
 # its own program: so it is forked from a small one.
 _LAUNCHER = """
@@ -186,7 +180,7 @@ def memory(work: Path, images: list[np.ndarray]) -> None:
     print("\nPeak memory of `sonarrec run` on a raw MCAP (the scene's frames over and over)\n")
 
     def peak(log: Path, *options: str) -> float:
-        command = [sys.executable, "-c", _PLAIN, "run", str(log), "-q", *options]
+        command = [sys.executable, "-m", "sonarrec", "run", str(log), "-q", *options]
         return peak_mb([*command, "--out", str(work / "long")])
 
     peaks = []
@@ -232,48 +226,15 @@ def start(work: Path) -> None:
     judge(f"{LOGS} logs of {SHORT} frames, ms a frame, all told", taken / LOGS / SHORT * 1e3, 9.0)
 
 
-def two_cores(cores: list[int]) -> None:
-    """Print how much faster the command is on one log where it has two cores."""
-    print(f"\n`sonarrec run` on one core and on two, {REPEATS} pairs\n")
-    # Longer where frames cost little, for the start counts as well.
-    for scene, rounds in ((three_in_view(), ROUNDS), (wide(), 1)):
-        on_two_cores(scene, rounds * FRAMES, cores)
-
-
-def on_two_cores(scene: Scene, frames: int, cores: list[int]) -> None:
-    """Print it for a log of so many frames, the scene's over and over."""
-    with tempfile.TemporaryDirectory(prefix="sonarrec_bench_") as name:
-        log = Path(name) / "log"
-        write_recording(scene, log)
-        images = sorted(log.glob("*.png"))
-        for number in range(FRAMES, frames):
-            (log / f"{number:06d}.png").write_bytes(images[number % FRAMES].read_bytes())
-        command = [sys.executable, "-m", "sonarrec", "run", str(log), "-q", "--overwrite"]
-
-        def on(some: list[int]) -> float:
-            os.sched_setaffinity(0, some)  # the command inherits it
-            begun = time.perf_counter()
-            run = [*command, "--out", f"{name}/out"]
-            subprocess.run(run, check=True, capture_output=True)
-            return time.perf_counter() - begun
-
-        pairs = [(on(cores[:1]), on(cores)) for _ in range(REPEATS)]
-    one, two = map(statistics.median, zip(*pairs, strict=True))
-    print(f"  {scene.name}, {frames} PNGs: {one:.2f} s and {two:.2f} s")
-    share = statistics.median(two / one for one, two in pairs)
-    judge(f"{scene.name}: two cores / one core", share, 1 / 1.6)
-
-
 def main() -> None:
-    """All of it on one core; where there are two, then what the second is worth."""
+    """All of it on one core."""
     parser = options("bench", __doc__)
-    parser.add_argument("--cores", help="those to use; they are found where this is not given")
+    parser.add_argument("--pinned", action="store_true", help="this process has one core already")
     asked = parser.parse_args()
-    if asked.cores is None and hasattr(os, "sched_setaffinity"):
-        cores = ",".join(map(str, sorted(os.sched_getaffinity(0))[-2:]))
+    if not asked.pinned and hasattr(os, "sched_setaffinity"):
         # Begun anew, for numpy has threads for as many cores as there were when it was imported.
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-        again = [sys.executable, "-m", "tests.studies.bench", *sys.argv[1:], "--cores", cores]
+        again = [sys.executable, "-m", "tests.studies.bench", *sys.argv[1:], "--pinned"]
         os.execv(sys.executable, again)
     cv2.setNumThreads(1)
     load = os.getloadavg()[0]
@@ -281,9 +242,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="sonarrec_bench_") as name:
         cost(Path(name))
         start(Path(name))
-    cores = [int(core) for core in (asked.cores or "").split(",") if core]
-    if len(cores) > 1 and load < QUIET:
-        two_cores(cores)
     save(asked.record)
 
 

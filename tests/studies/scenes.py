@@ -17,7 +17,6 @@ from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count, ratio
 from sonarrec.evaluation.intervals import bootstrap_weights, interval
 from sonarrec.evaluation.summary import Summary, summarise
-from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import (
     ALL_KINDS,
@@ -153,12 +152,6 @@ def beyond(summary: Summary, name: str, folders: Sequence[Path]) -> Beyond:
         orientation_sigma=honesty(e.orientation_deg, e.orientation_sigma_deg),
         calibration_error=calibration_error(*stated(folders, METHODS[name])),
     )
-
-
-def strict_count(folders: Sequence[Path]) -> Count:
-    """Of the framework over what was recognised there."""
-    found = score(folders).scored
-    return next(s.count() for s in found if (s.protocol, s.method) == ("strict", FRAMEWORK))
 
 
 def told(value: float, form: str) -> str:

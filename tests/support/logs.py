@@ -6,6 +6,7 @@ The bytes of messages are packed here field by field, or by rosbags, not by the 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,7 @@ def cdr_compressed_image(data: bytes, image_format: str, frame_id: bytes = b"\0"
 
 def mcap_file(
     path: Path,
-    messages: list[tuple[str, int, bytes]],
+    messages: Iterable[tuple[str, int, bytes]],
     *,
     schema: str = "sensor_msgs/msg/Image",
     encoding: str = "cdr",

@@ -7,25 +7,14 @@ from __future__ import annotations
 
 import csv
 import math
-import shutil
-from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.config import preset
-from sonarrec.nouns import Frame
-from sonarrec.readers.poses_csv import read_poses
-from sonarrec.recogniser.presets.side_by_side import FRAMES_AT_ONCE, SideBySide
-from sonarrec.results.run_file import run_table
-from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose, ar1
-from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, scene_fan, scene_sonar
+from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene
 from tests.studies.learning.random_scenes import random_scene
 
 SPEED_M_S = 0.35
@@ -177,30 +166,6 @@ def from_first(path: FloatArray, rows: FloatArray) -> FloatArray:
     )
 
 
-def drifting(path: FloatArray, rng: np.random.Generator, m: float, deg: float) -> FloatArray:
-    """The path as dead reckoning tells it: random walks of place and yaw that reach m, deg a
-    minute; laid on the true first pose."""
-    step_s = 1 / RATE_HZ
-    share = math.sqrt(step_s / 60)
-    yaw = np.radians(path[:, 0])
-    ahead = np.diff(path[:, 1]) * np.sin(yaw[:-1]) + np.diff(path[:, 2]) * np.cos(yaw[:-1])
-    right = np.diff(path[:, 1]) * np.cos(yaw[:-1]) - np.diff(path[:, 2]) * np.sin(yaw[:-1])
-    ahead, right = (v + rng.normal(0, m * share, len(v)) for v in (ahead, right))
-    told = np.concatenate(
-        [
-            [yaw[0]],
-            yaw[0] + np.cumsum(np.diff(yaw) + rng.normal(0, math.radians(deg) * share, len(ahead))),
-        ]
-    )
-    x = path[0, 1] + np.concatenate(
-        [[0], np.cumsum(right * np.cos(told[:-1]) + ahead * np.sin(told[:-1]))]
-    )
-    y = path[0, 2] + np.concatenate(
-        [[0], np.cumsum(-right * np.sin(told[:-1]) + ahead * np.cos(told[:-1]))]
-    )
-    return np.column_stack([np.degrees(told), x, y])
-
-
 def write_poses(path: Path, poses: FloatArray) -> None:
     """The CSV of `--odometry`, a row per frame; poses: (N, 3) yaw (deg), x, y."""
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -208,43 +173,3 @@ def write_poses(path: Path, poses: FloatArray) -> None:
         table.writerow(["timestamp_ns", "yaw", "x", "y"])
         for n, (yaw, x, y) in enumerate(poses.tolist()):
             table.writerow([round(n * 1e9 / RATE_HZ), f"{yaw:.5f}", f"{x:.5f}", f"{y:.5f}"])
-
-
-def recognise_run(run: VehicleRun, told: Mapping[Path, FloatArray | None]) -> None:
-    """Render the run once, and write results as `sonarrec run --odometry` does.
-
-    told: of each results' folder the poses that it is told, (N, 3), which are written beside it
-    as <name>.poses.csv; None for none, so that the motion is measured between the images.
-    """
-    scene, fan, landmarks = run.scene, scene_fan(run.scene), run.scene.landmark_set
-    config = preset("default")
-    with ExitStack() as stack:
-        outputs = []
-        for folder, poses in told.items():
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            table = None
-            if poses is not None:
-                odometry = folder.parent / f"{folder.name}.poses.csv"
-                write_poses(odometry, poses)
-                table = read_poses(odometry)
-            recogniser = SideBySide([config], fan, landmarks, None, table)
-            source = (folder.name, 0, "")
-            of_run = run_table(
-                [config], recogniser.methods, scene_sonar(scene), fan, landmarks, source
-            )
-            if table is not None:
-                of_run["odometry"] = dict(table.source)
-            of_run["input"]["path"] = str(folder.parent / f"{folder.name}.mcap")
-            writer = stack.enter_context(ResultsWriter(folder, landmarks, of_run))
-            outputs.append((recogniser, writer))
-        frames = (
-            Frame(frame.index, frame.timestamp_ns, frame.image, fan)
-            for frame in render(scene, run.poses(), run.ground)
-        )
-        while some := list(islice(frames, FRAMES_AT_ONCE)):
-            for recogniser, writer in outputs:
-                for result in recogniser.recognise(some):
-                    writer.write(result)
-        for _, writer in outputs:
-            writer.finish([])
