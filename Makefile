@@ -42,7 +42,7 @@ demo: .venv/program  # the sample log, from images to tables
 bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop
 	$(BIN)/python -m tests.studies.bench --record bench
 
-scale: .venv/installed  # a thousand logs, killed and on a cluster; how cost grows, long logs (over half an hour)
+scale: .venv/installed  # a thousand logs, killed; how cost grows, long logs (over half an hour)
 	$(BIN)/python -m tests.studies.scale --record scale
 
 paper: .venv/installed  # Tables 4 and 5 in the worlds on record, ours beside the published

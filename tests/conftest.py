@@ -12,7 +12,6 @@ from hypothesis import HealthCheck, settings
 
 import sonarrec  # noqa: F401 - before numpy: it has BLAS run in one thread, as users have it
 from sonarrec.runs import cores
-from tests.support.one_core import one_core
 
 # Before OpenCV is loaded, here and in what tests start: there are more test processes than cores,
 # and their threads would wait for each other. test_same_bytes.py has several threads.
@@ -34,9 +33,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 @pytest.fixture(scope="session", autouse=True)
 def _one_core() -> Iterator[None]:
-    """The tests' own processes are large: to copy one for a run takes longer than many a run.
-    tests/runs/test_two_cores.py has the same runs on one core and on two."""
-    with one_core():
+    """The tests' own processes are large: to copy one for a run takes longer than many a run."""
+    with patch.object(os, "sched_getaffinity", lambda _: {0}, create=True):
         yield
 
 

@@ -158,14 +158,6 @@ def test_a_preset_named_in_the_file_serves_unless_the_flag_names_another(tmp_pat
     assert printed("--config", str(file), "--preset", "default") == printed()
 
 
-def test_spaces_in_a_list_of_presets_count_for_nothing(tmp_path):
-    file = tmp_path / "two.toml"
-    file.write_text('[[config]]\npreset = "paper"\n[[config]]\npreset = "offline"\nseed = 7\n')
-    assert [c.seed for c in config.configs(["paper", " offline "], file)] == [0, 7]
-    with pytest.raises(UsageError, match="name each preset once"):
-        config.configs(["default", " default"])
-
-
 def test_the_configuration_is_printed_with_units_and_meanings():
     result = sonarrec("config")
     assert tomllib.loads(result.output) == dataclasses.asdict(config.preset("default"))

@@ -268,27 +268,6 @@ def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) 
     assert "[sonar]" in message
 
 
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        (("--set", "candidates.treshold=0.5"), "treshold"),
-        (("--preset", "best"), "best"),
-        (("--config", "bad.toml"), "particle_count"),
-        (("--landmarks", "besin"), "no landmark set 'besin'"),
-        (("--landmarks", "bad.toml"), "continuity"),
-        (("--model", "bad.toml"), "not an appearance model"),
-        (("--topic", "/sonar"), "--topic"),
-    ],
-)
-def test_settings_that_cannot_be_meant(pings: Path, options: tuple[str, ...], word: str) -> None:
-    Path("bad.toml").write_text("[continuity]\nparticle_count = 5\n")
-    several = () if "--topic" in options else (pings / "*1.png",)  # told once all the same
-    message = one_line_fault("run", pings, *several, *options, code=2)
-    assert word in message
-    assert message.count("\n") == 1
-    assert not Path("sonarrec_out").exists()
-
-
 # The least it must show
 
 

@@ -18,7 +18,7 @@ from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.nouns import Fan
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import draw_on_floor, make_fan
-from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
+from tests.support.logs import PERIOD_NS, frames, image_folder
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(rows=512)
@@ -179,47 +179,3 @@ def test_a_preview_that_cannot_be_drawn_does_not_cost_the_account(tmp_path: Path
     told = sonarrec("info", log, "--preview", out, "--json", code=1)
     assert json.loads(told.stdout)["logs"][0]["images"][0]["lacks"]
     assert not out.exists()
-
-
-def test_info_names_where_each_value_is_from(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(2, 48, 38))
-    found = images(log, "--height-m", "0.7")
-    file = str(log / "sonar.toml")
-    assert found["origins"] == {
-        "layout": file,
-        "range_min_m": file,
-        "range_max_m": file,
-        "field_of_view_deg": file,
-        "tilt_deg": file,
-        "height_m": "flag",
-        "frame_rate_hz": file,
-    }
-    scale = 2.5 / 48
-    assert found["assumed"]["metres_per_pixel"] == pytest.approx(scale)
-    assert found["assumed"]["apex_px"] == pytest.approx([18.5, 47.5 + 1.25 / scale])
-    text = sonarrec("info", log, "--height-m", "0.7").stdout
-    assert "by flag: height_m\n" in text
-    assert f"from {file}: layout, range_min_m" in text
-    assert "by default: metres_per_pixel = 0.05208, apex_px = [18.5, 71.5]" in text
-
-
-def test_without_a_file_all_is_from_flags_and_defaults(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(2, 48, 38))
-    (log / "sonar.toml").unlink()
-    flags = ("--range-min-m", "1", "--range-max-m", "3", "--field-of-view-deg", "30")
-    found = images(log, *flags, "--tilt-deg", "30")
-    assert found["origins"].pop("layout") == "default"
-    assert set(found["origins"].values()) == {"flag"}
-    # The floor begins at the window's near end, 1 m, where the beam's lower edge meets it.
-    assert found["assumed"]["height_m"] == pytest.approx(math.sin(math.radians(40)), rel=0.02)
-    assert found["assumed"]["frame_rate_hz"] == 1
-    assert "layout = fan" in sonarrec("info", log, *flags, "--tilt-deg", "30").stdout
-    assert images(log, *flags)["assumed"] == {}  # not complete: nothing is made of it
-
-
-def test_the_times_of_an_mcap_need_no_frame_rate(tmp_path: Path) -> None:
-    messages = [("/a", n * PERIOD_NS, cdr_image(image)) for n, image in enumerate(frames(3))]
-    path = mcap_file(tmp_path / "log.mcap", messages)
-    text = (tmp_path / "sonar.toml").read_text().replace("frame_rate_hz = 4.0\n", "")
-    (tmp_path / "sonar.toml").write_text(text)
-    assert "frame_rate_hz" not in images(path)["assumed"]

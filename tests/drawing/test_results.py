@@ -60,14 +60,6 @@ def test_outline_is_a_circle_on_the_floor(
     np.testing.assert_allclose(np.abs(points - centre), radius, rtol=1e-6)
 
 
-def test_outline_nearer_than_the_floor_stays_at_its_place() -> None:
-    fan = make_fan(range_min_m=0.3, height_m=0.68)
-    place = at(fan, 0.5, 3.0)
-    outline = disc_outline(fan, 0.15, *place)
-    assert np.isfinite(outline).all()
-    np.testing.assert_allclose(outline.mean(axis=0), place, atol=15)
-
-
 def test_declared_objects_are_outlined_in_their_colour() -> None:
     place = at(FAN, 2.4, 4.0)
     picture = draw_frame(
@@ -179,16 +171,3 @@ def test_strip_has_probability_upwards_and_time_to_the_right() -> None:
     assert middle(0.5, 30)[1] == pytest.approx(wide * 29 / 59, abs=4)
     # What is older than the strip has left it.
     assert middle(0.5, STRIP_FRAMES)[1] == pytest.approx(middle(0.5, 3 * STRIP_FRAMES)[1], abs=5)
-
-
-def test_strip_of_a_single_frame_method_joins_nothing() -> None:
-    colour = landmark_colours(BASIN.ids)[3]
-
-    def area(method: str) -> int:
-        history = [
-            Moment(n, n, (estimate(0, 0, 3, p=0.05 if n % 2 else 1.0, method=method),))
-            for n in range(60)
-        ]
-        return len(painted(draw_strip(history, BASIN, 512)[22:], colour))
-
-    assert area("smi") == area("smi:paper") < 0.5 * area("framework")

@@ -203,20 +203,6 @@ def test_another_truth_of_the_same_results_is_told(logs: Path) -> None:
     assert line.endswith(f"which counts once; its other truth, {logs / 'all.csv'}, is not used")
 
 
-def test_other_topics_and_other_frames_of_a_recording_all_count(logs: Path) -> None:
-    place = logs / "logs" / "a.mp4"
-    for name, topic in (("left", "/left"), ("right", "/right")):
-        folder = result(logs / "x", place, "0" * 64, range(4), f'topic = "{topic}"\n')
-        folder.rename(logs / "x" / name)
-    late = result(logs / "x", place, "0" * 64, range(0), 'topic = "/left"\n')
-    write_csv(late / "frames.csv", ["frame"], [[f] for f in range(12, 20)])
-    late.rename(logs / "x" / "late")
-    names = ("late", "left", "right")
-    rows = [(name, f, 1, 2.0, 0.0) for name in names for f in (0, 13)]
-    write_csv(logs / "gt.csv", ("log", *HEADER), rows)
-    assert evaluate(logs / "x", logs / "gt.csv").counts.logs == names
-
-
 # --- Truth that cannot fit -----------------------------------------------------------------------
 
 
@@ -238,17 +224,6 @@ def test_positions_outside_the_image_are_refused(tmp_path: Path, unit: float) ->
     (line,) = command("--ground-truth", gt, results, code=1).stderr.splitlines()
     assert "none of its 12 positions lies in the image of out (1.25 to 3.75 m" in line
     assert f"the first is {2 * unit:.4g} m, 1 deg" in line
-
-
-def test_one_log_whose_truth_cannot_be_its_own_does_not_stop_the_others(logs: Path) -> None:
-    truth(logs / "logs" / "a.gt.csv", range(4))
-    truth(logs / "logs" / "b.gt.csv", range(500, 504))
-    truth(logs / "logs" / "pings" / "gt.csv", range(0))
-    done = command(logs / "out", code=3)
-    assert "b.gt.csv: none of its 4 rows (frame 500 to 503) lies on a processed" in done.stderr
-    assert "b is not scored" in done.stderr
-    assert "pings: no row in the ground truth, so it is taken to hold no landmark" in done.stdout
-    assert evaluate(logs / "out").counts.logs == ("a", "pings")
 
 
 # --- What goes to stdout, which methods there are ------------------------------------------------
@@ -273,17 +248,3 @@ def test_a_truth_that_cannot_be_read_leaves_its_log_out(logs: Path, text: str) -
     done = command(logs / "out", code=1)
     assert done.stderr.startswith(f"sonarrec: {logs / 'logs' / 'a.gt.csv'} line 2: landmark ")
     assert done.stderr.count("\n") == 1
-
-
-def test_json_is_the_only_thing_on_stdout(logs: Path) -> None:
-    for name in ("a", "b"):
-        truth(logs / f"logs/{name}.gt.csv", range(4))
-    truth(logs / "logs" / "pings" / "gt.csv", range(4))
-    done = command(logs / "out", "--json")
-    written = (logs / "out" / "evaluation" / "evaluation.json").read_text()
-    assert done.stdout == written
-    told = json.loads(done.stdout)
-    assert list(told["per_log"]) == told["logs"] == ["a", "b", "pings"]
-    for key in ("tp", "tn", "fp", "fn"):
-        parts = [told["per_log"][log]["m"]["strict"]["total"][key] for log in told["logs"]]
-        assert sum(parts) == told["methods"]["m"]["strict"]["total"][key]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.compare import compare
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import Pair, read_pairs
@@ -128,25 +127,6 @@ def test_further_results_are_compared_with_the_old_ones(sides: tuple[Path, Path,
     assert [one["new"] for one in found] == [str(new), str(old)]
     assert sorted(path.name for path in out.iterdir()) == ["1-out", "2-out"]
     assert json.loads((out / "1-out" / "compare.json").read_text()) == found[0]
-
-
-@pytest.mark.parametrize("comparing", [True, False])
-def test_notes_are_told_once(sides: tuple[Path, Path, Path], comparing: bool) -> None:
-    """Below the tables, in the JSON, and where --quiet leaves stdout empty on stderr."""
-    old, new, truth = sides
-    arguments = ["--ground-truth", truth, *(["--compare", old, new] if comparing else [old])]
-    done = command(*arguments)
-    head = "note: "
-    notes = [one[len(head) :] for one in done.stdout.splitlines() if one.startswith(head)]
-    assert notes
-    assert done.stderr == ""
-    done = command(*arguments, "-q")
-    assert done.stdout == ""
-    assert done.stderr.splitlines() == [f"sonarrec: note: {note}" for note in notes]
-    for quiet in ([], ["-q"]):
-        done = command(*arguments, "--json", *quiet)
-        assert set(notes) == set(json.loads(done.stdout)["notes"])
-        assert done.stderr == ""
 
 
 def test_results_without_a_method_in_common_are_refused(tmp_path: Path) -> None:
@@ -360,20 +340,6 @@ def test_a_log_that_cannot_be_compared_is_left_out_of_several(tmp_path: Path) ->
     assert "3 logs are to be compared" in command(*sides, tmp_path / "one.csv", code=1).stderr
 
 
-def test_links_to_folders_of_one_name_go_together_by_their_own(tmp_path: Path) -> None:
-    """Of results without a run.toml, whose SHA-256 is not known."""
-    for side, right in (("old", ({5}, {6})), ("new", ({5}, {6, 7}))):
-        (tmp_path / side).mkdir()
-        for name, frames in zip("ab", right, strict=True):
-            out, _ = write_case(tmp_path / f"{side}_{name}", FRAMES, claims(frames), TRUTH)
-            (tmp_path / side / name).symlink_to(out)
-    rows = [(tmp_path / "new" / name, f"new_{name}/gt.csv") for name in "ab"]
-    write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
-    sides = ["--compare", tmp_path / "old", tmp_path / "new"]
-    done = command("--pairs", tmp_path / "pairs.csv", *sides)
-    assert "protocol strict: 1 better, 0 worse, 0 otherwise changed" in done.stdout
-
-
 def test_other_new_results_of_a_recording_are_not_compared(tmp_path: Path) -> None:
     a = "a" * 64
     old = several(tmp_path / "old", {"x": a}, {"x": {5}})
@@ -384,20 +350,6 @@ def test_other_new_results_of_a_recording_are_not_compared(tmp_path: Path) -> No
     missing, other = command(*sides, code=3).stderr.splitlines()
     assert missing == f"sonarrec: {new / 'z' / 'estimates.csv'}: no such file; z is not compared"
     assert other.endswith("which counts once; these other results of it are not compared")
-
-
-def test_logs_of_equal_names_are_told_apart_as_evaluate_does(tmp_path: Path) -> None:
-    right = {"x": {5}, "y": {5, 6}}
-    old = several(tmp_path / "old", {"x": "a" * 64, "y": "b" * 64}, right)
-    new = several(tmp_path / "new", {"x": "a" * 64, "y": "b" * 64}, {"x": {6}, "y": {7}})
-    write_csv(tmp_path / "gt.csv", TRUTH_HEADER, TRUTH)
-    rows = [(new / name, "gt.csv", "dive") for name in right]
-    write_csv(tmp_path / "pairs.csv", ("results", "ground_truth", "log"), rows)
-    command("--pairs", tmp_path / "pairs.csv", "--compare", old, new)
-    told = json.loads((new / "evaluation" / "compare.json").read_text())
-    assert told["logs"] == [str(new / name) for name in right]
-    with (new / "evaluation" / "changes.csv").open() as file:
-        assert {row["log"] for row in csv.DictReader(file)} == set(told["logs"])
 
 
 def test_pairs_that_name_no_truth_at_all(tmp_path: Path) -> None:
@@ -464,17 +416,6 @@ def test_pairs_are_pooled(tmp_path: Path) -> None:
     # Without names both are called "out", and told apart by their folders.
     unnamed = evaluate_logs([Pair(p.results, p.ground_truth) for p in pairs])
     assert unnamed.counts.logs == tuple(str(p.results) for p in pairs)
-
-
-def test_pairs_take_the_rows_of_their_log(tmp_path: Path) -> None:
-    results, _ = write_case(tmp_path, FRAMES, claims({5, 6}), [])
-    rows = [("x", *row) for row in TRUTH] + [("y", 0, 2, 2.0, 0.0, 1.0)]
-    write_csv(tmp_path / "both.csv", ("log", *TRUTH_HEADER), rows)
-    found = evaluate_logs([Pair(results, tmp_path / "both.csv", "x")])
-    assert scored(found, "strict").count().fn == 18
-    assert found.unused == ()
-    with pytest.raises(SonarrecError, match="its log column names none of out"):
-        evaluate_logs([Pair(results, tmp_path / "both.csv")])
 
 
 @pytest.mark.parametrize("also", ["evaluate", "report"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.evaluation import plots
 from sonarrec.evaluation.curves import Curve, area, macro_curve, tpr_at
 from tests.evaluation.test_evaluation import paper_case
 from tests.support.claims import IDS, counts, matched
@@ -124,17 +122,3 @@ def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
     picture = cv2.imread(str(folder / "roc.png"))
     for bgr in ((0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)):  # the colours of both methods
         assert np.count_nonzero((picture == bgr).all(axis=2)) > 100
-
-
-def test_methods_of_any_name_stand_in_the_legend(monkeypatch: pytest.MonkeyPatch) -> None:
-    """matplotlib leaves out what begins with a line, and takes what is between dollars as TeX."""
-    figures: list[Any] = []
-    monkeypatch.setattr(plots, "write_figure", lambda _, figure: figures.append(figure))
-    methods = ("_ours", "$x_$")
-    claims = [(m, 0, 1, 0, 0, 0.9, True) for m in (0, 1)]
-    case = matched(2, [(0, 1, 0, 0, True)], claims, methods=methods)
-    scored = counts(case).scored
-    plots.draw_roc(Path(), scored)
-    figures[-1].draw_without_rendering()
-    told = [text.get_text() for text in figures[-1].axes[-1].get_legend().get_texts()]
-    assert sorted(text.split(" at ")[0] for text in told) == [" _ours", r"\$x_\$"]

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from sonarrec.evaluation.cells import rate
 from sonarrec.evaluation.count import Scored
 from sonarrec.evaluation.tables import Evaluation
-from sonarrec.evaluation.tabulate import screen
 from sonarrec.landmarks import load_landmarks
 from tests.support.claims import evaluate
 from tests.support.command import sonarrec
@@ -405,21 +404,3 @@ def test_run_toml_landmarks_set_ids_and_gate(tmp_path: Path) -> None:
     assert found.counts.ids == (9, 8)
     assert counts(scored(found, "strict"), 1) == (1, 0, 0, 0)
     assert counts(scored(found, "strict"), 0) == (0, 1, 0, 0)
-
-
-def test_many_ids_are_still_readable(tmp_path: Path) -> None:
-    """Tables too wide for 100 columns go one below the other; ours come before other methods."""
-    patterns = ["100000", "110000", "101000", "100100", "111000", "111100"]
-    (tmp_path / "six.toml").write_text(
-        'name = "six"\nradius_m = 0.1\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
-        + "".join(f"[[landmark]]\nid = {i}\nsectors = {list(map(int, p))}\n"
-                  for i, p in enumerate(patterns, 1))
-    )  # fmt: skip
-    claims = [(0, m, 2.0, 0.0, 6, 0.9, 1) for m in ("another", "framework", "smi")]
-    results, truth = write_case(tmp_path, [0], claims, [(0, 6, 2.0, 0.0, 1.0)])
-    found = evaluate(results, truth, landmarks=str(tmp_path / "six.toml"))
-    assert found.counts.methods == ("framework", "another", "smi")
-    lines = screen(found.counts).splitlines()
-    assert max(map(len, lines)) <= 100
-    assert sum("centre within 0.1 m" in line for line in lines) == 3
-    assert sum("ID.6" in line for line in lines) == 6

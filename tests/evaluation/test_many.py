@@ -10,7 +10,6 @@ import shutil
 import tracemalloc
 from collections.abc import Callable
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec.evaluation import compare as comparison
-from sonarrec.evaluation import histogram, logs, summary
+from sonarrec.evaluation import histogram, summary
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.histogram import sum_by_value, values_at_ranks
 from sonarrec.evaluation.intervals import bootstrap_weights, coin_tosses
@@ -159,38 +158,6 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: 
     assert not (tmp_path / "none").exists()
 
 
-# SHA-256 of the tables of --compare, first recorded when it held all logs at once; since
-# then of shorter logs, where the code still met what was recorded of the longer ones.
-RECORDED = {
-    4: {"changes.csv": "c1d11868d335fb2a", "compare.csv": "7adf97591fa1498e"},
-    12: {"changes.csv": "c62e8bb554426a0a", "compare.csv": "259edaa2f50df435"},
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("logs", "jobs"), [(4, "2"), (12, "1")])
-def test_compared_one_at_a_time_as_all_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logs: int, jobs: str
-) -> None:
-    """By passes and by logs; of one log the new results hold another method."""
-    make_sides(tmp_path / "made", logs, 350, 3)
-    monkeypatch.chdir(tmp_path)
-    odd = Path("made/new/log0002")
-    text = (odd / "estimates.csv").read_text()
-    (odd / "estimates.csv").unlink()
-    (odd / "estimates.csv").write_text(text.replace(",smi,", ",another,"))
-    run = (odd / "run.toml").read_text()
-    (odd / "run.toml").write_text(run.replace('"smi"', '"another"'))
-    sides = ["--pairs", "made/pairs.csv", "--compare", "made/out", "made/new"]
-    sides += ["--method", "smi", "--method", "framework"]
-    code = 3 if logs > 4 else 0
-    sonarrec("evaluate", *sides, "-o", "found", "-j", jobs, code=code)
-    made = files(Path("found"))
-    assert made.pop("compare.json")
-    found = {name: sha256(data).hexdigest()[:16] for name, data in made.items()}
-    assert found == RECORDED[logs]
-
-
 def peak_mb(call: Callable[[], object]) -> float:
     """Most memory that a call holds at a time."""
     tracemalloc.start()
@@ -217,19 +184,6 @@ def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) ->
     assert found.scored[0].count().fn == 5 + 20
     write_evaluation(tmp_path / "e", found)
     assert {row["log"] for row in table(files(tmp_path / "e")["passes.csv"])} == {"a", "b"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cores", [2, 1])
-def test_no_process_for_small_logs_nor_beyond_the_cores_it_may_use(
-    pairs: Path, monkeypatch: pytest.MonkeyPatch, cores: int
-) -> None:
-    if cores == 1:
-        monkeypatch.setattr(logs, "WORTH_BYTES", 1)
-        monkeypatch.setattr(os, "cpu_count", lambda: 64)
-        monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5})
-    monkeypatch.setattr(logs, "ProcessPoolExecutor", None)
-    assert len(evaluate_logs(read_pairs(pairs)).folders) == 12
 
 
 @pytest.mark.slow

@@ -158,23 +158,6 @@ def test_intervals_cover(units: int) -> None:
     assert 0.92 <= held / 600 <= 0.98
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rate", [0.5, 0.8, 0.95, 0.99])
-def test_intervals_of_rates_cover(rate: float) -> None:
-    """Units of unequal length whose rates spread as a pool's do: beta, correlated by .1 to .3.
-
-    Nominal .95; least .92 wanted. Standard error of the shares: .005.
-    """
-    rng = np.random.default_rng(round(100 * rate))
-    for units, correlated in product((6, 8, 12, 20, 30), (0.1, 0.2, 0.3)):
-        own = rate * (1 / correlated - 1), (1 - rate) * (1 / correlated - 1)
-        whole = rng.integers(13, 80, (2000, units))
-        part = rng.binomial(whole, rng.beta(*own, whole.shape))
-        found = np.array([rate_interval(*case) for case in zip(part, whole, strict=True)])
-        held = (found[:, 0] <= rate) & (rate <= found[:, 1])
-        assert held.mean() > 0.93, (units, correlated)
-
-
 def test_intervals_of_rates_against_the_textbook() -> None:
     """Where units are alike five cases each are independent: Wilson's formula as published, with
     Student's quantile from scipy."""

@@ -30,7 +30,7 @@ from sonarrec.mapping.axes import CHI2_95, ellipse
 from sonarrec.mapping.build import MapOptions, make_map
 from sonarrec.mapping.join import MappedLog, frame_shares, join
 from sonarrec.mapping.passes import HEIGHT_SIGMA_M, DeclaredEstimates, find_passes
-from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, path_from_poses
+from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.results.run_file import run_table
@@ -215,18 +215,6 @@ def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(dive: Pat
     assert [line.split()[5:7] for line in told.splitlines()[-1:]] == [["-", "-"]]
 
 
-def test_from_where_each_was_seen(mapped: Path) -> None:
-    path = there_and_back()
-    for row in read_rows(mapped / "passes.csv"):
-        frames = range(int(row["first_frame"]), int(row["last_frame"]) + 1)
-        sonar = np.array([float(row[f"sonar_{k}"]) for k in ("yaw_deg", "x_m", "y_m")])
-        assert np.abs(path[frames] - sonar).max(axis=1).min() < 1e-3
-        away = [math.dist(p[1:], (float(row["x_m"]), float(row["y_m"]))) for p in path[frames]]
-        assert float(row["near_m"]) == pytest.approx(min(away), abs=0.05)
-        assert float(row["far_m"]) == pytest.approx(max(away), abs=0.05)
-        assert int(row["frames"]) == len(frames)
-
-
 def test_two_logs_make_one_map(tmp_path: Path) -> None:
     path = there_and_back()
     one = results(tmp_path / "one", path, path)
@@ -292,23 +280,6 @@ def test_other_results_of_a_recording_are_left_out(tmp_path: Path) -> None:
         "these other results of it are not used"
     ]
     assert {row["log"] for row in read_rows(tmp_path / "site" / "passes.csv")} == {"one", "late"}
-
-
-def test_each_pass_asks_the_paths_the_same_number_of_times_however_many_logs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It is held against all earlier passes of all logs at once."""
-    path = there_and_back()
-    logs = [results(tmp_path / f"log{n}", path, path, seed=n) for n in range(8)]
-    asked = []
-    added = SonarPath.position_covariance
-    monkeypatch.setattr(
-        SonarPath, "position_covariance", lambda *args: asked.append(0) or added(*args)
-    )
-    assert len(make_map(logs[:4]).landmarks) == len(SITE)
-    of_four = len(asked)
-    assert len(make_map(logs).landmarks) == len(SITE)
-    assert len(asked) - of_four < 2.1 * of_four
 
 
 def test_what_lies_on_another_is_the_one_claimed_more(dive: Path) -> None:
@@ -867,16 +838,6 @@ def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None
     with pytest.raises(UsageError, match="there are none"):
         make_map([bad], MapOptions(drift=Drift(1, 1)))
     assert make_map([good]).diagnostics.problems == []
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("pictures")
-def test_the_same_results_give_the_same_bytes(mapped: Path) -> None:
-    before = {p.name: p.read_bytes() for p in mapped.iterdir()}
-    sonarrec("map", mapped.parent, "--origin", "54.3233,10.1394,87")
-    assert before == {p.name: p.read_bytes() for p in mapped.iterdir()}
-    sonarrec("map", mapped.parent)
-    assert not (mapped / "map.geojson").exists()
 
 
 @pytest.mark.usefixtures("pictures")

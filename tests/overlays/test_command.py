@@ -12,7 +12,7 @@ from sonarrec.readers import open_log
 from tests.support import command
 from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
 from tests.support.foxglove import messages
-from tests.support.logs import cdr_image, image_folder, mcap_file
+from tests.support.logs import image_folder
 
 
 def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
@@ -49,15 +49,6 @@ def test_the_command(work: Path) -> None:
     assert [p.name for p in (work / "one").iterdir()] == ["000002.png"]
     two = [(work / d / "000002.png").read_bytes() for d in ("one", "shots")]
     assert two[0] == two[1]  # what came before is in its strip all the same
-
-
-@pytest.mark.usefixtures("work")
-def test_results_named_with_the_folder_of_the_log_are_found() -> None:
-    """A run of several logs of one name names them so."""
-    for name in ("log", "log.part"):
-        Path("sonarrec_out", "log").rename(Path("sonarrec_out", f"{Path.cwd().name}-{name}"))
-        assert "4 frames" in sonarrec("overlay", "log", "-o", "shots").stdout
-        Path("sonarrec_out", f"{Path.cwd().name}-{name}").rename(Path("sonarrec_out", "log"))
 
 
 def test_the_frames_drawn_are_those_that_were_run(work: Path) -> None:
@@ -141,12 +132,3 @@ def test_results_of_another_log(work: Path) -> None:
     (work / "log" / "frame3.png").unlink()
     told = sonarrec("overlay", "log", "-o", "o.mcap", code=1)
     assert "frame 3 is listed, but log has only 3 frames" in told.stderr
-
-
-def test_the_recording_is_never_overwritten(work: Path) -> None:
-    log = mcap_file(work / "rec" / "r.mcap", [("/a", 0, cdr_image(noise(1)[0]))])
-    before = log.read_bytes()
-    write_results(work / "res", moving(1))
-    sonarrec("overlay", log, "res", "-o", "rec/../rec/r.mcap", code=2)
-    sonarrec("overlay", "log/*.png", "-o", "log", code=2)
-    assert log.read_bytes() == before

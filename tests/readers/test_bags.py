@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import sqlite3
 from pathlib import Path
 
@@ -15,11 +13,9 @@ from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.messages import ros
 from sonarrec.readers.messages.poses import read_topic
-from sonarrec.readers.open import find_log
 from tests.support.bags import IMAGE, bag, messages, ros1_messages, split_bag
-from tests.support.command import sonarrec
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file, read
-from tests.support.messages import FIELDS, by_rosbags, image_fields, polar_frames, serialised
+from tests.support.messages import image_fields, serialised
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 IMAGES = frames(10)
@@ -117,21 +113,6 @@ def test_a_clock_that_was_set(container: str, tmp_path: Path) -> None:
         assert all(told in note for note in notes)
 
 
-def test_info_and_digest_of_a_bag(tmp_path: Path) -> None:
-    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS), ".mcap")
-    (log,) = json.loads(sonarrec("info", "--json", tmp_path / "dive").stdout)["logs"]
-    assert (log["kind"], log["files"]) == ("ROS 2 bag", 6)
-    assert log["images"][0]["usable"] == 10
-    assert log["container"]["channels"][0]["messages"] == 10
-    digest, size = hashlib.sha256(), 0
-    for file in (tmp_path / "dive" / "metadata.yaml", *files):
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
-        size += file.stat().st_size
-    with open_log(tmp_path / "dive") as opened:
-        assert opened.digest_source() == (size, digest.hexdigest())
-    assert log["size_bytes"] == size
-
-
 def test_poses_of_a_bag(tmp_path: Path) -> None:
     name = "geometry_msgs/msg/PoseStamped"
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
@@ -143,33 +124,6 @@ def test_poses_of_a_bag(tmp_path: Path) -> None:
     table = read_topic(tmp_path / "dive", "/pose", "log")
     assert table.at.tolist() == [k * PERIOD_NS for k in range(4)]
     np.testing.assert_allclose(table.pose, [[-15, -2, 1]] * 4)
-
-
-@pytest.mark.parametrize("name", FIELDS)
-def test_every_message_type_from_every_container(name: str, tmp_path: Path) -> None:
-    """The table of message types is one: what an MCAP holds can lie in a bag."""
-    images = polar_frames(3)
-    by_rosbags(name)(tmp_path / "log.mcap", images, "zstd")
-    timed = [(k * PERIOD_NS, serialised(name, FIELDS[name](k, i))) for k, i in enumerate(images)]
-    bag(tmp_path / "one", timed, ".db3", kind=name)
-    bag(tmp_path / "two", timed, ".mcap", "message", kind=name)
-    older = [
-        (k * PERIOD_NS, serialised(name, FIELDS[name](k, i), ros1=True))
-        for k, i in enumerate(images)
-    ]
-    ros1_messages(tmp_path / "log.bag", older, name)
-    expected, *others = (
-        list(find_log(tmp_path / log).open()) for log in ("log.mcap", "one", "two", "log.bag")
-    )
-    assert len(expected) == 3
-    for found in others:
-        for frame, other in zip(expected, found, strict=True):
-            assert frame.pixels is not None
-            assert other.pixels is not None
-            np.testing.assert_array_equal(frame.pixels, other.pixels)
-            assert frame.sonar == other.sonar
-            assert frame.timestamp_ns == other.timestamp_ns
-            assert frame.stamps.header == other.stamps.header
 
 
 @pytest.mark.parametrize(

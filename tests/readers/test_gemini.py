@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from sonarrec.readers.open import find_log
 from sonarrec.readers.raw import RawFrame
 from tests.readers.test_ddf import as_fan
 from tests.support import logs
-from tests.support.command import sonarrec
 from tests.support.logs import frames
 from tests.support.sonar_files import (
     GEMINI_START_S,
@@ -152,17 +150,6 @@ def test_of_two_sonars_the_first_is_read(tmp_path: Path, whole: list[np.ndarray]
 
 
 # The commands
-
-
-def test_info_and_run(tmp_path: Path) -> None:
-    path = gemini_log(tmp_path / "a.glf", RECORDS)
-    (log,) = json.loads(sonarrec("info", "--json", path).stdout)["logs"]
-    assert log["kind"] == "Gemini"
-    assert log["images"][0]["frames"] == 6
-    assert any("left and right" in note for note in log["images"][0]["notes"])
-    fault = sonarrec("run", path, "-o", tmp_path, code=1)
-    assert "the log states the sonar's geometry except for its tilt" in fault.stderr
-    sonarrec("run", path, "-o", tmp_path, "--tilt-deg", "20")
 
 
 # Logs that are not whole

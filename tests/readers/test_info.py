@@ -140,19 +140,6 @@ def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -
     assert "`sonarrec help geometry` has one to copy" in text
 
 
-def test_a_geometry_that_contradicts_itself(tmp_path: Path) -> None:
-    path = mcap_file(tmp_path / "log.mcap", MESSAGES)
-    stated = (tmp_path / "sonar.toml").read_text()
-    (tmp_path / "sonar.toml").write_text(stated.replace("range_max_m = 3.75", "range_max_m = 1"))
-    found = table(path, code=1)
-    assert found["images"][0]["usable"] == 0
-    (problem,) = found["images"][0]["problems"]
-    assert "range_min_m = 1.25 must be >= 0 and below range_max_m = 1" in problem
-    refused = info(path, "--range-max-m", "1.25001")
-    assert refused.exit_code == 2
-    assert "--range-max-m: a window of 1e-05 m is shorter than 0.01 m" in refused.stderr
-
-
 def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
     bearings = tuple(np.linspace(-30, 30, 24).tolist())
     sonar = Sonar(range_min_m=1, range_max_m=4, tilt_deg=20, bearings_deg=bearings).complete("test")

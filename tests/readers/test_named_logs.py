@@ -212,14 +212,6 @@ def test_companions(tmp_path: Path) -> None:
     assert companion(long, "gt.csv") == long / "gt.csv"
 
 
-def test_a_log_whose_name_is_near_the_limit(tmp_path: Path) -> None:
-    """Beside its results lies a file whose name is six letters longer."""
-    out = ("-o", tmp_path / "out")
-    sonarrec("run", image_folder(tmp_path / ("n" * 249), IMAGES), *out)
-    told = sonarrec("run", image_folder(tmp_path / ("n" * 250), IMAGES), *out, code=1)
-    assert ": cannot write results here (File name too long: " in told.stderr
-
-
 def test_names_of_results(campaign: Path) -> None:
     for place in ("one/bag", "two/bag"):
         bag(campaign / place, messages(IMAGES))

@@ -21,7 +21,6 @@ from tests.support.logs import frames
 from tests.support.sonar_files import oculus_log, oculus_message, oculus_ping
 
 VENDOR = Path(__file__).parents[3] / "shared" / "data" / "vendor"
-THREE = VENDOR / "oculus_three_pings_8bit.raw"
 TILT = {"tilt_deg": 20.0}
 IMAGES = frames(6, 64, 40)
 PINGS = [oculus_ping(k, image) for k, image in enumerate(IMAGES)]
@@ -86,16 +85,6 @@ def test_real_pings(name: str, tmp_path: Path) -> None:
     image = np.frombuffer(data, np.uint8, size, at + offset).reshape(ranges, beams)
     expected = as_fan([image], 0.0, ranges * resolution, bearings, tmp_path / "polar")
     np.testing.assert_array_equal(found[-1].image, expected[0])
-
-
-def test_run_declares_nothing_in_real_pings(tmp_path: Path) -> None:
-    if not THREE.exists():
-        pytest.skip(f"no real pings at {THREE}")
-    fault = sonarrec("run", THREE, "-o", tmp_path, code=1)
-    assert "the log states the sonar's geometry except for its tilt" in fault.stderr
-    done = sonarrec("run", THREE, "-o", tmp_path, "--tilt-deg", "20", "--frame-rate-hz", "10")
-    assert "3 frames" in done.output
-    assert "no landmark declared" in done.output
 
 
 # Written pings

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -417,35 +416,3 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
 
 
 # What a user types
-
-
-def test_run_with_the_flags(tmp_path: Path) -> None:
-    """A contradiction is one line and no fault; a ping that cannot be used is exit code 3."""
-    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames())]
-    pings.append(pings[0] | {"ranges": (pings[0]["ranges"] + 5).astype(np.float32)})
-    log = log_of(tmp_path / "log.mcap", pings)
-    out = ("--out", tmp_path / "out")
-    fault = sonarrec("run", log, *out, code=1).stderr
-    assert fault.startswith(f"sonarrec: {log}: the log states")
-    assert fault.count("\n") == 1
-    told = sonarrec("run", log, *out, "--tilt-deg", "20", "--time", "header", code=3).stderr
-    _, *others = told.splitlines()
-    assert others == [
-        "sonarrec: message 3 of /a: its window, 6 to 6.94 m, shows less than half of the "
-        "log's, 1 to 1.94 m, skipped"
-    ]
-    flags = ("--flip", "--beam-order", "range-major", "--pixel-scale", "log")
-    stated = ("--tilt-deg", "20", "--range-min-m", "0.9", "--range-max-m", "1.9375")
-    out = ("--out", tmp_path / "flags")
-    told = sonarrec("run", log, *out, *flags, *stated).stderr
-    against = next(line for line in told.splitlines() if "stated against" in line)
-    assert against == (
-        f"sonarrec: note: {log}: stated against the messages: range_min_m = 0.9 (not 1)"
-    )
-    run = tomllib.loads((tmp_path / "flags" / "log" / "run.toml").read_text())
-    assert run["sonar"] == {
-        "layout": "polar", "range_min_m": 0.9, "range_max_m": 1.9375, "tilt_deg": 20.0,
-        "beam_order": "range-major", "flip": True, "pixel_scale": "log",
-    }  # fmt: skip
-    assert run["input"]["topic"] == "/a"
-    assert run["fan"]["range_min_m"] == 0.9

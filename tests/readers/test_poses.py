@@ -215,31 +215,6 @@ def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:
     return rows(path, "\n".join(["timestamp,yaw", *lines]) + "\n")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", but_first(["default", "paper"]))
-def test_the_same_table_gives_the_same_bytes_again(pings, name):
-    table = pan_table(Path("odometry.csv"))
-    told = sonarrec("run", pings, "--odometry", table, "--preset", name)
-    assert "note: " not in told.stderr
-    out = Path("sonarrec_out/pings")
-    run = tomllib.loads((out / "run.toml").read_text())
-    assert run["odometry"]["name"] == "odometry.csv"
-    assert len(run["odometry"]["sha256"]) == 64
-    again = ("run", pings, "--config", out / "run.toml", "--out", "again")
-    fault = sonarrec(*again, code=2).stderr
-    assert "--odometry" in fault
-    assert fault.count("\n") == 1
-    turning = pan_table(Path("other.csv"), per_second=1.01)
-    other = sonarrec(*again[:-1], "other", "--odometry", turning)
-    assert "other poses than other.csv" in other.stderr
-    assert "note: " not in sonarrec(*again, "--odometry", table).stderr
-    for file in ("estimates.csv", "frames.csv", "run.toml"):
-        assert (Path("again/pings") / file).read_bytes() == (out / file).read_bytes()
-    sonarrec("run", pings, "--preset", name, "--out", "without")
-    estimates = Path("without/pings/estimates.csv").read_bytes()
-    assert estimates != (out / "estimates.csv").read_bytes()
-
-
 def test_frames_without_a_pose_are_told_once(pings):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("short.csv"), 11), code=3)
     problems = [line for line in told.stderr.splitlines() if "short.csv" in line]

@@ -272,34 +272,6 @@ def test_a_cross_is_told_by_its_own_feature():
                 assert of[landmark - 1] < -0.2
 
 
-def test_edges_that_were_not_seen_do_not_count():
-    matrix = drawn_matrix(1, 0)  # bright from step 0 to 8: a rise before 0, a fall after 8
-    count = np.full(matrix.shape, 8.0)
-    matrix[:, SAMPLER.bands.symbol, 9:18] = 1.0  # beyond the fall it is half dark only
-    named = described(matrix)
-    assert named["weakest_edge"] == pytest.approx(1)
-    assert named["edge"] == pytest.approx((3 + 1) / 2)
-    count[:, :, 9:18] = 0
-    found = DESCRIBE(matrix, count, SURE[:1], SHARP[:1])
-    named = dict(zip(FEATURES, found.features[0, 0], strict=True))
-    assert named["weakest_edge"] == named["edge"] == pytest.approx(3)
-
-
-def test_a_symbol_that_one_line_does_not_show_has_no_weakest_line_step():
-    """The innermost line is little more than a point: it alone does not count."""
-    matrix = drawn_matrix(3, 5)
-    whole = described(matrix, 3)["weakest_line_step_share"]
-    assert whole == pytest.approx(1, abs=0.1)  # of the ring's contrast over the gap
-    start = SAMPLER.bands.symbol.start
-    for line, left in ((0, whole), (1, 0.0), (2, 0.0)):
-        flat = matrix.copy()
-        flat[:, start + line] = 0.5
-        assert described(flat, 3)["weakest_line_step_share"] == pytest.approx(left, abs=1e-9), line
-    weak = matrix.copy()
-    weak[:, start + 2] = -1 + (weak[:, start + 2] + 1) / 2
-    assert described(weak, 3)["weakest_line_step_share"] == pytest.approx(whole / 2)
-
-
 def test_one_missing_ring_quarter_shows_in_the_weakest():
     matrix = drawn_matrix(1, 0)
     matrix[:, SAMPLER.bands.ring, 20:29] = 0.0  # as dark as the floor

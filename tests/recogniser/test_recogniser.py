@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from threading import Thread
 
 import cv2
 import numpy as np
@@ -278,18 +277,6 @@ def test_smi_is_shared_by_presets_of_the_same_candidates_alone() -> None:
 
     assert methods(default.features.beam_width_deg).count("smi:offline") == 0
     assert methods(2.0).count("smi:offline") == 1
-
-
-def test_a_thread_says_the_same_to_the_bit():
-    log = still_log(2, FRAMES_AT_ONCE + 3)
-    here = side_by_side(log, "default")
-    there: list[FrameResult] = []
-    both = SideBySide([config.preset("default")], log[0].fan, BASIN)
-    thread = Thread(target=lambda: there.extend(both.recognise(log)))
-    thread.start()
-    thread.join()
-    for one, other in zip(there, here, strict=True):
-        assert repr(one.estimates) == repr(other.estimates)
 
 
 # Also while all of them still wait to be looked at for static pixels, and past that.

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.support.browser import COLOURS, contrast, look
-from tests.support.command import SAMPLE, sonarrec
 
 pytestmark = pytest.mark.slow
 
@@ -138,21 +137,6 @@ def test_a_click_on_a_mistake_shows_it(browser: Any, pages: dict[str, Path]) -> 
     assert browser.get_log("browser") == []
 
 
-def test_a_click_on_a_track_shows_its_frame(browser: Any, pages: dict[str, Path]) -> None:
-    look(browser, pages["full"], 1280, "light")  # opens what is folded
-    panels = find(browser, "#tracks .panel .axes[data-low]")
-    folded = find(browser, "#tracks details .lane[data-low]")
-    assert len(panels) == 4
-    assert len(folded) > 3
-    for chart in (*panels, *folded[:3]):
-        click_at(browser, chart, 0.25)
-        low, high = (float(chart.get_attribute(f"data-{end}")) for end in ("low", "high"))
-        at = float(re.findall(r", (.*) s", shown(browser)["title"])[0])
-        assert at == pytest.approx(low + 0.25 * (high - low), abs=0.2)
-        assert shown(browser)["method"] == chart.get_attribute("data-method")
-    assert browser.get_log("browser") == []
-
-
 def test_from_frame_to_frame(browser: Any, pages: dict[str, Path]) -> None:
     from selenium.webdriver import ActionChains
     from selenium.webdriver.common.keys import Keys
@@ -181,55 +165,6 @@ def test_from_frame_to_frame(browser: Any, pages: dict[str, Path]) -> None:
     assert not shown(browser)["open"]
     assert not find(browser, ".now")
     assert browser.get_log("browser") == []
-
-
-def test_of_a_long_log_the_nearest_frame_is_shown(
-    browser: Any, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With room for a few frames only, which has to be told."""
-    monkeypatch.setattr("sonarrec.reports.frames.MOST_FRAMES", 9)
-    monkeypatch.setattr("sonarrec.reports.frames.choose.__defaults__", (9,))
-    page = tmp_path / "few.html"
-    sonarrec("report", results, "--log", SAMPLE, "-o", page)
-    look(browser, page, 1280, "light")
-    assert "9 of 128 frames are in this page" in find(browser, "#seen .live")[0].text
-    lane = find(browser, "#seen .lane.main")[0]
-    held = set()
-    for share in np.linspace(0.01, 0.99, 25):
-        click_at(browser, lane, share)
-        (number,) = re.findall(r"Frame (\d+),", shown(browser)["title"])
-        asked = float(re.findall(r"to (.*) s", shown(browser)["note"])[0])
-        held.add(int(number))
-        assert asked == pytest.approx(32 * share, abs=0.1)
-    assert 3 < len(held) <= 9
-    assert browser.get_log("browser") == []
-
-
-def test_on_paper(browser: Any, pages: dict[str, Path]) -> None:
-    """Light whatever the screen's scheme; nothing folded or cut off; no viewer, no hint."""
-    look(browser, pages["full"], 1280, "dark")
-    browser.get(pages["full"].as_uri())  # folded again
-    find(browser, "#sightings td button.frame")[0].click()
-    assert shown(browser)["open"]
-    features = [{"name": "prefers-color-scheme", "value": "dark"}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print", "features": features})
-    try:
-        assert browser.execute_script("return getComputedStyle(document.body).color") == (
-            "rgb(27, 33, 38)"
-        )
-        assert not shown(browser)["open"]
-        assert not any(e.is_displayed() for e in find(browser, ".live"))
-        lanes = find(browser, "#tracks details.silent .lane")
-        assert lanes
-        visible = "return arguments[0].checkVisibility() && arguments[0].offsetHeight > 0"
-        assert all(browser.execute_script(visible, lane) for lane in lanes)
-        cut = browser.execute_script(
-            "return [...document.querySelectorAll('.scroll')]"
-            ".filter(e => getComputedStyle(e).overflowX !== 'visible').length"
-        )
-        assert cut == 0
-    finally:
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 
 
 def test_without_scripts_the_page_reads(browser: Any, pages: dict[str, Path]) -> None:

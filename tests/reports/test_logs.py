@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from sonarrec.evaluation.judge import PROTOCOLS
-from sonarrec.reports.logs import alongside, judged_sightings, tracks
+from sonarrec.reports.logs import alongside, tracks
 from sonarrec.reports.mistakes import episodes, in_words
 from tests.support.claims import evaluate
-from tests.support.command import SAMPLE
 from tests.support.pages import PLACED, reported, tables
-from tests.support.rows import read_rows
 
 
 def write_log(folder: Path, rng: np.random.Generator, frames: int = 120) -> None:
@@ -125,33 +123,3 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
                 assert matched == here[away.argmin()]
             else:
                 assert matched == -1
-
-
-def test_sightings_of_the_sample(results: Path) -> None:
-    """Against a loop over estimates.csv."""
-    claims: dict[tuple[int, int], list[tuple[int, float]]] = {}
-    for row in read_rows(results / "estimates.csv"):
-        if row["method"] == "framework" and row["declared"] == "1":
-            key = (int(row["landmark"]), int(row["object"]))
-            claims.setdefault(key, []).append((int(row["frame"]), float(row["score"])))
-    reported_log = reported(results, SAMPLE / "gt.csv")
-    found = judged_sightings(reported_log)
-    assert {(one.sighting.landmark, one.sighting.track) for one in found} == set(claims)
-    assert {one.sighting.landmark for one in found} == {1, 3}
-    assert len(found) == 3  # landmark 1 goes and comes back
-    for one in found:
-        s = one.sighting
-        assert s.track is not None
-        here = [c for c in claims[s.landmark, s.track] if s.first_frame <= c[0] <= s.last_frame]
-        frames, scores = zip(*here, strict=True)
-        assert (s.first_frame, s.last_frame, s.frames_declared) == (
-            min(frames),
-            max(frames),
-            len(frames),
-        )
-        assert s.best_score == max(scores)
-        assert s.mean_score == pytest.approx(np.mean(scores), abs=1e-6)
-        surest = reported_log.frame_of(one.surest)
-        assert round(scores[frames.index(surest)], 2) == round(s.best_score, 2)
-        assert one.right is not None
-        assert 0 <= one.right <= len(one.estimates) == len(here)

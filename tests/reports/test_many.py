@@ -77,36 +77,6 @@ def plain_logs(root: Path, estimates: dict[str, list[str]], truth: list[str]) ->
     return root / "out"
 
 
-@pytest.mark.parametrize("logs", [3, 11])
-def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, logs: int) -> None:
-    """The last two, which would have no panel of many; where no other is left it is an error."""
-    names = [f"log{n:02d}" for n in range(logs)]
-    truth = [f"{name},{n},1,2.0,0" for name in names for n in range(10, 20)]
-    out = plain_logs(tmp_path, {name: [PLACED, *RIGHT] for name in names}, truth)
-    *others, empty, bad = names
-    (out / empty / "frames.csv").write_text("frame\n")
-    run = out / empty / "run.toml"
-    run.write_text(run.read_text().replace("finished = true", "finished = false"))
-    (out / bad / "estimates.csv").write_text(f"{PLACED}\n10,framework,1,2.0,0,1,high,1\n")
-    page = tmp_path / "page.html"
-    command = ("report", out, "--ground-truth", tmp_path / "gt.csv", "-o", page)
-    done = sonarrec(*command, code=3)
-    lines = done.stderr.splitlines()
-    assert sorted(lines, key=lambda line: line[-20:]) == [
-        f"sonarrec: {out / empty / 'frames.csv'}: no frame was processed; {empty} is not scored",
-        f"sonarrec: {out / bad / 'estimates.csv'} line 2: score must be a finite number, not "
-        f"'high'; {bad} is not scored",
-    ]
-    text = page.read_text(encoding="utf-8")
-    if logs > MOST_LOGS + 2:
-        assert re.findall(r"<h3>(log\d\d)</h3>", section(text, "seen")) == others[:MOST_LOGS]
-    assert text.count(f"{empty} is not scored") == 1
-    for name in others:
-        (out / name / "frames.csv").write_text("frame\n")
-    done = sonarrec(*command, code=1)
-    assert done.stderr.count("\n") == 1
-
-
 def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     """The last log lacks positions, so that protocol paper alone is scored; it has no panel, and
     of those that have, a claim of ID.1 three metres off is no mistake in it."""

@@ -116,17 +116,6 @@ def test_each_of_several_logs_says_it(pings: Path) -> None:
     assert sorted(line.split(": ")[1] for line in lines(told)) == ["more", "pings"]
 
 
-def test_a_licence_beside_a_log_is_no_log(pings: Path) -> None:
-    """Before, `run data/vendor` failed for LICENSE.sample.aris."""
-    shutil.copy(SAMPLE / "sonar.toml", pings)
-    shutil.copy(SAMPLE.with_suffix(".mcap"), "dives")
-    for name in ("LICENSE.dive.mcap", "readme-dive.aris"):
-        (Path("dives") / name).write_text("a text\n")
-    told = sonarrec("run", "dives", "--dry-run", "--tilt-deg", "20", code=1)
-    assert "LICENSE" not in told.output
-    assert "readme" not in told.output
-
-
 def test_many_logs_end_in_a_table_of_what_was_found(pings: Path) -> None:
     """Before, 20 logs ended in '19 done, 1 failed'."""
     shutil.copy(SAMPLE / "sonar.toml", "dives")

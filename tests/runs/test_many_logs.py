@@ -81,17 +81,6 @@ def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch)
         many.run_apart(tasks, 2, many.Watch())
 
 
-@pytest.mark.slow
-def test_a_name_too_long_costs_that_log_only(tmp_path: Path) -> None:
-    """With -j 1 it ended the call; in a process of its own it was a traceback."""
-    logs = made(tmp_path, "n" * 250, "a", frames=1)
-    for jobs in ("1", "2"):
-        told = sonarrec("run", *logs, "-j", jobs, "-o", tmp_path / jobs, code=3).stderr
-        assert f"\nsonarrec: {tmp_path / jobs}/nnn" in told
-        assert ": cannot write results here (File name too long: " in told
-        assert "\n1 done, 1 failed" in told
-
-
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[bytes]]:
     """The tables of a log of some frames, and of one longer than a run looks ahead."""

@@ -13,7 +13,7 @@ import stat
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,7 +21,6 @@ import pytest
 
 from tests.support.batch import answers, rows, until
 from tests.support.logs import cdr_image, frames, mcap_file
-from tests.support.one_core import one_core_for_others
 from tests.test_docs import PAGES, code_lines
 
 pytestmark = pytest.mark.slow
@@ -47,13 +46,6 @@ def recipe(beginning: str) -> str:
     text = "\n".join(code_lines(PAGES["cluster"]))
     (found,) = [b for b in re.split(r"\n\n+", text) if re.search(f"(?m)^{beginning}", b)]
     return found + "\n"
-
-
-@pytest.fixture
-def small() -> Iterator[None]:
-    """The machines have one core each."""
-    with one_core_for_others():
-        yield
 
 
 @pytest.fixture
@@ -93,7 +85,6 @@ def assert_once(shares: Sequence[str], out: Path) -> None:
     assert {name: row["status"] for name, row in rows(out).items()} == dict.fromkeys(LOGS, "done")
 
 
-@pytest.mark.usefixtures("small")
 def test_a_slurm_array(shared: Path) -> None:
     script = shared / "job.sh"
     script.write_text(recipe("#SBATCH"))
@@ -106,7 +97,6 @@ def test_a_slurm_array(shared: Path) -> None:
     assert "2 up to date" in task(1)
 
 
-@pytest.mark.usefixtures("small")
 def test_machines_over_ssh(shared: Path) -> None:
     text = recipe("seq")
     assert "/shared" in text

@@ -53,18 +53,6 @@ def test_the_echo_moves_as_the_truth_says(seed: int) -> None:
     assert seen > 6
 
 
-def test_fish_swim_as_fast_as_stated_in_the_mean() -> None:
-    shoal = Shoal(shoal_scene(1, number=400), *AREA)
-    before, after = shoal.at(7.0), shoal.at(7.1)
-    steps = np.hypot(after.x_m - before.x_m, after.y_m - before.y_m) / 0.1
-    # Those that came in again at the other side went nowhere near as far.
-    assert np.mean(steps[steps < 2]) == pytest.approx(0.15, rel=0.15)
-    # A way of 2 m is swum in 1 / 0.15 s a metre, weaving aside.
-    ahead = np.radians(before.heading_deg)
-    along = (after.x_m - before.x_m) * np.sin(ahead) + (after.y_m - before.y_m) * np.cos(ahead)
-    np.testing.assert_allclose((along / 0.1)[steps < 2], steps[steps < 2], rtol=0.02, atol=0.01)
-
-
 def test_a_shadow_lies_where_the_ray_past_the_fish_meets_the_floor() -> None:
     for seed in range(1, 60):
         scene = replace(shoal_scene(seed, length_m=0.2, height_m=0.2), frames=1)
@@ -81,27 +69,6 @@ def test_a_shadow_lies_where_the_ray_past_the_fish_meets_the_floor() -> None:
             assert np.median(image) == pytest.approx(1.0, abs=0.1)
             return
     raise AssertionError("no fish came into view")
-
-
-def test_a_school_stays_together_and_single_fish_do_not() -> None:
-    scene = shoal_scene(3, number=24, schools=2, schooling=0.5, speed_m_s=0.3)
-    shoal = Shoal(scene, *AREA)
-    for school in (slice(0, 12, 2), slice(1, 12, 2)):
-        for time in (0.0, 3.0, 20.0):
-            now = shoal.at(time)
-            spread = np.hypot(np.ptp(now.x_m[school]), np.ptp(now.y_m[school]))
-            assert spread < 2.5
-    apart = shoal.at(20.0)
-    assert np.hypot(np.ptp(apart.x_m[12:]), np.ptp(apart.y_m[12:])) > 2.5
-    assert (apart.up_m > 0).all()
-    assert (apart.up_m <= scene.fish.height_m).all()
-
-
-def test_the_floor_keeps_its_speckle_where_no_fish_is() -> None:
-    floor = replace(POLAR.floor, coherence=1.0)
-    scene = replace(shoal_scene(5, number=6), frames=1, floor=floor)
-    (frame,), (bare,) = render(scene), render(replace(scene, fish=FishSection()))
-    assert 0.5 < np.mean(frame.image == bare.image) < 1
 
 
 def with_late(**late: float) -> Scene:
@@ -132,28 +99,6 @@ def test_the_copy_is_as_weak_as_stated_and_behind_the_delay() -> None:
     begins = round(0.5 / BIN_M)
     assert late[begins + 15 :].mean() == pytest.approx(10**-0.6, rel=0.08)
     assert abs(late[: begins - 15].mean()) < 0.03
-
-
-def test_delays_drift() -> None:
-    scene = with_late(copy_db=-1.0, delay_m=0.45, blur_m=0.01, drift_m=0.1, drift_s=4.0)
-    scene = replace(scene, frames=8, rate_hz=2.0)
-    # Half a period apart the drift has its sign turned.
-    delays = [delay_of(power(f.image, scene)) for f in render(scene)]
-    assert np.ptp(delays) == pytest.approx(0.2, abs=0.06)
-    assert np.mean(delays) == pytest.approx(0.45, abs=0.03)
-    for n in range(4):
-        assert delays[n] + delays[n + 4] == pytest.approx(0.9, abs=0.08)
-
-
-@pytest.mark.slow
-def test_bands_lie_across_at_their_ranges() -> None:
-    late = MultipathSection(band_db=6.0, band_m=1.9, band_step_m=0.8, band_width_m=0.04)
-    seen = mean_power(replace(POLAR, multipath=late), 30)
-    for range_m, level in ((1.9, 1 + 10**0.6), (2.7, 1 + 10**0.3), (2.3, 1.0), (3.5, 2.0)):
-        row = round((range_m - 1.25) / BIN_M - 0.5)
-        across = seen[row - 2 : row + 3]
-        assert across.mean() == pytest.approx(level, rel=0.12)
-        assert across[:, :48].mean() == pytest.approx(across[:, 48:].mean(), rel=0.2)
 
 
 def test_its_speckle_is_new_in_every_frame() -> None:

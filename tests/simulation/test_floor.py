@@ -82,13 +82,6 @@ def test_the_axis_meets_the_slope_where_a_triangle_says(towards: float, slope: f
     assert expected * sine / math.sin(math.radians(top)) == pytest.approx(expected, abs=0.06)
 
 
-def test_shading_follows_the_angle_at_which_the_slope_is_met() -> None:
-    flat = replace(POLAR, floor=replace(POLAR.floor, angle_exponent=1.5))
-    seen = [even_power(s).mean() for s in (flat, sloping(flat, 8.0, 90.0))]
-    # Sideways slopes turn the floor away by the cosine alone.
-    assert seen[1] / seen[0] == pytest.approx(math.cos(math.radians(8)) ** 1.5, rel=0.03)
-
-
 def test_what_is_looked_at_is_what_is_seen_there() -> None:
     rng = np.random.default_rng(3)
     range_m, bearing = np.linspace(1.3, 3.7, 9), np.linspace(-14, 14, 7)
@@ -143,14 +136,6 @@ def extent(seen: np.ndarray, beams: slice) -> tuple[float, float]:
     level = seen[:, beams].mean(axis=1)
     rows = np.flatnonzero(level > level[:430].max() / 8)
     return 1.25 + rows[0] * BIN_M, 1.25 + (rows[-1] + 1) * BIN_M
-
-
-@pytest.mark.parametrize(("towards", "raised"), [(0.0, 1), (180.0, -1)])
-def test_a_leaning_disc_is_as_long_as_its_edges_are_apart(towards: float, raised: int) -> None:
-    seen = even_power(disc(LEAN, towards))
-    near = math.hypot(GROUND - RADIUS * COSINE, HEIGHT - (raised < 0) * 2 * RADIUS * SINE)
-    far = math.hypot(GROUND + RADIUS * COSINE, HEIGHT - (raised > 0) * 2 * RADIUS * SINE)
-    assert extent(seen, slice(46, 50)) == pytest.approx((near, far), abs=3 * BIN_M)
 
 
 @pytest.mark.parametrize(
@@ -252,13 +237,3 @@ def test_ripples_are_as_long_as_stated(length: float) -> None:
     per_m = np.fft.rfftfreq(2**16, even[1] - even[0])
     spectrum[per_m < 2] = 0
     assert 1 / per_m[np.argmax(spectrum)] == pytest.approx(length, rel=0.04)
-
-
-def test_the_contrast_of_ripples_depends_on_the_way_they_are_looked_at() -> None:
-    def contrast(towards: float) -> float:
-        seen = even_power(rippled(towards))[100:400, 46:50].mean(axis=1)
-        return float(np.std(10 * np.log10(seen)))
-
-    across, aslant, along = (contrast(towards) for towards in (0.0, 60.0, 90.0))
-    assert across > 1.3 * aslant > 1.3 * 1.3 * along
-    assert along < 0.8

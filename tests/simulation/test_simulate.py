@@ -113,19 +113,6 @@ def seen_where_it_is(frame: SimulatedFrame, scene: Scene) -> DistractorTruth:
     return row
 
 
-@pytest.mark.parametrize(("pan", "azimuth"), [(0, 356.0), (180, 184.0), (180, -176.0), (-720, 0)])
-def test_azimuths_go_on_round_the_circle(pan: float, azimuth: float) -> None:
-    scene = replace(
-        BARE,
-        motion=replace(
-            MotionSection(pan_min_deg=pan, pan_max_deg=pan, pan_start_deg=pan), sway_x_m=0.01
-        ),
-        objects=(PlacedObject("filled", 1.9, azimuth, size_m=0.12, bright_db=25),),
-    )
-    (frame,) = render(scene)
-    seen_where_it_is(frame, scene)
-
-
 @pytest.mark.parametrize(
     ("sway", "slope", "height", "ground"), [(1.0, 0.0, 0.68, 4.05), (0.0, 12.0, 2.0, 3.48)]
 )

@@ -1,4 +1,4 @@
-"""`make scale`: a thousand logs in one call, stopped, killed, over a cluster; long logs.
+"""`make scale`: a thousand logs in one call, stopped and killed; long logs.
 
 Logs are hard links to a few simulated recordings of 60 frames. Of a thousand, five are broken each
 in another way, one hangs and one kills its process (`tests/support/batch.py`). Prints what
@@ -149,43 +149,6 @@ def throughput(home: Path, source: list[Path], count: int) -> None:
     print(f"{count} logs: 1 job {one:.2f} logs/s, 2 jobs {two:.2f} logs/s, {two / one:.2f} times")
 
 
-def cluster(home: Path, source: list[Path], count: int) -> None:
-    folder, here, there = home / "cluster", home / "here", home / "there"
-    logs(folder, source, count)
-    call(here, folder)
-    port, running = 18790, []
-
-    def start(what: str, *words: str) -> None:
-        running.append(
-            subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.dask_{what}", *words, "--no-dashboard"],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-        )
-
-    start("scheduler", "--host", "127.0.0.1", "--port", str(port))
-    for _ in range(2):
-        start("worker", f"tcp://127.0.0.1:{port}", "--nthreads", "1")
-    time.sleep(5)
-    asked = subprocess.Popen(
-        command(
-            "run", f"{folder}/*.mcap", "--scheduler", f"tcp://127.0.0.1:{port}", "-o", there, "-q"
-        )
-    )
-    while len(list(there.glob("*/run.toml"))) < count // 3 and asked.poll() is None:
-        time.sleep(0.1)
-    os.killpg(running[1].pid, signal.SIGKILL)
-    asked.wait()
-    for process in running[:1] + running[2:]:
-        os.killpg(process.pid, signal.SIGKILL)
-    print(
-        f"{count} logs over a Dask cluster, one of two workers killed: {counts(there)}; "
-        f"{same(here, there)} of the same bytes"
-    )
-
-
 def peak_of(*words: object) -> float:
     """Peak resident memory, MB, of a process that runs a command, which must not fail."""
     command = [sys.executable, "-c", _LAUNCH, sys.executable, "-c", _RUN, *map(str, words)]
@@ -217,7 +180,7 @@ def long(home: Path, largest: int) -> None:
             ["map", results, "-o", home / "map"],
             ["report", "--ground-truth", gt, results],
             ["truth", "propose", results, "-o", home / f"proposed{count}.csv"],
-            ["truth", "check", gt, log, "--sheet", home / "sheet.png"],
+            ["truth", "check", gt, log],
             ["calibrate", log, "--ground-truth", gt, "-o", home / f"model{count}.toml"],
         ):
             if count <= MOST_CALIBRATED or words[0] != "calibrate":
@@ -236,7 +199,7 @@ def main() -> None:
     parser = options("scale", __doc__)
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--part", choices=["thousand", "throughput", "cluster", "long"])
+    parser.add_argument("--part", choices=["thousand", "throughput", "long"])
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
@@ -246,8 +209,6 @@ def main() -> None:
             throughput(home, source, asked.logs // 5)
         if asked.part in (None, "thousand"):
             thousand(home, source, asked.logs)
-        if asked.part in (None, "cluster"):
-            cluster(home, source, asked.logs // 5)
         if asked.part in (None, "long"):
             long(home, asked.frames)
     save(asked.record)

@@ -16,7 +16,6 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count, ratio
 from sonarrec.evaluation.intervals import bootstrap_weights, interval
-from sonarrec.evaluation.summary import Summary, summarise
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import (
     ALL_KINDS,
@@ -24,7 +23,6 @@ from tests.studies.learning.random_scenes import (
     STRETCH_KINDS,
     random_scene,
 )
-from tests.studies.measured import calibration_error, errors, honesty, stated
 from tests.studies.results.record import judge, options, save, show
 from tests.support.simulated import (
     METHODS,
@@ -83,23 +81,6 @@ class Row:
     counts: dict[tuple[str, str], Count]
 
 
-@dataclass(frozen=True, slots=True)
-class Beyond:
-    """Of one method over the pool, strict: what the rates do not tell.
-
-    frames: to a lasting right ID, median and 90 % of the passes. position_m, orientation_deg:
-    errors of right claims, median and 95 %. *_sigma: `honesty` of what is stated of these.
-    """
-
-    frames: tuple[float, float]
-    position_m: tuple[float, float]
-    orientation_deg: tuple[float, float]
-    range_sigma: tuple[float, float]
-    bearing_sigma: tuple[float, float]
-    orientation_sigma: tuple[float, float]
-    calibration_error: float
-
-
 def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
     """Each recording by itself, for the IDs of others may be different ones."""
     rows = []
@@ -133,25 +114,6 @@ def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], ...]
     weights = bootstrap_weights(len(counts), np.random.default_rng(0), RESAMPLED)
     tp, tn, fp, fn, _ = (weights @ counts).T
     return tuple(interval(ratio(n, n + of), len(counts)) for n, of in ((tp, fn), (fp, tn)))
-
-
-def beyond(summary: Summary, name: str, folders: Sequence[Path]) -> Beyond:
-    """summary: of `score(folders)`. name: short, of a method."""
-
-    def values(*names: str) -> tuple[float, ...]:
-        found = (summary.figure("strict", METHODS[name], what) for what in names)
-        return tuple(math.nan if figure is None else figure.value for figure in found)
-
-    e = errors(folders, METHODS[name])
-    return Beyond(
-        frames=values("frames_to_id_median", "frames_to_id_90"),
-        position_m=values("position_error_median_m", "position_error_95_m"),
-        orientation_deg=values("orientation_error_median_deg", "orientation_error_95_deg"),
-        range_sigma=honesty(e.range_m, e.range_sigma_m),
-        bearing_sigma=honesty(e.bearing_deg, e.bearing_sigma_deg),
-        orientation_sigma=honesty(e.orientation_deg, e.orientation_sigma_deg),
-        calibration_error=calibration_error(*stated(folders, METHODS[name])),
-    )
 
 
 def told(value: float, form: str) -> str:
@@ -211,30 +173,7 @@ def show_intervals(rows: Sequence[Row], keep: bool) -> None:
         )
 
 
-def show_beyond(measured: dict[str, Beyond]) -> None:
-    """How soon, how exact and how honest each method is."""
-    lines = []
-    for name, b in measured.items():
-        line = {"method": name}
-        for what, pair, forms in (
-            ("frames to ID", b.frames, ("g", "g")),
-            ("position m", b.position_m, (".4f", ".4f")),
-            ("orientation deg", b.orientation_deg, (".1f", ".1f")),
-            ("range / sigma", b.range_sigma, (".2f", ".3f")),
-            ("bearing / sigma", b.bearing_sigma, (".2f", ".3f")),
-            ("orientation / sigma", b.orientation_sigma, (".2f", ".3f")),
-        ):
-            line[what] = "  ".join(told(v, f) for v, f in zip(pair, forms, strict=True))
-        lines.append(line)
-    show(
-        "Pooled: frames from whole in view to a lasting right ID, median and 90 %; errors of\n"
-        "right claims, median and 95 %; these over the stated sigma: root mean square (robust;\n"
-        "1 is honest) and share within 2 (.954 is)",
-        lines,
-    )
-
-
-def show_goals(rows: Sequence[Row], measured: dict[str, Beyond]) -> None:
+def show_goals(rows: Sequence[Row]) -> None:
     """Each goal that the run can tell something of."""
     print("\nGoals\n")
     pool = [r for r in rows if r.kind in KINDS_OF_SCENE]
@@ -250,13 +189,6 @@ def show_goals(rows: Sequence[Row], measured: dict[str, Beyond]) -> None:
         ):
             if bound is not None and values:
                 judge(f"{name}, {scenes}: {rate}", worst(values), bound, at_least=rate == "TPR")
-    if measured:
-        default = measured["default"]
-        judge("default, frames to a lasting right ID, median", default.frames[0], 1)
-        judge("default, frames to a lasting right ID, 90 %", default.frames[1], 3)
-        judge("default, position error, median, m", default.position_m[0], 0.02)
-        judge("default, orientation error, median, deg", default.orientation_deg[0], 5)
-        judge("default, calibration error", default.calibration_error, 0.05)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -287,13 +219,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     show_rates(rows, keep=not asked.ours)
     show_intervals(rows, keep=asked.ours)
-    measured = {}
-    folders = [r.folder for r in recordings if r.kind in KINDS_OF_SCENE]
-    if folders:
-        summary = summarise(score(folders))
-        measured = {name: beyond(summary, name, folders) for name in methods(rows)}
-        show_beyond(measured)
-    show_goals(rows, measured)
+    show_goals(rows)
     save(asked.record)
     print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
 

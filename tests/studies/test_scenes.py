@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +14,11 @@ from click.testing import CliRunner
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count
-from sonarrec.evaluation.judge import judge
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies import baseline, scenes
-from tests.studies.measured import BINS, calibration_error, errors, honesty, stated
-from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, matched, recognise
+from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise
 
 pytestmark = pytest.mark.slow
 
@@ -81,64 +78,6 @@ def test_harness_is_what_the_commands_do(in_memory: Path, tmp_path: Path) -> Non
     assert {key: counted[key] for key in expected} == expected
     assert len(counted) == len(expected) + 2  # the rival, under both protocols
     assert expected["strict", "framework:default"][0] > 20
-
-
-def test_errors_are_of_the_right_claims(in_memory: Path) -> None:
-    truths = [t for t in table(in_memory / "gt.csv") if float(t["visible"]) >= 0.9]
-    expected = []
-    for claim in table(in_memory / "estimates.csv"):
-        if claim["method"] != METHODS["default"] or claim["declared"] != "1":
-            continue
-        for truth in truths:
-            same = (truth["frame"], truth["landmark"]) == (claim["frame"], claim["landmark"])
-            place, true = (
-                float(r["range_m"]) * np.exp(1j * np.radians(float(r["bearing_deg"])))
-                for r in (claim, truth)
-            )
-            if same and abs(place - true) <= SCENE.landmark_set.radius_m:
-                turn = 180 if claim["landmark"] == "2" else 360
-                off = float(claim["orientation_deg"]) - float(truth["orientation_deg"])
-                expected.append(
-                    (
-                        float(claim["range_m"]) - float(truth["range_m"]),
-                        float(claim["bearing_deg"]) - float(truth["bearing_deg"]),
-                        min((off + k * turn for k in range(-3, 4)), key=abs),
-                        float(claim["bearing_sigma_deg"]),
-                    )
-                )
-    e = errors([in_memory], METHODS["default"])
-    told = np.column_stack([e.range_m, e.bearing_deg, e.orientation_deg, e.bearing_sigma_deg])
-    assert len(told) > 20
-    # Claims come by falling score, rows of the file by frame.
-    order = np.lexsort(told.round(6).T), np.lexsort(np.round(expected, 6).T)
-    np.testing.assert_allclose(told[order[0]], np.array(expected)[order[1]], atol=1e-9)
-
-
-@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
-def test_honesty_of_normal_errors(factor: float) -> None:
-    rng = np.random.default_rng(1)
-    sigma = rng.uniform(0.1, 3, 20_000)
-    error = rng.normal(0, factor * sigma)
-    error[:50] = 1e6  # a few that went astray
-    ratio, within = honesty(error, sigma)
-    # The median of |x| of n normals scatters by 1.17 / sqrt(n) of itself: five times that.
-    assert ratio == pytest.approx(factor, rel=5 * 1.17 / math.sqrt(20_000))
-    assert within == pytest.approx(math.erf(math.sqrt(2) / factor), abs=0.015)
-
-
-def test_honesty_needs_a_sigma() -> None:
-    assert np.isnan(honesty(np.ones(3), np.full(3, np.nan))).all()
-
-
-def test_calibration_error_by_hand(in_memory: Path) -> None:
-    one = judge(matched(in_memory), METHODS["default"], "strict")
-    right, gap = one.truth >= 0, 0.0
-    for i in range(BINS):
-        inside = (one.score >= i / BINS) & ((one.score < (i + 1) / BINS) | (i == BINS - 1))
-        if inside.any():
-            gap += abs(one.score[inside].mean() - right[inside].mean()) * inside.mean()
-    told = calibration_error(*stated([in_memory], METHODS["default"]))
-    assert told == pytest.approx(gap)
 
 
 @pytest.mark.parametrize(

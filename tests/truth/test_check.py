@@ -89,11 +89,6 @@ def test_a_steady_pan_is_sound_up_to_its_limit(tmp_path: Path, log: Path) -> Non
     assert kinds(path, log, max_pan_deg=4.8) == [(n, "jump") for n in (3, 4, 5, 6)]
 
 
-def test_frames_left_out_give_time_to_move(tmp_path: Path, log: Path) -> None:
-    assert kinds(truth(tmp_path, ["0,1,2.0,-9", "4,1,2.5,9"]), log) == []
-    assert kinds(truth(tmp_path, ["0,1,2.0,-9", "3,1,2.5,9"]), log) == [(3, "jump")]
-
-
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_second_landmark_of_an_id_may_enter_at_an_edge(
     tmp_path: Path, log: Path, way: int

@@ -105,17 +105,6 @@ def stamps(case: Path, *times_ms: int) -> None:
     (case / "gt.csv").write_text("timestamp_ns,landmark\n" + rows)
 
 
-def test_nearest_frame_within_half_an_interval(case: Path) -> None:
-    # Frames at 1000, 1250 and 1750 ms: the median interval is 375 ms, half of it 187.5.
-    stamps(case, 900, 1260, 1562, 1600, 1938)
-    truth = matched(case)
-    # 1562 and 1600 both belong to 1750; 1600 is nearer.
-    assert truth.frame_index.tolist() == [0, 1, 2]
-    assert (truth.between, truth.unprocessed) == (0, 2)
-    assert matched(case, 0.05).frame_index.tolist() == [1]
-    assert matched(case, 0.2).between == 2
-
-
 def test_times_of_another_zone_are_told_as_that(case: Path) -> None:
     """Only where every one, shifted by whole hours, is that of a frame: else it is another log."""
     start_s = 1_714_564_800
