@@ -25,7 +25,7 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.sonar import EXAMPLE_SONAR_TOML, Sonar, load_sonar, sonar_from_table
+from sonarrec.sonar import EXAMPLE_SONAR_TOML, Sonar, load_sonar
 
 BASIN = Sonar(
     layout="fan",
@@ -211,18 +211,6 @@ def test_ground_range_round_trip(range_m: float, with_height: bool) -> None:
 
 
 # sonar.toml
-
-
-def test_the_example_is_valid_and_comes_back(tmp_path: Path) -> None:
-    path = tmp_path / "sonar.toml"
-    path.write_text(EXAMPLE_SONAR_TOML)
-    sonar = load_sonar(path)
-    sonar.complete("example")
-    assert sonar_from_table(sonar.as_table(), "again") == sonar
-    assert Sonar().updated(sonar) == sonar
-    assert sonar.updated(Sonar(tilt_deg=5.0)).tilt_deg == 5
-    full = sonar.updated(Sonar(apex_px=(1.0, 2.0), bearings_deg=(-1.0, 0.0, 1.0)))
-    assert sonar_from_table(full.as_table(), "again") == full
 
 
 @pytest.mark.parametrize(

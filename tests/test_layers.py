@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -31,6 +32,14 @@ PARTS = (
     *("evaluation.behaviour", "evaluation.tracking", "evaluation.curves", "evaluation.count"),
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
+MOST_LINES = {
+    **{"cli": 3300, "drawing": 820, "evaluation": 5300, "geometry": 450},
+    **{"learning": 700, "mapping": 1320, "overlays": 470, "readers": 6420},
+    **{"recogniser": 6510, "reports": 1830, "results": 1800, "runs": 1560},
+    **{"simulation": 2840, "tables": 950, "truth": 1340},
+}
+"""Of a room; set to what stands after an issue, and it only falls."""
+SMALL = 400  # lines of a room of one module
 STAGES = ("stage1", "stage2", "stage3")
 MAY_IMPORT = {
     "click": ("cli",),
@@ -239,6 +248,13 @@ def test_every_room_has_a_floor() -> None:
     assert sorted(r for rooms in FLOORS for r in rooms) == sorted({room(n) for n in SOURCES if n})
 
 
+def test_no_room_grows() -> None:
+    lines = Counter[str]()
+    for name, source in SOURCES.items():
+        lines[room(name)] += source.count("\n")
+    assert {n: lines[n] for n in lines if lines[n] > MOST_LINES.get(n, SMALL)} == {}
+
+
 def test_every_name_in_the_tables_is_there() -> None:
     for prefix in {*LIGHT, *PARTS, *(f"recogniser.{s}" for s in STAGES)} | {
         p for prefixes in MAY_IMPORT.values() for p in prefixes
@@ -264,7 +280,6 @@ def test_imports_run_downward_only() -> None:
             "from sonarrec.recogniser.stage3.smi import identify",
             "a stage imports another",
         ),
-        ("evaluation.passes", "from . import count", "relative import"),
         ("evaluation.logs", "from sonarrec.evaluation import evaluate", "import each other"),
         (
             "evaluation.match",
@@ -272,8 +287,6 @@ def test_imports_run_downward_only() -> None:
             "uphill from evaluation.passes",
         ),
         ("runs.one", "import click", "runs.one must not import click"),
-        ("simulation.world", "def f():\n    import pandas", "must not import pandas"),
-        ("results.read", "import requests", "results.read must not import requests"),
         (
             "runs.one",
             "from sonarrec.tables.read import read_table",

@@ -248,20 +248,6 @@ def test_a_full_stdout_is_one_line(tmp_path: Path, words: list[str]) -> None:
         assert "finished = true" in (tmp_path / "sonarrec_out" / "pan" / "run.toml").read_text()
 
 
-@pytest.mark.parametrize(
-    ("radius", "preset"), [("1e4", "default"), ("1e300", "default"), ("9.0", "paper")]
-)
-def test_a_disc_that_no_sonar_sees_is_refused(tmp_path: Path, radius: str, preset: str) -> None:
-    text = (ROOT / "sonarrec" / "landmark_sets" / "basin.toml").read_text()
-    (tmp_path / "big.toml").write_text(text.replace("radius_m = 0.15", f"radius_m = {radius}"))
-    log = str(SAMPLE / "00000*.png")
-    words = ["run", log, "--landmarks", str(tmp_path / "big.toml"), "--preset", preset]
-    done = CliRunner().invoke(main, [*words, "-o", str(tmp_path / "out")])
-    assert done.exit_code in (1, 2)
-    assert len(done.stderr.splitlines()) == 1
-    assert "radius_m" in done.stderr
-
-
 def test_a_method_s_name_cannot_steer_the_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

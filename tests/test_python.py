@@ -207,21 +207,6 @@ def test_frames_that_no_run_toml_can_tell_are_refused(
         sonarrec.run(SAMPLE, tmp_path, frames=span)
 
 
-def test_a_second_pass_tells_what_could_not_be_used_once(tmp_path: Path) -> None:
-    recording = (SAMPLE.parent / "pan.mcap").read_bytes()
-    (tmp_path / "pan.mcap").write_bytes(recording[: len(recording) // 8])
-    (tmp_path / "pings").mkdir()
-    shutil.copy(SAMPLE / "000000.png", tmp_path / "pings")
-    (tmp_path / "pings" / "000001.png").write_bytes(b"no image")
-    for name in ("pan.mcap", "pings"):
-        with sonarrec.open_log(tmp_path / name, sonar_file=SAMPLE / "sonar.toml") as log:
-            list(log)
-            told = [*log.diagnostics.problems]
-            list(log)
-            assert told
-            assert log.diagnostics.problems == told
-
-
 def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SonarrecError, match="no such file"):
         sonarrec.read_results(tmp_path)

@@ -8,15 +8,11 @@ import shutil
 import subprocess
 import sys
 import tomllib
-import tracemalloc
 from pathlib import Path
 
-import numpy as np
 import pytest
 import tomli_w
 
-from sonarrec import run
-from sonarrec.simulation.simulate import write_image
 from tests.support.command import SAMPLE, sonarrec
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -169,36 +165,6 @@ def test_heavy_imports_are_late(pings: Path) -> None:
     assert modules_after(as_main("--help")) == set()
     assert modules_after(as_main("run", "--help")) == set()
     assert modules_after(as_main("run", str(pings), "-q")) == {"numpy", "cv2"}
-
-
-@pytest.mark.slow
-def test_of_polar_images_no_fan_image_is_kept(tmp_path: Path) -> None:
-    """The fan images in which the beams are measured, and the table they are made by, are freed:
-    of a wide sonar they are far larger than the polar images.
-    """
-    log, rng = tmp_path / "log", np.random.default_rng(1)
-    log.mkdir()
-    for i in range(12):
-        write_image(log / f"{i}.png", rng.integers(0, 200, (240, 512)).astype(np.uint8))
-    stated = {"layout": "polar", "range_min_m": 0.5, "range_max_m": 10.0, "tilt_deg": 15.0}
-    held: list[int] = []
-
-    def look(_: object, __: object) -> None:
-        found = tracemalloc.take_snapshot().filter_traces(
-            [tracemalloc.Filter(True, geometry, all_frames=True)]
-        )
-        held.append(sum(trace.size for trace in found.traces))
-
-    geometry = "*/sonarrec/geometry.py"
-    tracemalloc.start(3)  # arrays are made in numpy, for a line of ours
-    try:
-        done = run(log, tmp_path / "out", sonar=stated | {"field_of_view_deg": 130.0}, observe=look)
-    finally:
-        tracemalloc.stop()
-    assert done.frames == len(held) == 12
-    # The floor's table has 6 bytes a pixel. It and the fan have as many pixels here, so that the
-    # fan's would double that.
-    assert 6 * 110_000 < min(held) <= max(held) < 7 * 110_000
 
 
 # What cannot be used: one clear line and the right exit code

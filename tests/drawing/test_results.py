@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from sonarrec.drawing.pen import (
     OKABE_ITO,
     disc_outline,
-    draw_picture,
     enlargement,
     landmark_colours,
 )
@@ -128,22 +127,6 @@ def test_one_colour_per_id(count: int) -> None:
         linear = [c / 12.92 if c <= 0.04 else ((c + 0.055) / 1.055) ** 2.4
                   for c in np.array(colour) / 255]  # fmt: skip
         assert (np.dot(linear, [0.2126, 0.7152, 0.0722]) + 0.05) / 0.05 > 3
-
-
-@settings(max_examples=40)
-@given(
-    rows=st.integers(2, 700),
-    x=st.floats(-1e4, 1e4) | st.floats(-1e15, 1e15),
-    y=st.floats(-1e4, 1e4) | st.floats(-1e15, 1e15),
-    declared=st.booleans(),
-)
-def test_any_size_and_place_can_be_drawn(rows: int, x: float, y: float, declared: bool) -> None:
-    fan = make_fan(rows=rows)
-    one = estimate(x, y, declared=declared)
-    frame = draw_frame(np.zeros((fan.rows, fan.columns), np.uint8), fan, BASIN, [one])
-    picture = draw_picture(frame, draw_strip([Moment(5, 10**9, (one,))], BASIN, 512))
-    assert max(frame.shape) >= 512
-    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
 
 
 def test_trails_are_cut_and_follow_tracks_only() -> None:

@@ -346,49 +346,6 @@ apex_px = [100.0, 400.0]
 """
 
 
-def pixel_case(folder: Path) -> tuple[Path, Path]:
-    write_csv(folder / "out" / "frames.csv", ["frame"], [[0], [1]])
-    header = ("frame", "method", "x_px", "y_px", "landmark", "score", "declared")
-    rows = [(0, "other", 100, 200, 1, 0.9, 1), (1, "other", 120, 200, 1, 0.8, 1)]
-    write_csv(folder / "out" / "estimates.csv", header, rows)
-    # 0.14 m off the claim in frame 0, 0.16 m in frame 1.
-    write_csv(
-        folder / "gt.csv",
-        ("frame", "landmark", "x_px", "y_px"),
-        [(0, 1, 100, 214), (1, 1, 104, 200)],
-    )
-    return folder / "out", folder / "gt.csv"
-
-
-def test_pixels_become_metres_by_run_toml_or_flags(tmp_path: Path) -> None:
-    results, truth = pixel_case(tmp_path)
-    bare = evaluate(results, truth)
-    assert {s.protocol for s in bare.scored} == {"paper"}
-    assert any("strict protocol is not scored" in note for note in bare.notes)
-
-    (tmp_path / "my.sonar.toml").write_text(RUN_TOML)
-    flags = ["--sonar", tmp_path / "my.sonar.toml"]
-    sonarrec("evaluate", "--ground-truth", truth, results, *flags)
-    told = json.loads((results / "evaluation" / "evaluation.json").read_text())
-    assert told["methods"]["other"]["strict"]["1"] == {
-        "tpr": 0.5, "fpr": 1.0, "tp": 1, "tn": 0, "fp": 1, "fn": 1, "total": 3, "tpr_once": 0.5,
-    }  # fmt: skip
-
-    # A polar recording has no pixels of its own; run.toml states those of the fan it became.
-    stated = RUN_TOML.replace('"fan"', '"polar"').replace("metres_per", "\n[fan]\nmetres_per")
-    (results / "run.toml").write_text(stated)
-    ours = evaluate(results, truth)
-    assert counts(scored(ours, "strict", "other"), 0) == (1, 0, 1, 1)
-
-    listed = '[program]\nmethods = ["framework", "smi"]\n'
-    (results / "run.toml").write_text(RUN_TOML + listed)
-    ours = evaluate(results, truth)
-    assert counts(scored(ours, "strict", "other"), 0) == (1, 0, 1, 1)
-    # A run of ours lists its methods: seeing nothing is a result, too.
-    assert counts(scored(ours, "strict", "framework"), 0) == (0, 0, 0, 2)
-    assert any("framework: no estimate at all" in note for note in ours.notes)
-
-
 def test_run_toml_landmarks_set_ids_and_gate(tmp_path: Path) -> None:
     results, truth = write_case(
         tmp_path, [0], [(0, "m", 2.0, 0.0, 8, 0.9, 1)], [(0, 8, 2.25, 0.0, 1.0)]

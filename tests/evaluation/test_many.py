@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import csv
-import json
-import multiprocessing
 import os
 import shutil
 import tracemalloc
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.evaluation import compare as comparison
-from sonarrec.evaluation import histogram, summary
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.histogram import sum_by_value, values_at_ranks
-from sonarrec.evaluation.intervals import bootstrap_weights, coin_tosses
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.write import write_evaluation
 from tests.evaluation.test_evaluation import write_case
@@ -49,24 +43,6 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return table
 
 
-@pytest.fixture
-def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Intervals and tests from fewer draws, where it is told only whether two ways are the same."""
-    for module in (summary, comparison):
-        monkeypatch.setattr(module, "bootstrap_weights", partial(bootstrap_weights, draws=100))
-        monkeypatch.setattr(module, "coin_tosses", partial(coin_tosses, flips=255))
-
-
-@pytest.fixture
-def copied(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Other processes are copies of this one, which need not load all modules anew; what they are
-    given, and what they give, is pickled as ever. As users have it is
-    `test_the_same_bytes_however_many_processes` and `test_compared_one_at_a_time_as_all_at_once`.
-    """
-    context = multiprocessing.get_context("fork")
-    monkeypatch.setattr(multiprocessing, "get_context", lambda _: context)
-
-
 def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
@@ -76,31 +52,6 @@ def table(text: bytes) -> list[dict[str, str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("few_draws")
-def test_values_rounded_by_unit_move_intervals_and_tests_alone(
-    tmp_path: Path, pairs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = read_pairs(pairs)
-    for name, most in (("exact", histogram.MOST_ROWS), ("rounded", 20_000)):
-        monkeypatch.setattr(histogram, "MOST_ROWS", most)
-        write_evaluation(tmp_path / name, evaluate_logs(rows))
-    exact, rounded = (files(tmp_path / name) for name in ("exact", "rounded"))
-    for name in exact.keys() - {"figures.csv", "tests.csv", "evaluation.json"}:
-        assert rounded[name] == exact[name], name
-    for name in ("figures.csv", "tests.csv"):
-        for a, b in zip(table(exact[name]), table(rounded[name]), strict=True):
-            for column, cell in a.items():
-                if column not in ("low", "high", "p"):
-                    assert b[column] == cell
-                elif cell not in ("", "inf"):
-                    assert float(b[column]) == pytest.approx(float(cell), abs=0.05)
-    told = json.loads(exact["evaluation.json"])
-    assert list(told["methods"]) == ["framework", "another", "smi"]
-    assert told["units"] == 12  # the logs, as there are ten or more
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("few_draws")
 def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> None:
     made = {}
     for jobs in ("1", "3"):  # of 12 logs: more than the three have ahead
@@ -118,7 +69,6 @@ BROKEN = {
 }
 
 
-@pytest.mark.usefixtures("few_draws", "copied")
 @pytest.mark.parametrize(
     ("name", "side"),
     but_first([*((n, "") for n in BROKEN), *((n, s) for n in BROKEN for s in ("out", "new"))]),
@@ -167,12 +117,6 @@ def peak_mb(call: Callable[[], object]) -> float:
     return peak / 1e6
 
 
-@pytest.fixture
-def few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Already of a few logs values by unit are coarse."""
-    monkeypatch.setattr(histogram, "MOST_ROWS", 5_000)
-
-
 def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
     """Of another program, whose run.toml names no method."""
     truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]
@@ -206,7 +150,6 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("few_rows")
 def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     """Two logs and eleven. What may grow is what a log leaves behind for good: its name, counts and
     passes (a few kB), and its row in the sums by unit (20 tables of 600 numbers a row, some 50 kB,

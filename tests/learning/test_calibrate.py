@@ -9,12 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonarrec.config import preset
-from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import BUILT_IN, load_landmarks
-from sonarrec.learning.calibrate import FOLDS, LearningReport, _not_taught, learn
-from sonarrec.recogniser.stage3.model import built_in_model, parse_model
-from sonarrec.results.run_file import LogOptions
+from sonarrec.learning.calibrate import _not_taught
+from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.command import sonarrec
@@ -80,29 +77,6 @@ def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeyp
     for file in ("estimates.csv", "run.toml"):
         again = Path("again/three") / file
         assert again.read_bytes() == (Path("learned/three") / file).read_bytes()
-
-
-@pytest.mark.slow
-def test_what_was_learned_from_is_told(site):
-    logs = [site / "one", site / "two"]
-    report = learn(logs, site / "gt.csv", preset("default"), BASIN, LogOptions())
-    assert report.frames == 140
-    assert not report.diagnostics.problems
-    on = sum(frames for frames, _ in report.seen[:-1])
-    with (site / "gt.csv").open(newline="") as file:
-        truth = list(csv.DictReader(file))
-    whole = sum(float(r["visible"]) >= 0.9 for r in truth)
-    assert 0.8 * whole < on <= len(truth)
-    seen = {i for i, (frames, _) in zip(BASIN.ids, report.seen, strict=False) if frames}
-    assert seen == {int(r["landmark"]) for r in truth}
-    for i in set(BASIN.ids) - seen:
-        assert any(f"ID.{i}" in note for note in report.diagnostics.notes)
-    tracks = sum(count for _, count in report.seen[:-1])
-    assert (report.gain is None) == (tracks < FOLDS)
-    # With the built-in model as the start nothing moves far.
-    values = zip(report.model.values, built_in_model().values, strict=True)
-    moved = [np.abs(a - b).max() for a, b in values]
-    assert 0 < max(moved) < 3
 
 
 def part_of_sample(folder: Path, *names: str) -> Path:
@@ -249,15 +223,6 @@ def test_truth_lies_beside_each_log_and_a_stranger_is_unlearned(tmp_path):
         sonarrec("run", paths["next"], "-o", tmp_path / name, "-q", *more)
         _, false[name] = strict(tmp_path / name / "next", paths["next"] / "gt.csv")
     assert false["learned"] < 0.7 * false["built_in"]
-
-
-def test_names_of_logs_do_not_break_the_model_file():
-    model = built_in_model()
-    seen = ((1, 1),) * 4 + ((9, 2),)
-    logs, none = ("day\n1", "d\x07y_2", "dïve"), ((0, 0), (0, 0))
-    report = LearningReport(model, BASIN, logs, 10, seen, None, none, None, Diagnostics())
-    parse_model(report.as_toml(), "it")
-    assert report.summary()[0] == r"learned from 10 frames of day\n1, d\x07y_2, dïve"
 
 
 def test_worse_is_told_only_where_the_printed_figures_differ():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sonarrec.landmarks import load_landmarks
-from sonarrec.learning.calibrate import FOLDS, _counted, _labelled
+from sonarrec.learning.calibrate import FOLDS, _labelled
 from sonarrec.learning.fit import PRIOR_WEIGHT, _standard_error, fit, gain_on_the_rest
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3.description import FEATURES
@@ -183,16 +183,6 @@ def test_a_hidden_landmark_teaches_neither_its_id_nor_none():
     taught = list(zip(samples.track.tolist(), samples.label.tolist(), strict=True))
     assert taught == [(8, 1), (9, 4), (9, 4)]
     assert strange.tolist() == [False, False, True]
-
-
-def test_how_much_of_the_truth_a_track_lay_on_is_counted():
-    """Of frames 0 and 1: a landmark on a track twice, one beside it, one hidden, one just within
-    a quarter of a disc."""
-    within = 1 + 0.24 * 2 * BASIN.radius_m
-    tracks = in_two_frames([0, 0, 1], [7, 8, 7], np.array([[0.0, 2], [1, 2], [0, 2]]))
-    first = ((0, 0, 1.0, 0.0), (0, 1, 0.0, 1.0), (0, 3, 0.5, within))
-    told = truth(*first, (1, 0, 1.0, 0.0), (1, 2, 1.0, 1.0))
-    assert _counted(tracks, told) == ((4, 3), (3, 2))
 
 
 def samples_of(tracks: list[tuple[int, int]]) -> Samples:

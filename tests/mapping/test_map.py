@@ -7,10 +7,8 @@ import base64
 import json
 import math
 import shlex
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +26,7 @@ from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.axes import CHI2_95, ellipse
 from sonarrec.mapping.build import MapOptions, make_map
-from sonarrec.mapping.join import MappedLog, frame_shares, join
+from sonarrec.mapping.join import MappedLog, join
 from sonarrec.mapping.passes import HEIGHT_SIGMA_M, DeclaredEstimates, find_passes
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
 from sonarrec.nouns import Estimate, FrameResult
@@ -229,59 +227,6 @@ def test_two_logs_make_one_map(tmp_path: Path) -> None:
     assert "several RESULTS need --out" in told.stderr
 
 
-def of_recording(folder: Path, digest: str) -> None:
-    """Let results be those of a recording."""
-    told = (folder / "run.toml").read_text()
-    (folder / "run.toml").write_text(told.replace('sha256 = ""', f'sha256 = "{digest}"'))
-
-
-@pytest.mark.parametrize("digest", ["", "0" * 64])
-def test_one_recording_counts_once(tmp_path: Path, digest: str) -> None:
-    """A copy of its results, a link to them and another spelling of their folder are noted."""
-    path = there_and_back()
-    dive = results(tmp_path / "dive", path, path)
-    of_recording(dive, digest)
-    shutil.copytree(dive, tmp_path / "copy")
-    (tmp_path / "link").symlink_to(dive)
-    again = tmp_path / "copy" / ".." / "dive"
-    done = sonarrec(
-        "map", dive, tmp_path / "copy", tmp_path / "link", again, "-q", "-o", tmp_path / "site"
-    )
-    told = "SHA-256 000000000000..." if digest else "by its tables"
-    assert done.stderr.splitlines() == [
-        f"sonarrec: note: {other}: the same log as {dive} ({told}), which counts once"
-        for other in (tmp_path / "copy", tmp_path / "link", again)
-    ]
-    rows = read_rows(tmp_path / "site" / "map.csv")
-    assert [(row["passes"], row["logs"]) for row in rows] == [("2", "1")] * 3
-    sonarrec("map", dive)
-    assert rows == read_rows(dive / "map" / "map.csv")
-
-
-def test_other_results_of_a_recording_are_left_out(tmp_path: Path) -> None:
-    """What else is said of them is of no use then; those of other frames count."""
-    path = there_and_back()
-    one = results(tmp_path / "one", path, path)
-    other = results(tmp_path / "other", path, path, seed=1)
-    late = results(tmp_path / "late", path, path, seed=2)
-    frames = read_rows(late / "frames.csv")
-    for name in ("frames.csv", "estimates.csv"):
-        head, *lines = (late / name).read_text().splitlines()
-        moved = (line.partition(",") for line in lines)
-        rows = [f"{int(frame) + len(frames)},{rest}" for frame, _, rest in moved]
-        (late / name).write_text("\n".join([head, *rows, ""]))
-    for folder in (one, other, late):
-        of_recording(folder, "0" * 64)
-    told = (other / "run.toml").read_text()
-    (other / "run.toml").write_text(told.replace("finished = true", "finished = false"))
-    done = sonarrec("map", one, other, late, "-o", tmp_path / "site", code=3)
-    assert done.stderr.splitlines() == [
-        f"sonarrec: {other}: the same log as {one} (SHA-256 000000000000...), which counts once; "
-        "these other results of it are not used"
-    ]
-    assert {row["log"] for row in read_rows(tmp_path / "site" / "passes.csv")} == {"one", "late"}
-
-
 def test_what_lies_on_another_is_the_one_claimed_more(dive: Path) -> None:
     """A few frames of a disc under a wrong ID make no second landmark."""
     estimates = dive / "estimates.csv"
@@ -330,28 +275,6 @@ def test_landmarks_of_few_frames_are_left_out(dive: Path) -> None:
     assert told == ["  2 landmarks left out by --min-frames"]
     nothing = results(dive.parent / "empty", there_and_back(), there_and_back(), site=())
     assert "no landmark declared" in sonarrec("map", nothing, "--min-frames", 10_000).stdout
-
-
-def test_a_frame_with_two_tracks_on_a_landmark_is_one_frame(dive: Path) -> None:
-    """The frames of all passes were added up, and could be more than the log has."""
-    rows = read_rows(dive / "estimates.csv")
-    alone = map_rows(dive)
-    again = [row | {"object": str(int(row["object"]) + 5000)} for row in rows]
-    write_rows(dive / "estimates.csv", [*rows, *again, *rows[:3]])
-    doubled = map_rows(dive)
-    assert sum(int(row["frames"]) for row in alone) == len(rows)
-    for row, other in zip(alone, doubled, strict=True):
-        assert row["frames"] == other["frames"]
-        assert 2 * int(row["passes"]) == int(other["passes"])
-    passes = read_rows(dive / "map" / "passes.csv")
-    for row in passes:
-        frames = {
-            int(one["frame"])
-            for one in again
-            if int(one["object"]) % 5000 == int(row["track"]) % 5000
-            and one["landmark"] == row["landmark"]
-        }
-        assert int(row["frames"]) == len(frames)
 
 
 def map_rows(folder: Path, *options: str | int) -> list[dict[str, str]]:
@@ -418,19 +341,6 @@ def test_tracks_on_one_disc_at_a_time_are_no_more_than_one() -> None:
     np.testing.assert_allclose(one.position, alone.position)
     np.testing.assert_allclose(one.covariance, alone.covariance)
     assert one.orientation_sigma_deg == pytest.approx(alone.orientation_sigma_deg)
-
-
-def test_tracks_that_share_a_part_of_their_frames_count_by_it(tmp_path: Path) -> None:
-    """By hand: of 60 frames of one track and 80 of the other, 20 are the same."""
-    still = np.zeros((120, 3))
-    folder = results(tmp_path / "dive", still, still, [Disc(1, 0.0, 2.3, 40.0)])
-    rows = read_rows(folder / "estimates.csv")
-    assert [int(row["frame"]) for row in rows] == [*range(120)]
-    first, second = ([row | {"object": str(n)} for row in rows] for n in (1, 2))
-    write_rows(folder / "estimates.csv", [*first[:60], *second[40:]])
-    (log,) = make_map([folder]).logs
-    np.testing.assert_allclose(frame_shares(log.passes), [50 / 60, 70 / 80])
-    np.testing.assert_allclose(frame_shares(log.passes[1:]), [1])
 
 
 # What drifts
@@ -595,33 +505,6 @@ def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
         assert feature["properties"]["heading_deg"] == pytest.approx(turn, abs=0.02)
     others = [f["geometry"]["type"] for f in features if f not in points]
     assert sorted(others) == ["LineString", *["Polygon"] * len(rows)]
-
-
-@pytest.mark.parametrize("latitude", [-17.0, 89.9])
-def test_geojson_keeps_to_its_side_of_the_180th_meridian(mapped: Path, latitude: float) -> None:
-    """No part crosses it; polygons are closed and go counter-clockwise; distances hold."""
-    rows = [(float(row["x_m"]), float(row["y_m"])) for row in read_rows(mapped / "map.csv")]
-    parallel = 6378137 * math.cos(math.radians(latitude))
-    longitude = 180 - math.degrees(rows[1][0] / parallel)  # through the middle of a landmark
-    sonarrec("map", mapped.parent, f"--origin={latitude},{longitude},0", "-q")
-    features = json.loads((mapped / "map.geojson").read_text())["features"]
-    assert "MultiPolygon" in {f["geometry"]["type"] for f in features}
-    for feature in features:
-        kind, parts = feature["geometry"]["type"], feature["geometry"]["coordinates"]
-        if kind == "Point":
-            continue
-        for part in parts if kind.startswith("Multi") else [parts]:
-            (line,) = part if kind.endswith("Polygon") else (part,)
-            assert all(abs(lon) <= 180 and abs(lat) <= 90 for lon, lat in line)
-            assert np.abs(np.diff([lon for lon, _ in line])).max() < 180
-            if kind.endswith("Polygon"):
-                assert line[0] == line[-1]
-                x, y = np.array(line[:-1]).T - np.array([[line[0][0]], [line[0][1]]])
-                assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0
-    points = [f["geometry"]["coordinates"] for f in features if f["geometry"]["type"] == "Point"]
-    for (a, here), (b, there) in pairwise(zip(points, rows, strict=True)):
-        apart = np.linalg.norm(earth(*a) - earth(*b))
-        assert apart == pytest.approx(math.dist(here, there), rel=0.01)
 
 
 def test_headings_count_from_north_at_the_origin(mapped: Path) -> None:

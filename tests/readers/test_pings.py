@@ -12,13 +12,10 @@ import numpy as np
 import pytest
 
 from sonarrec import config
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import PolarToFan, polar_from_pixel
 from sonarrec.readers import open_log
-from sonarrec.readers.decode.frame_maker import FrameMaker
-from sonarrec.readers.decode.ping_geometry import looks_beam_major
 from sonarrec.readers.info import describe
-from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs.one import process
 from sonarrec.runs.prepare import RunOptions
@@ -33,10 +30,8 @@ from tests.support.messages import (
     BINS,
     FIRST_BIN,
     OCULUS,
-    PROJECTED,
     TILT,
     log_of,
-    ping_of,
     polar_frames,
     read,
     serialised,
@@ -149,25 +144,6 @@ def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
         assert found[0].fan.range_max_m == pytest.approx((FIRST_BIN + BINS) * BIN_M)
 
 
-@pytest.mark.parametrize("layout", ["fan", "polar"])
-def test_a_topic_of_pings_and_images_whose_geometry_is_stated(layout: Any) -> None:
-    """The first usable one says which of them the log is of; the others had its fan, not theirs."""
-    image = polar_frames(1)[0]
-    told = ping_of(PROJECTED, messages.projected_fields(0, image)).sonar
-    ping, picture = RawFrame("ping", 0, image, None, told), RawFrame("image", 0, image)
-    stated = TILT.updated(
-        Sonar(layout=layout, range_min_m=1.0, range_max_m=4.0, field_of_view_deg=30.0)
-    )
-    for first, other, why in ((ping, picture, "does not tell"), (picture, ping, "it tells its")):
-        make = FrameMaker(stated, "log", Diagnostics("log"))
-        made = make(first)
-        with pytest.raises(UnusableError, match=why):
-            make(other)
-        again = make(first)
-        assert again[1:] == made[1:]
-        assert (again[2] is None) == (first is picture and layout == "fan")
-
-
 def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
     pings = [messages.projected_fields(0, polar_frames(1)[0])]
     path = log_of(tmp_path / "log.mcap", pings)
@@ -266,24 +242,6 @@ def test_blank_pings_settle_nothing(tmp_path: Path) -> None:
     for frame, same in zip(found, expected, strict=True):
         assert frame.fan == same.fan
         assert frame.image.any() == (frame.index >= 6)
-
-
-def test_beam_order_of_images_with_rings() -> None:
-    """Every range has its own brightness: far beams resemble each other, yet nothing is turned."""
-    rng = np.random.default_rng(0)
-    for bins, beams in ((200, 512), (512, 200)):
-        rings = rng.integers(30, 220, (bins, 1)) + rng.normal(0, 3, (bins, beams))
-        assert not looks_beam_major(np.clip(rings, 0, 255).astype(np.uint8))
-
-
-def test_beam_order_of_noise_and_ramps() -> None:
-    """Nothing is turned by chance."""
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        bins, beams = rng.integers(2, 100, 2)
-        assert not looks_beam_major(rng.integers(0, 256, (bins, beams), dtype=np.uint8))
-        for image in frames(2, bins, beams):
-            assert not looks_beam_major(image)
 
 
 @pytest.mark.parametrize("stated", [None, "range-major"])

@@ -30,9 +30,7 @@ from tests.support.messages import (
     BIN_M,
     BINS,
     FIRST_BIN,
-    TILT,
     log_of,
-    polar_frames,
 )
 
 
@@ -85,22 +83,6 @@ def test_amplitudes_become_logarithmic(number: int, tmp_path: Path) -> None:
         assert np.abs(image.astype(int) - exact).max() <= 1  # a value on the edge of rounding
     alone = greys(floats_log(tmp_path / "one.mcap", images[:1], number))
     np.testing.assert_array_equal(alone[0], found[0])
-
-
-def test_16_bits_that_were_never_compressed(tmp_path: Path) -> None:
-    """Dim amplitudes become logarithmic as those of 32 bits do; a compressed image stays linear."""
-    for values, scale in ((AMPLITUDES[0], "log"), (polar_frames(1)[0] * 257.0, "linear")):
-        narrow = floats_log(tmp_path / f"{scale}2.mcap", [values.astype("<u2")], 2)
-        with open_log(narrow, sonar=TILT) as log:
-            (frame,) = log
-            assert log.reading()["pixel_scale"] == scale
-        if scale == "log":
-            wide = greys(floats_log(tmp_path / "wide.mcap", [values.astype("<u4")], 4))
-        else:
-            wide = in_the_fan([polar_frames(1)[0]])
-        np.testing.assert_array_equal(frame.image, wide[0])
-    flat = floats_log(tmp_path / "stated.mcap", [AMPLITUDES[0].astype("<u2")], 2)
-    assert greys(flat, pixel_scale="linear")[0].max() <= 1
 
 
 def test_the_scale_can_be_stated(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,17 +16,14 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from sonarrec.config import preset
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pose_table
-from sonarrec.nouns import Frame, Motion
+from sonarrec.nouns import Motion
 from sonarrec.readers.messages.poses import read_topic
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages
 from sonarrec.simulation.motion import poses
-from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import Scene, load_scene
+from sonarrec.simulation.scene import load_scene
 from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image
@@ -47,15 +43,6 @@ def seen_by(x: float, y: float, pose: tuple[float, float, float]) -> tuple[float
     yaw, at_x, at_y = pose
     range_m = math.sqrt((x - at_x) ** 2 + (y - at_y) ** 2 + HEIGHT**2)
     return range_m, math.degrees(math.atan2(x - at_x, y - at_y)) - yaw
-
-
-def table_of(scene: Scene, path: Path) -> Path:
-    """The simulator's true poses, as a user's table would have them."""
-    lines = [
-        f"{i / scene.rate_hz:.4f},{p.pan_deg:.4f},{p.x_m:.5f},{p.y_m:.5f}"
-        for i, p in enumerate(poses(scene))
-    ]
-    return rows(path, "\n".join(["timestamp,yaw,x,y", *lines]) + "\n")
 
 
 # Poses and motions
@@ -161,41 +148,6 @@ def test_what_was_not_measured_is_not_told(tmp_path):
 
 
 # What it does for recognition
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "motion",
-    [
-        # 19 of 28.8 deg from frame to frame: a third of the picture is common to both.
-        {"pan_deg_s": 76.0, "yaw_jitter_deg": 0.3},
-        # Up to 6 cm from frame to frame, and back: no turn explains that.
-        {"pan_deg_s": 8.0, "sway_x_m": 0.3, "sway_y_m": 0.3, "sway_period_s": 8.0},
-    ],
-    ids=["fast pan", "sway"],
-)
-def test_tracks_follow_a_motion_that_is_told(tmp_path: Path, motion: dict[str, float]) -> None:
-    """A landmark keeps its number while it leaves the view and returns."""
-    scene = load_scene("basin")
-    still = {"yaw_jitter_deg": 0.0, "sway_x_m": 0.0, "sway_y_m": 0.0}
-    scene = replace(scene, frames=40, motion=replace(scene.motion, **still | motion))
-    table = read_poses(table_of(scene, tmp_path / "odometry.csv"))
-    frames = list(render(scene))
-    recogniser = ThreeStages(preset("default"), frames[0].fan, scene.landmark_set, poses=table)
-    numbers: dict[int, set[int]] = defaultdict(set)
-    right = whole = 0
-    for frame in frames:
-        result = recogniser.step(Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan))
-        tracks = [e for e in result.estimates if e.method == FRAMEWORK]
-        for truth in (one for one in frame.truth if one.visible >= 0.9):
-            whole += 1
-            for e in tracks:
-                if math.hypot(e.x_px - truth.x_px, e.y_px - truth.y_px) < 15:
-                    numbers[truth.landmark].add(e.object)
-                    right += e.declared and e.landmark == truth.landmark
-    assert whole > 40
-    assert {len(tracks) for tracks in numbers.values()} == {1}
-    assert right > 0.92 * whole  # no ID is declared on the first frame of each of four tracks
 
 
 # The command

@@ -332,38 +332,6 @@ def test_which_geometry_counts(tmp_path: Path) -> None:
                                   field_of_view_deg=30.0))  # fmt: skip
 
 
-def test_what_a_flag_tells_of_a_fan_s_view_wins(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(1))
-    edges = []
-    for stated in ({"bearings_deg": (-10.0, 0.0)}, {"field_of_view_deg": 28.8}):
-        with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
-            fan = next(iter(opened)).fan
-            assert opened.diagnostics.notes == []
-        edges.append((fan.bearing_min_deg, fan.bearing_max_deg))
-        (log / "sonar.toml").write_text(
-            SONAR_TOML.replace("field_of_view_deg = 28.8", "bearings_deg = [-10, 0]")
-        )
-    assert edges == [(-15, 5), (-14.4, 14.4)]
-
-
-def test_a_field_of_view_beside_bearings_of_another_is_told(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(2, columns=28))
-    beams = tuple(np.linspace(-13.5, 13.5, 28).tolist())  # 28 deg, 27 between the outer middles
-
-    def notes(view_deg: float | None = None) -> list[str]:
-        with open_log(log, sonar=Sonar(layout="polar", field_of_view_deg=view_deg)) as opened:
-            list(opened)
-            return opened.diagnostics.notes
-
-    text = SONAR_TOML.replace("field_of_view_deg = 28.8", f"bearings_deg = {list(beams)}")
-    (log / "sonar.toml").write_text(text)
-    assert notes() == notes(27.0) == notes(28.0) == []
-    (told,) = notes(60.0)
-    assert told.endswith(
-        "field_of_view_deg = 60 is not used: bearings_deg go before it, and cover 28 deg"
-    )
-
-
 def test_unusable_frames_keep_their_number(tmp_path: Path) -> None:
     images = frames(8)
     log = image_folder(tmp_path / "log", images)

@@ -23,7 +23,6 @@ from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, STEP_DEG, Shap
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 from tests.support.drawn import (
     SECTORS,
-    cross_pattern,
     disc_pattern,
     make_fan,
     smeared_matrix,
@@ -251,25 +250,6 @@ def test_light_that_lies_over_symbol_and_gap_alike_leaves_the_local_features(lan
     for name in ("local_weakest_bright", "local_strongest_dark"):
         assert after[name] == pytest.approx(before[name], abs=1e-9), name
     assert after["strongest_dark"] > before["strongest_dark"] + 1  # nearly 1.5 over the mean gap
-
-
-@pytest.mark.slow
-def test_a_cross_is_told_by_its_own_feature():
-    """Landmarks leave less unexplained than any rival of theirs would, a cross leaves more."""
-    count = np.full((1, LINES, ANGLES), 8.0)
-    for turn in np.arange(0, 0.5, 0.1) * np.pi:
-        for smear in (0.05, 0.2):
-            over = {}
-            for name, pattern in {
-                "cross": cross_pattern(turn),
-                **{k: disc_pattern(s, turn) for k, s in SECTORS.items()},
-            }.items():
-                seen = smeared_matrix(pattern, SAMPLER.radii, ANGLES, smear)[None] / 9
-                found = DESCRIBE(seen, count, SURE[:1], np.array([smear])).features[0]
-                over[name] = found[:, FEATURES.index("rival_misfit")]
-            assert over.pop("cross").min() > 0.4
-            for landmark, of in over.items():
-                assert of[landmark - 1] < -0.2
 
 
 def test_one_missing_ring_quarter_shows_in_the_weakest():

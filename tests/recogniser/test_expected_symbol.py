@@ -13,16 +13,13 @@ from sonarrec.recogniser.stage3.expected_symbol import (
     ILLUMINATION_LENGTH,
     ILLUMINATION_SHARE,
     LEAST_SHOWN,
-    MISFIT,
     PIXEL,
     SMEAR_STEP,
-    STEADY,
-    WAVES,
     ExpectedSymbols,
     SymbolFit,
 )
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, ShapeSampler
-from tests.support.drawn import SECTORS, cross_pattern, disc_pattern, smeared_matrix
+from tests.support.drawn import SECTORS, disc_pattern, smeared_matrix
 
 BASIN = load_landmarks("basin")
 SAMPLER = ShapeSampler(BASIN, (12.0, 12.0))
@@ -78,21 +75,6 @@ def test_a_disc_smeared_pixel_by_pixel_is_what_is_expected(k: int, i: int, turn:
     best = np.unravel_index(found.argmax(), found.shape)
     assert best[1] == k
     assert min((best[0] - turn) % period, (turn - best[0]) % period) <= 1
-
-
-@pytest.mark.parametrize("steps", [0, 2, 5])
-@pytest.mark.parametrize("turn_deg", [0, 20, 33, 45, 71])
-def test_a_cross_smeared_pixel_by_pixel_is_the_one_expected(steps: int, turn_deg: int) -> None:
-    """And no ID looks like it. Between whole steps of 10 deg a sharp one fits a little less.
-
-    A beam of a fifth of the radius leaves two broad arms of it, or none: nearer to an ID.
-    """
-    smear = steps * SMEAR_STEP
-    pattern = cross_pattern(np.radians(turn_deg))
-    seen = smeared_matrix(pattern, SAMPLER.radii, ANGLES, np.hypot(smear, PIXEL))
-    found = fit(seen, smear)
-    assert found.rival[0] > 0.89
-    assert found.correlation.max() < found.rival[0] - (0.25 if steps < 2 else 0.08)
 
 
 def test_through_a_wide_beam_the_smeared_symbol_fits_better_than_the_sharp_one() -> None:
@@ -152,39 +134,6 @@ def test_it_is_the_correlation_of_generalised_least_squares(
         if beyond(shown, level) <= LEAST_SHOWN * beyond(whole, np.column_stack(levels)):
             expected = 0.0
         assert found[turn, k] == pytest.approx(expected, abs=1e-6)
-
-
-@pytest.mark.slow
-@settings(max_examples=10)
-@given(seed=st.integers(0, 2**32 - 1), hidden=st.integers(0, ANGLES // 2), smear=st.floats(0, 0.4))
-def test_structure_is_what_broad_patterns_fit_of_what_the_id_leaves(
-    seed: int, hidden: int, smear: float
-) -> None:
-    """By fits to whitened values, as above. Where much is hidden the patterns are nearly dependent,
-    and what keeps them apart counts: STEADY."""
-    rng = np.random.default_rng(seed)
-    matrix = rng.normal(size=(LINES, ANGLES)) + smeared_disc(seed % 4, seed % ANGLES, smear)
-    seen = np.roll(np.arange(ANGLES) >= hidden, seed % ANGLES) & np.ones((LINES, 1), bool)
-    found = fit(matrix, smear, seen)
-    of = seen[EXPECTED.lines].ravel()
-    radius = np.abs(POSITION) / BASIN.symbol[1]
-    waves = np.exp(1j * np.arange(WAVES + 1)[:, None] * np.angle(POSITION)) * (radius < 1)
-    patterns = np.concatenate([waves.real, waves.imag[1:]])
-    patterns = np.concatenate([patterns, patterns * radius**2])
-    for k in range(4):
-        symbol = expected_cells(k, int(found.rotation[0, k]), smear)
-        values, shown, *rest = whitened(
-            of, matrix[EXPECTED.lines].ravel(), symbol, *LEVELS, *patterns
-        )
-        level, broad = np.column_stack(rest[:2]), np.column_stack(rest[2:])
-        left = without(values, np.column_stack([level, shown]))
-        unexplained = left @ left + MISFIT * beyond(values, level)
-        broad = without(broad, level)
-        products = broad.T @ broad
-        steady = products + STEADY * np.trace(products) * np.eye(len(patterns))
-        share = left @ broad @ np.linalg.solve(steady, broad.T @ left) / unexplained
-        expected = np.log(share * np.count_nonzero(of) / len(patterns))
-        assert found.structure[0, k] == pytest.approx(expected, abs=1e-6)
 
 
 def test_noise_alone_has_no_structure_and_a_symbol_of_no_id_has() -> None:

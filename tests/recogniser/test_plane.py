@@ -2,7 +2,6 @@
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -150,29 +149,6 @@ def test_inside_is_where_the_sonar_looks(kind):
     assert inside[well].all()
     # A white frame stays white wherever the plane says there is data.
     assert plane.warp(np.full((fan.rows, fan.columns), 255, np.uint8))[inside].min() == 255
-
-
-@pytest.mark.parametrize("rows", [63, 64, 65, 200])  # about one band, and several
-@pytest.mark.parametrize("disc_radius_px", [5.0, 15.0])
-def test_made_in_bands_it_is_what_all_rows_at_once_give(rows, disc_radius_px):
-    fan = make_fan(rows)
-    plane = FloorPlane(fan, 0.15, disc_radius_px)
-    row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]].astype(float)
-    range_m, bearing_deg = plane.to_polar(column, row)
-    fan_column, fan_row = plane.to_fan(column, row)
-    inside = (range_m >= fan.range_min_m) & (range_m <= fan.range_max_m)
-    inside &= np.abs(bearing_deg) <= fan.bearing_max_deg
-    inside &= (fan_column >= 0) & (fan_column <= fan.columns - 1)
-    inside &= (fan_row >= 0) & (fan_row <= fan.rows - 1)
-    eroded = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
-    np.testing.assert_array_equal(plane.inside, eroded)
-    image = np.random.default_rng(0).integers(0, 256, (fan.rows, fan.columns), np.uint8)
-    shrink = max(1, round(1 / plane.scale))
-    whole = np.pad(image, [(0, -side % shrink) for side in image.shape], mode="edge")
-    small = cv2.resize(whole, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA)
-    maps = [((side + 0.5) / shrink - 0.5).astype(np.float32) for side in (fan_column, fan_row)]
-    expected = cv2.remap(small, *cv2.convertMaps(*maps, cv2.CV_16SC2), cv2.INTER_LINEAR)
-    np.testing.assert_array_equal(plane.warp(image), expected)
 
 
 POLAR = Sonar(

@@ -10,11 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.geometry import PolarToFan
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.recogniser.restore.saturation import LIFTS, OF_GAUSSIAN, Levels
-from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record
 from tests.support.slow import but_first
@@ -110,21 +108,6 @@ def outline() -> np.ndarray:
     return np.rint(np.stack([x, y], axis=1)).astype(np.int32)
 
 
-def test_images_may_change_their_size() -> None:
-    """Polar ones of one fan, from a sonar that is switched to more beams."""
-    sonar = Sonar(
-        layout="polar", range_min_m=0.75, range_max_m=1.9, field_of_view_deg=40.0, tilt_deg=20.0
-    )
-    levels = Levels(RADIUS_M)
-    saturated = np.clip(disc(10) + 90, 1, 255).astype(np.uint8)
-    for shape in ((230, 96), (230, 48), (200, 96)):
-        polar = PolarToFan(sonar.complete("test"), *shape)
-        picture = Frame(0, 0, saturated[: shape[0], : shape[1]], FAN, polar=polar)
-        (after,) = levels.restored([picture])
-        assert after.pixels.shape == shape
-    assert levels.saturated == levels.seen == 3
-
-
 def test_the_highest_level_may_be_another_and_smeared_by_jpeg() -> None:
     levels = disc(8) + 255 - np.quantile(disc(8), 0.9)
     dim = frame(np.minimum(levels, 255) * 0.8)
@@ -163,21 +146,3 @@ def test_landmarks_are_recognised_and_a_note_tells(
         cv2.imwrite(str(log / f"{index:06d}.png"), picture)
     assert note in sonarrec("run", log, "-o", tmp_path / "out").stderr
     check_nearly_as_on_record(tmp_path / "out" / sample, sample)
-
-
-@pytest.mark.parametrize(
-    ("stated", "better"), [("", "higher full_scale"), ("full_scale = 255", "lower gain")]
-)
-def test_where_a_dim_first_frame_makes_the_others_saturated(
-    tmp_path: Path, stated: str, better: str
-) -> None:
-    """White that the reader found too low is no fault of the sonar's gain; stated white is."""
-    log, rng = tmp_path / "log", np.random.default_rng(5)
-    log.mkdir()
-    geometry = (SAMPLES / "pan" / "sonar.toml").read_text(encoding="utf-8")
-    (log / "sonar.toml").write_text(f"{geometry}\n{stated}\n", encoding="utf-8")
-    for index in range(8):
-        echoes = rng.rayleigh(30.0 if index == 0 else 3000.0, (256, 191)).clip(1, 65535)
-        cv2.imwrite(str(log / f"{index}.png"), echoes.astype(np.uint16))
-    told = sonarrec("run", log, "-o", tmp_path / "out", "--pixel-scale=log").stderr
-    assert f"a {better}" in told

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import base64
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
 from sonarrec.reports import frames
 from sonarrec.truth.table import read_truth
 from tests.support.command import SAMPLE, sonarrec
-from tests.support.pages import Page, held_frames, reported
+from tests.support.pages import held_frames, reported
 from tests.support.rows import read_rows
 
 
@@ -93,43 +91,3 @@ def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
     assert "results of another log" in sonarrec("report", named, *given, code=1).stderr
     fault = sonarrec("report", named, *given, "--topic", "/sonar", code=2).stderr
     assert "--topic chooses a channel" in fault
-
-
-@pytest.mark.slow
-def test_a_table_of_pairs(results: Path, tmp_path: Path) -> None:
-    """Each log against its own truth, its recording found by name in a folder of them."""
-    shutil.copytree(results, tmp_path / "a" / "pan")
-    for day in ("day1", "day2"):
-        shutil.copytree(SAMPLE, tmp_path / "logs" / day / "pan")
-    other = tmp_path / "logs" / "day2" / "pan"
-    for n in range(40, 128):
-        (other / f"{n:06d}.png").unlink()
-    sonarrec("run", other, "-o", tmp_path / "b")
-    gt = SAMPLE / "gt.csv"
-    (tmp_path / "pairs.csv").write_text(
-        f"results,ground_truth,log\na/pan,{gt},one\nb/pan,{gt},two\n"
-    )
-    sonarrec("report", "--pairs", tmp_path / "pairs.csv", "--log", tmp_path / "logs", code=3)
-    page = Page(tmp_path / "report.html")
-    assert [row[0] for row in page.tables["Per log, protocol strict"][2:]] == ["one", "two"]
-    assert [log["name"] for log in held_frames(tmp_path / "report.html")] == ["one", "two"]
-    both = sonarrec("report", results, "--pairs", tmp_path / "pairs.csv", code=2)
-    assert "leave out RESULTS" in both.stderr
-
-
-@pytest.mark.slow
-def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
-    """By name, and of equal names by SHA-256; what is missing is told."""
-    shutil.copytree(results, tmp_path / "out" / "pan")
-    shutil.copytree(results, tmp_path / "out" / "gone")
-    run = tmp_path / "out" / "gone" / "run.toml"
-    run.write_text(re.sub(r'(name|path) = ".*pan"', r'\1 = "gone"', run.read_text()))
-    other = tmp_path / "logs" / "day1" / "pan"
-    shutil.copytree(SAMPLE, other)
-    (other / "000127.png").unlink()
-    shutil.copytree(SAMPLE, tmp_path / "logs" / "day2" / "pan")
-    told = sonarrec("report", tmp_path / "out", "--log", tmp_path / "logs", code=3)
-    assert "no log of the name gone in it; the page has no frames of it" in told.stderr
-    assert "no log of the name gone" in Page(tmp_path / "out" / "report.html").text
-    (log,) = held_frames(tmp_path / "out" / "report.html")
-    assert (log["name"], log["in_all"]) == ("pan", 128)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections import defaultdict
 from dataclasses import replace
@@ -24,7 +23,6 @@ from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sigh
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import MOST_SIGHTINGS
 from tests.results.test_write import tables
-from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 
 BASIN = load_landmarks("basin")
@@ -239,24 +237,6 @@ def test_a_wrong_cell_is_told_with_its_line(results: Path, tmp_path: Path, cell:
     file.write_text("\n".join(text))
     with pytest.raises(SonarrecError, match=r"sightings\.csv line 3: no sighting"):
         list(sightings_in(file))
-
-
-def test_json_is_the_one_thing_on_stdout(results: Path, tmp_path: Path) -> None:
-    log, gone = SAMPLE / "pan.mcap", tmp_path / "gone.mcap"
-    words = ["run", log, gone, "-o", results.parent, "--preset", "default,offline", "--json"]
-    done = sonarrec(*words, code=3)
-    first, second = json.loads(done.stdout)["logs"]
-    assert (first["name"], first["status"], first["frames"]) == ("pan", "done", 128)
-    with (results / "frames.csv").open(newline="") as file:
-        assert first["candidates"] == sum(int(row["candidates"]) for row in csv.DictReader(file))
-    with (results / "sightings.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [s["method"] for s in first["sightings"]] == [row["method"] for row in rows]
-    assert set(first["sightings"][0]) == set(CONTRACT.split(","))
-    assert (second["name"], second["status"]) == ("gone", "failed")
-    assert str(gone) in second["message"]
-    alone = sonarrec("run", gone, "--json", "-o", tmp_path, code=2)
-    assert json.loads(alone.stdout)["logs"][0]["status"] == "failed"
 
 
 def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:

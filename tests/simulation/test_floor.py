@@ -14,7 +14,7 @@ from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.plane import Plane
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import FloorSection, PlacedLandmark, PlacedObject, Scene, scene_sonar
-from tests.support.bare import BIN_M, POLAR, RANGE_M, even_power, power
+from tests.support.bare import BIN_M, POLAR, RANGE_M, even_power
 
 HEIGHT, GROUND, RADIUS, LEAN = 0.68, 1.9, 0.15, 12.0
 SINE, COSINE = math.sin(math.radians(LEAN)), math.cos(math.radians(LEAN))
@@ -96,25 +96,6 @@ def test_what_is_looked_at_is_what_is_seen_there() -> None:
         there = sine > 0
         np.testing.assert_allclose(slant[there], np.tile(range_m[:, None], 7)[there], atol=2e-5)
         np.testing.assert_allclose(seen[there], np.tile(bearing, (9, 1))[there], atol=1e-3)
-
-
-def test_a_roll_turns_the_world_about_the_heading() -> None:
-    pose = Pose(30.0, 0.7, 0.4, -0.2, 0.0, 3.0)
-    slant, bearing = Plane().seen(pose, 1.5, 2.0)
-    heading = math.radians(30)
-    ahead = np.array([math.sin(heading), math.cos(heading), 0])
-    level = np.array([math.cos(heading), -math.sin(heading), 0])
-    # With the right side down, the sonar's own right points below the horizon.
-    right = level * math.cos(math.radians(3)) - [0, 0, math.sin(math.radians(3))]
-    way = np.array([1.5, 2.0, 0]) - [0.4, -0.2, 0.7]
-    assert slant == pytest.approx(np.linalg.norm(way))
-    assert bearing == pytest.approx(math.degrees(math.atan2(way @ right, way @ ahead)))
-    target = PlacedObject("filled", 2.1, 4.0, size_m=0.03, bright_db=30)
-    scene = replace(POLAR, objects=(target,), floor=replace(POLAR.floor, coherence=0.0))
-    (frame,) = render(scene, [Pose(0.0, 0.68, 0.0, 0.0, 0.0, 3.0)])
-    beam = np.nonzero(power(frame.image, scene) > 100)[1].mean()
-    assert (beam - 47.5) * 0.3 == pytest.approx(frame.distractors[0].bearing_deg, abs=0.25)
-    assert frame.distractors[0].bearing_deg > 4.9
 
 
 def disc(lean: float = 0.0, towards: float = 0.0, **more: float) -> Scene:

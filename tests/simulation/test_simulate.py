@@ -114,24 +114,6 @@ def seen_where_it_is(frame: SimulatedFrame, scene: Scene) -> DistractorTruth:
 
 
 @pytest.mark.parametrize(
-    ("sway", "slope", "height", "ground"), [(1.0, 0.0, 0.68, 4.05), (0.0, 12.0, 2.0, 3.48)]
-)
-def test_the_floor_reaches_as_far_as_sway_and_slope_ask_for(
-    sway: float, slope: float, height: float, ground: float
-) -> None:
-    scene = replace(
-        BARE,
-        sonar=replace(BARE.sonar, height_m=height),
-        motion=replace(BARE.motion, sway_y_m=sway),
-        floor=replace(BARE.floor, slope_deg=slope),
-        objects=(PlacedObject("filled", ground, 0.0, size_m=0.08, bright_db=25),),
-    )
-    (frame,) = render(scene)
-    row = seen_where_it_is(frame, scene)
-    assert math.hypot(ground, height) > 3.75 + 0.25 > row.range_m + 0.25 + 0.08
-
-
-@pytest.mark.parametrize(
     "text",
     ["[motion]\nsway_x_m = 300", "[motion]\nyaw_jitter_deg = 2000", "[sonar]\nrange_bins = 16384"],
 )

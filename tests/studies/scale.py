@@ -138,17 +138,6 @@ def thousand(home: Path, source: list[Path], count: int) -> None:
         sys.exit(f"done twice: {twice}")
 
 
-def throughput(home: Path, source: list[Path], count: int) -> None:
-    folder = home / "throughput"
-    logs(folder, source, count)
-    rates = {}
-    for jobs in (1, 2, 1, 2):
-        took = call(home / "rate", folder, "-j", jobs, "--overwrite")
-        rates.setdefault(jobs, []).append(count / took)
-    one, two = (max(rates[jobs]) for jobs in (1, 2))
-    print(f"{count} logs: 1 job {one:.2f} logs/s, 2 jobs {two:.2f} logs/s, {two / one:.2f} times")
-
-
 def peak_of(*words: object) -> float:
     """Peak resident memory, MB, of a process that runs a command, which must not fail."""
     command = [sys.executable, "-c", _LAUNCH, sys.executable, "-c", _RUN, *map(str, words)]
@@ -199,14 +188,12 @@ def main() -> None:
     parser = options("scale", __doc__)
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--part", choices=["thousand", "throughput", "long"])
+    parser.add_argument("--part", choices=["thousand", "long"])
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
         (home / "made").mkdir()
         source = recordings(home / "made")
-        if asked.part in (None, "throughput"):
-            throughput(home, source, asked.logs // 5)
         if asked.part in (None, "thousand"):
             thousand(home, source, asked.logs)
         if asked.part in (None, "long"):

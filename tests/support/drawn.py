@@ -61,18 +61,6 @@ def disc_pattern(
     return pattern
 
 
-def cross_pattern(turn_rad: float = 0.0) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Brightness 0 or 1 over the unit disc: four spokes, the first at `turn_rad`."""
-
-    def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        along = x * math.cos(turn_rad) + y * math.sin(turn_rad)
-        aside = y * math.cos(turn_rad) - x * math.sin(turn_rad)
-        lit = np.minimum(np.abs(along), np.abs(aside)) < 0.07
-        return (lit & (np.hypot(x, y) <= SYMBOL[1])).astype(float)
-
-    return pattern
-
-
 def _fine_grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
     """(row, column) of FINE x FINE samples in every pixel, pixel centres at whole numbers."""
     row, column = np.mgrid[0 : rows * FINE, 0 : columns * FINE]

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from tests.support.hard_logs import HardLog, noise_images
 
-CHUNK_MESSAGES = 7  # about 1 MB, what recorders make
-
 # Reads every frame; prints how many, and its own peak in KiB (bytes on macOS).
 _READ = """
 import resource, sys
@@ -44,25 +42,17 @@ def peak_of_reading(path: Path, held_bytes: int | None = None) -> tuple[int, flo
     return int(told[0]), int(told[1]) / (1024**2 if sys.platform == "darwin" else 1024)
 
 
-def _timed(size: int, backwards: bool = False) -> Iterator[tuple[int, bytes]]:
+def _timed(size: int) -> Iterator[tuple[int, bytes]]:
     """Messages of `size` bytes in all."""
     images = noise_images()
     count = size // len(images[0])
     for number in range(count):
-        yield (count - number if backwards else number), images[number % len(images)]
+        yield number, images[number % len(images)]
 
 
-def _chunked(path: Path, size: int, compression: str, **options: bool) -> None:
-    finished = options.pop("finished", True)
-    with HardLog(path, finished=finished) as log:
-        messages = list(_timed(size))
-        for first in range(0, len(messages), CHUNK_MESSAGES):
-            log.chunk(messages[first : first + CHUNK_MESSAGES], compression, **options)
-
-
-def _one_chunk(path: Path, size: int, compression: str, backwards: bool = False) -> None:
+def _one_chunk(path: Path, size: int, compression: str) -> None:
     with HardLog(path) as log:
-        log.chunk(_timed(size, backwards), compression)
+        log.chunk(_timed(size), compression)
 
 
 def _overlapping(path: Path, size: int, compression: str, chunks: int) -> None:
@@ -73,20 +63,9 @@ def _overlapping(path: Path, size: int, compression: str, chunks: int) -> None:
             log.chunk(messages[chunk::chunks], compression)
 
 
-def _cut(path: Path, write: Callable[[], None]) -> None:
-    write()
-    with path.open("r+b") as file:
-        file.truncate(path.stat().st_size * 9 // 10)
-
-
 def shapes(path: Path, size: int) -> dict[str, Callable[[], None]]:
     """Writers of logs of about `size` bytes, by what is hard about them."""
     return {
-        "no index, no footer, lz4": lambda: _chunked(
-            path, size, "lz4", indexed=False, finished=False
-        ),
         "one chunk, uncompressed": lambda: _one_chunk(path, size, ""),
-        "one chunk, lz4, cut": lambda: _cut(path, lambda: _one_chunk(path, size, "lz4")),
-        "one chunk, zstd, backwards": lambda: _one_chunk(path, size, "zstd", backwards=True),
         "10 overlapping chunks, lz4": lambda: _overlapping(path, size, "lz4", 10),
     }

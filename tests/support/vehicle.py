@@ -1,14 +1,9 @@
-"""Simulated vehicle runs: a sonar that is carried round a course past landmarks, and its log.
-
-The results are the tables that `sonarrec run --odometry` writes; no image touches the disk.
-"""
+"""Simulated vehicle runs: a sonar that is carried round a course past landmarks."""
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -144,32 +139,3 @@ def _things(
         found.append(replace(like, id=int(number), **polar(place)))
     discs = [o for o in drawn.objects if o.kind in ("blank", "filled", "spokes", "half_ring")]
     return found + [replace(o, **polar(free())) for o in discs]
-
-
-def truth_of(run: VehicleRun) -> FloatArray:
-    """(landmarks, 4) ID, x, y (m) and orientation (deg) in the frame of the path."""
-    rows = []
-    for item in run.scene.landmarks:
-        azimuth = math.radians(item.azimuth_deg)
-        x, y = item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
-        rows.append([item.id, x, y, item.orientation_deg])
-    return np.array(rows)
-
-
-def from_first(path: FloatArray, rows: FloatArray) -> FloatArray:
-    """Truth as `truth_of`, (n, 4), in the frame of the first pose of a path."""
-    yaw, x, y = path[0]
-    cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
-    right, ahead = rows[:, 1] - x, rows[:, 2] - y
-    return np.column_stack(
-        [rows[:, 0], right * cos - ahead * sin, right * sin + ahead * cos, rows[:, 3] - yaw]
-    )
-
-
-def write_poses(path: Path, poses: FloatArray) -> None:
-    """The CSV of `--odometry`, a row per frame; poses: (N, 3) yaw (deg), x, y."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["timestamp_ns", "yaw", "x", "y"])
-        for n, (yaw, x, y) in enumerate(poses.tolist()):
-            table.writerow([round(n * 1e9 / RATE_HZ), f"{yaw:.5f}", f"{x:.5f}", f"{y:.5f}"])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
-import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +11,6 @@ from click.testing import Result
 
 from sonarrec.config import preset
 from sonarrec.functions import run as run_log
-from sonarrec.truth.propose import propose
 from sonarrec.truth.table import read_truth
 from tests.support.command import sonarrec
 from tests.support.logs import SONAR_TOML
@@ -170,28 +167,6 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     done = run(tmp_path / "out", "--out", tmp_path / "gt.csv", code=1)
     assert done.stderr.endswith("frames.csv: no frame was processed\n")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-@pytest.mark.slow
-def test_memory_is_that_of_one_log_however_many(tmp_path: Path) -> None:
-    """Two logs of 1,000 frames, and eight. Were their rows kept, six more would be 2 MB; were what
-    was read of them kept, .4 MB."""
-    frames = range(1000)
-    rows = [(n, 1, 2.0, (n % 20) / 2 - 5, 1, 0.95, 1) for n in frames]
-    one = results(tmp_path / "one", rows, frames)
-
-    def peak(logs: int) -> float:
-        for n in range(logs):
-            shutil.copytree(one, tmp_path / str(logs) / f"log{n:02d}")
-        tracemalloc.start()
-        out = tmp_path / f"{logs}.csv"
-        propose(tmp_path / str(logs), out, method="framework", min_score=0.9, max_gap=0)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return peak
-
-    peak(3)  # imports
-    assert peak(8) - peak(2) < 0.2e6
 
 
 def test_faults(tmp_path: Path) -> None:

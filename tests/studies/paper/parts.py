@@ -9,16 +9,12 @@ from sonarrec.config import preset
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
-from sonarrec.recogniser.estimates import wins
-from sonarrec.recogniser.stage3.published import measurement_model, motion_model, update
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rotated_codes
 from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 
 CONTINUITY = "continuity"
 """Stages 1 and 2, then SMI in every frame at its own operating point."""
-BAYES = "bayes"
-"""Stages 1 and 3: Eq. 5 to 8 from candidates to candidates, without particles."""
 
 
 class Parts:
@@ -31,9 +27,6 @@ class Parts:
         self._stages = ThreeStages(config, fan, landmarks, None, *names)
         self._bands = ShapeSampler(landmarks, (1.0, 1.0)).bands
         self._codes = rotated_codes(landmarks)
-        self._model = measurement_model(landmarks, fan.window_m)
-        self._places: FloatArray = np.empty((0, 2))
-        self._beliefs: FloatArray = np.empty((0, len(self._ids)))
 
     def step(self, frame: Frame) -> list[Estimate]:
         """The estimates of SMI, the framework and its parts in the log's next frame."""
@@ -46,21 +39,7 @@ class Parts:
         )
         q, declare = held.measurement(), config.smi.declare
         made += self._estimates(CONTINUITY, after.groups.positions, q, held.score, declare)
-        single = identify(after.grey, after.seen, self._bands, self._codes)
-        beliefs = self._carried(after.candidates, single.measurement(config.features.least_ring))
-        won = wins(np.column_stack([beliefs, np.zeros(len(beliefs))]))
-        score = np.where(won, beliefs.max(axis=1), 0.0)
-        declare = config.features.declare
-        return made + self._estimates(BAYES, after.candidates, beliefs, score, declare)
-
-    def _carried(self, places: FloatArray, measured: FloatArray) -> FloatArray:
-        """(n, K) Eq. 5 to 8 from the candidates of the frame before to these."""
-        predicted = np.full(measured.shape, 1 / len(self._ids))
-        if len(self._places) and len(places):
-            power = self._config.features.distance_power
-            predicted = motion_model(places, self._places, power) @ self._beliefs
-        self._places, self._beliefs = places, update(predicted, measured, self._model)
-        return self._beliefs
+        return made
 
     def _estimates(
         self,
