@@ -318,8 +318,8 @@ def test_help_is_short_and_options_are_few() -> None:
         assert len(text.splitlines()) <= (110 if name == "run" else 60), name
         counts[name] = sum(isinstance(p, click.Option) for p in command.params)
     assert counts["run"] <= 36
-    assert sum(counts.values()) <= 190
-    assert len(setting_names()) <= 42
+    assert sum(counts.values()) <= 160
+    assert len(setting_names()) <= 39
 
 
 def test_what_is_gone_is_answered_with_what_to_use() -> None:

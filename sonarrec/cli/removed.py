@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
-_STATED = "it is for `run` and `info`; state it in sonar.toml beside the log, or give --sonar FILE"
-_KEY = "it is a key of sonar.toml: sonarrec help geometry"
+_STATED = "sonar.toml beside the log or --sonar FILE; `run` and `info` still have the option"
+_KEY = "a key of sonar.toml: sonarrec help geometry"
 REMOVED = {
     **dict.fromkeys(
         (
@@ -31,8 +31,9 @@ REMOVED = {
     "--grid": "`info --preview` draws range rings and bearings",
     "--mosaic": "frames and measured motion are in frames.csv",
     "--sheet": "`overlay --ground-truth`",
-    "--format": "export COCO JSON",
+    "--format": "`truth convert` reads COCO JSON alone",
     "--markdown": "the table as text",
+    "--json": "the CSV files",
     "--from-scratch": "calibrate begins with the built-in model",
     "--try-radii": "`info --preview` draws the discs to scale",
     **dict.fromkeys(("--cache", "--cache-size"), "mount the server: rclone mount"),
