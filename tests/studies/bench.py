@@ -131,7 +131,7 @@ def cost(work: Path) -> None:
             "decode + HoughCircles + SMI": hough,
             "sonarrec from PNG": ours("fan"),
             "sonarrec from raw MCAP": ours("none.mcap"),
-            "d' sonarrec from zstd MCAP": ours("zstd.mcap"),
+            "sonarrec from zstd MCAP": ours("zstd.mcap"),
             "sonarrec from polar PNG": ours("polar"),
             "sonarrec --preset offline": ours("fan", preset("offline")),
             "decode the PNGs, 5 m window": decode(far_paths),
