@@ -43,7 +43,7 @@ def judge(
     if not any(caption == GOALS for caption, _ in _shown):
         _shown.append((GOALS, []))
     goals = next(lines for caption, lines in _shown if caption == GOALS)
-    goals.append(row)
+    goals.append(dict(zip(("what", "measured", "goal", "met"), row, strict=True)))
 
 
 def seeds(text: str) -> range:
