@@ -38,9 +38,8 @@ _BLACK = 24  # a pixel is black, as outside of a fan in any map, if all channels
 # those whose neighbours JPEG, video or another size mixed. True maps: 1.5, and 21 in strong JPEG.
 _MOST_COLOURS, _NEAR, _NEAR_IF_MIXED = 300, 4.0, 22.0
 _CLEARLY = 0.85  # of the next map's distance
-_BRIGHT = (
-    150.0  # mean level; of sonar pictures 60 to 120, of those in a map's reverse the rest to 255
-)
+# Mean level; sonar pictures have 60 to 120, those in a map's reverse the rest to 255.
+_BRIGHT = 150.0
 _LEAST_COLOURED = 0.1  # share of the pixels of a picture that is not grey
 _SAMPLED = 2000  # pixels of each picture
 _BITS = 6  # of each channel, in the table of colours
