@@ -1,4 +1,4 @@
-"""A comparison, and a judgement by limits, as text for the terminal."""
+"""A comparison, and a judgement by limits: as text for the terminal, and as files."""
 
 from __future__ import annotations
 

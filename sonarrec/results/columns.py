@@ -1,4 +1,4 @@
-"""The columns of the three tables: each name once, with how it is written and read."""
+"""The columns of the three tables, each name once, and the methods that stand in them."""
 
 from __future__ import annotations
 

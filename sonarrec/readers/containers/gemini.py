@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.readers.containers.recording import FileBytes
+from sonarrec.readers.containers.file_bytes import FileBytes
 from sonarrec.readers.raw import (
     MAX_FRAME_BYTES,
     HeaderInfo,

@@ -1,4 +1,4 @@
-"""Compares a ping's geometry with that of other pings, of the fan, and with the user's."""
+"""Compares a ping's geometry with others' and the user's, and finds the order of its samples."""
 
 from __future__ import annotations
 

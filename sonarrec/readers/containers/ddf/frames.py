@@ -16,7 +16,7 @@ from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.nouns import Stamps
 from sonarrec.readers.containers.ddf.aris import Aris
 from sonarrec.readers.containers.ddf.didson import Didson
-from sonarrec.readers.containers.recording import FileBytes
+from sonarrec.readers.containers.file_bytes import FileBytes
 from sonarrec.readers.raw import MAX_FRAME_BYTES, RawFrame, RawLog, UnusableError
 
 _VERSION_AT = 12  # in a frame's header
