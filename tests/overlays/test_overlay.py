@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gc
 import tracemalloc
 from pathlib import Path
 
@@ -163,6 +164,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
             if done == 1:  # what is read before the frames takes more than all of them
                 tracemalloc.reset_peak()
 
+        gc.collect()  # what other tests left is not to be freed in between
         tracemalloc.start()
         overlay(log, folder / "o.mcap", results=results, observe=observe)
         found = tracemalloc.get_traced_memory()[1]
