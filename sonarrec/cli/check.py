@@ -210,7 +210,7 @@ def _compare(one: Check, logs: Sequence[LogToRun], old: Path, folder: Path) -> C
 
     pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
     scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)
-    return compare(old, folder, pairs, scoring, baseline=True)
+    return compare(old, folder, pairs, scoring, baseline=True, jobs=None)
 
 
 def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None) -> Judgement:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,10 +24,10 @@ from sonarrec.evaluation.intervals import (
     differences,
 )
 from sonarrec.evaluation.logs import UnreadableLog, check_logs, first_ids, map_logs
-from sonarrec.evaluation.match import DEFAULT, ScoringOptions
+from sonarrec.evaluation.match import ScoringOptions, scoring_options
 from sonarrec.evaluation.metrics import MAIN
 from sonarrec.evaluation.pairing import CountedPair, LogPair, count_pair, pair_logs
-from sonarrec.evaluation.pairs import Pair
+from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.summary import SEED, units_text
 from sonarrec.nouns import follows
 from sonarrec.results.columns import chosen
@@ -35,31 +36,41 @@ from sonarrec.truth.fits import tell_rows
 
 
 def compare(
-    old: Path,
-    new: Path,
-    ground_truth: Path | Sequence[Pair] | None = None,
-    options: ScoringOptions = DEFAULT,
+    old: str | Path,
+    new: str | Path,
+    ground_truth: str | Path | Sequence[Pair] | None = None,
+    options: ScoringOptions | None = None,
     *,
+    pairs: str | Path | None = None,
     baseline: bool = False,
-    jobs: int | None = None,
+    jobs: int | None = 1,
+    **scoring: Any,
 ) -> Comparison:
-    """Compare two results folders, each of one log or of several, on their common frames.
+    """What got better or worse from old to new results, each of one log or of several.
+
+    `verdict` of the result says it in a sentence; `table` has a row per method, `figures` all rates
+    with their tests, `changes` every frame and ID that is counted otherwise. Nothing is written.
+    Common frames are compared.
 
     Logs are read one at a time, so memory does not grow with their number. A log that cannot be
     compared is left out if there are others.
 
     old, new: their logs are paired by name or SHA-256; if each holds one log, these are paired.
     ground_truth: one table for all logs, or pairs that name a truth per log; None: the truth
-    beside each log. baseline: whether methods without tracks, which changes of stages 2 and 3 leave
-    as they were, are compared too, if none is named in options.
-    jobs: as in `evaluate.evaluate_logs`.
+    beside each log. pairs: a CSV that names the truth of each log. options: how it is scored; else
+    `scoring`, as `evaluate` takes it, `method` to `sonar`. baseline: whether methods without
+    tracks, which changes of stages 2 and 3 leave as they were, are compared too, if none is named
+    in options. jobs: as of `evaluate`.
     Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
     read.
     """
+    options = options or scoring_options(**scoring)
     options.check()
-    told = Diagnostics()
-    pairs = pair_logs(old, new, ground_truth, options, told)
-    used, before, after, changed = _count_pairs(pairs, options, jobs, told)
+    told, old, new = Diagnostics(), Path(old), Path(new)
+    truth = Path(ground_truth) if isinstance(ground_truth, str) else ground_truth
+    truth = read_pairs(Path(pairs)) if pairs else truth
+    logs = pair_logs(old, new, truth, options, told)
+    used, before, after, changed = _count_pairs(logs, options, jobs, told)
     methods = _compared_methods(before, after, options.methods, baseline)
     told.note(*_incomplete(used, before, after, methods))
     # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.

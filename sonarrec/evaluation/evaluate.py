@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
+from sonarrec.errors import Diagnostics, SonarrecError, local, number_of, printable
 from sonarrec.evaluation.count import Adder, Counts
 from sonarrec.evaluation.logs import (
     LogScore,
@@ -18,14 +19,68 @@ from sonarrec.evaluation.logs import (
     map_logs,
     score_log,
 )
-from sonarrec.evaluation.match import DEFAULT, ScoringOptions
-from sonarrec.evaluation.pairs import Pair, find_truths_beside, truth_note, usable_pairs
+from sonarrec.evaluation.match import DEFAULT, ScoringOptions, scoring_options
+from sonarrec.evaluation.pairs import Pair, find_truths_beside, read_pairs, truth_note, usable_pairs
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.tables import Evaluation
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.results.same_log import CountedOnce
+from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import tell_other_logs, tell_rows
 from sonarrec.truth.table import TruthTable, read_truth
+
+
+def evaluate(
+    results: str | Path = "sonarrec_out",
+    ground_truth: str | Path | None = None,
+    *,
+    pairs: str | Path | None = None,
+    method: str | Sequence[str] = (),
+    min_visible: float = 0.9,
+    tolerance_s: float | None = None,
+    within_m: float | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | Mapping[str, Any] | None = None,
+    jobs: int | None = 1,
+    out: str | Path | None = None,
+) -> Evaluation:
+    """Score results, of one log or of several, against ground truth.
+
+    `table` of the result has a row per method; figures, intervals and tests are those of the
+    command. ground_truth: one table; default: the NAME.gt.csv, or gt.csv, beside each log. pairs: a
+    CSV that names results and truth of each log, in place of both. out: a folder for the files;
+    default: none is written. Of several results of one recording the first counts.
+
+    A claim is an estimate that is declared (operating point) or whose score reaches the
+    threshold (curves). A row with visible 0 is no row.
+
+    Protocol "paper", per frame and ID: in view and claimed = TP, each further claim of it one TP
+    more; in view and not claimed = FN; not in view and claimed, however often, = FP; else TN.
+    Position plays no part. Half a disc or more is in view, anything less is not: as in the paper,
+    every frame counts. Count.tpr_once is the TPR without the further claims.
+
+    Protocol "strict": a landmark with visible >= min_visible is a positive; with less it is
+    ignored. A claim belongs to the truth of its ID that is nearest in that frame, if
+    its centre is within half a disc diameter, or within_m, of it in the fan plane. The first claim
+    of a positive (the one of highest score) is TP; every further one, and every claim that belongs
+    to no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
+    (FN and FP). Claims of a partly visible landmark are not counted. TN: a frame and ID of which
+    nothing shows and which is not claimed. So an FP replaces a TN the first time an absent ID is
+    claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
+    0 to 1 and no false claim is free.
+
+    method: one or several to score; default: all, the framework first.
+    jobs: how many logs are read at once, each in its own process.
+    Raises SonarrecError where files cannot be used or have no frame in common.
+    """
+    scoring = scoring_options(method, min_visible, tolerance_s, landmarks, sonar, within_m)
+    logs = results if pairs is None else read_pairs(Path(pairs))
+    found = evaluate_logs(logs, ground_truth, scoring, jobs=jobs)
+    if out is not None:
+        from sonarrec.evaluation.write import write_evaluation  # brings matplotlib
+
+        write_evaluation(Path(local(out)), found)
+    return found
 
 
 def evaluate_logs(

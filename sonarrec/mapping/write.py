@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from sonarrec.arrays import FloatArray
-from sonarrec.errors import number_of
+from sonarrec.errors import local, number_of
 from sonarrec.mapping.axes import Axes, GeographicOrigin, cut_at_180, ellipse, rings_at_180
-from sonarrec.mapping.build import SiteMap
+from sonarrec.mapping.build import MapOptions, SiteMap, make_map
 from sonarrec.mapping.join import Landmark, frames_of
 from sonarrec.mapping.passes import Pass
+from sonarrec.mapping.path import Drift
 from sonarrec.mapping.picture import draw_map
+from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.tables.outputs import (
     check_no_recording,
     check_output,
@@ -191,3 +197,61 @@ def lines(site: SiteMap) -> list[str]:
             f"{angle_sigma:>5}  {len(landmark.members):>6}  {frames_of(landmark.members):>6}"
         )
     return rows + left_out
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class LandmarkMap:
+    """Where the landmarks of a site lie."""
+
+    landmarks: pd.DataFrame
+    """A row for each, as in map.csv."""
+    passes: pd.DataFrame
+    """A row for each pass, as in passes.csv."""
+    logs: int
+    notes: tuple[str, ...]
+    unused: tuple[str, ...]
+    """Input that could not be used, a line each."""
+
+    def __repr__(self) -> str:
+        found = number_of(len(self.landmarks), "landmark")
+        return f"<map of {found} from {number_of(self.logs, 'log')}>"
+
+
+def map_landmarks(
+    results: str | Path | Sequence[str | Path] = "sonarrec_out",
+    out: str | Path | None = None,
+    *,
+    odometry: str | Path | Sequence[str | Path] = (),
+    drift: tuple[float, float] = (0.0, 0.0),
+    method: str | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | Mapping[str, Any] | None = None,
+    min_frames: int = 3,
+) -> LandmarkMap:
+    """Map the landmarks of one log or of several, each one once.
+
+    out: a folder for the files of `sonarrec map`; default: none is written. odometry: tables of
+    poses. drift: standard error of the poses after one minute, m and deg.
+    """
+    geometry = sonar_from(sonar)
+    site = make_map(
+        _paths(results),
+        MapOptions(_paths(odometry), Drift(*drift), method, landmarks, geometry, min_frames),
+    )
+    if out is not None:
+        write_all(Path(local(out)), site)
+    found = _table(MAP_COLUMNS, map_rows(site)), _table(PASS_COLUMNS, pass_rows(site))
+    told = site.diagnostics
+    return LandmarkMap(*found, len(site.logs), tuple(told.notes), tuple(told.problems))
+
+
+def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> pd.DataFrame:
+    """The cells of a CSV as numbers where they are numbers."""
+    text = StringIO()
+    csv.writer(text).writerows([header, *rows])
+    text.seek(0)
+    return pd.read_csv(text, dtype={"log": str})
+
+
+def _paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    return [Path(paths)] if isinstance(paths, str | Path) else [*map(Path, paths)]

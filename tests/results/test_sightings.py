@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
-from sonarrec.functions import run
 from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Estimate, FrameResult
@@ -22,6 +21,7 @@ from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import MOST_SIGHTINGS
+from sonarrec.runs.run import run
 from tests.results.test_write import tables
 from tests.support.drawn import make_fan
 

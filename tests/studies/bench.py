@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 
 from sonarrec.config import Config, preset
-from sonarrec.functions import run as run_log
 from sonarrec.landmarks import load_landmarks
+from sonarrec.runs.run import run as run_log
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.baseline import HoughSmi, fan_of, read_grey

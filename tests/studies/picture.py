@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 
 from sonarrec.config import preset
-from sonarrec.functions import run as run_log
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlays.overlay import overlay
 from sonarrec.readers import open_log
 from sonarrec.reports.build import report
+from sonarrec.runs.run import run as run_log
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 BUILD = SAMPLES.parent / "build" / "picture"
