@@ -58,11 +58,10 @@ def simulate(
     """
     from dataclasses import replace
 
-    from sonarrec.simulation.plates import PlateScene, plate_scene
-    from sonarrec.simulation.scene import Scene, load_scene
+    from sonarrec.simulation.scene import load_scene
     from sonarrec.simulation.simulate import write_recording
 
-    scene: Scene | PlateScene = plate_scene(source) or load_scene(source)
+    scene = load_scene(source)
     if seed is not None:
         scene = replace(scene, seed=seed)
     if frames is not None:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.plane import Plane, within_half_turn
+from sonarrec.simulation.motion import Plane, Pose, within_half_turn
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.world import View
 
@@ -96,57 +95,51 @@ class Shoal:
         dark = 1 - 10 ** (self._scene.noise.shadow_db / 20)
         bodies = []
         for n in np.flatnonzero(seen):
-            below = pose.height_m - now.up_m[n]
+            below, length = pose.height_m - now.up_m[n], now.length_m[n]
             ground = math.sqrt(max(slant[n] ** 2 - below**2, 1e-4))
-            across = within_half_turn(now.heading_deg[n] - azimuth[n])
+            across = float(within_half_turn(now.heading_deg[n] - azimuth[n]))
             # The shadow lies where the line past the fish meets the floor, so it is larger than
             # the fish; the height of the fish stretches it along that line.
-            larger = pose.height_m / below
-            longer = WIDTH * now.length_m[n] * ground / below
-            body = _Body(slant[n], azimuth[n], ground, float(across), now.length_m[n])
-            sizes = body.slant_m * larger, ground * larger, body.length_m * larger
-            shade = _Body(sizes[0], azimuth[n], sizes[1], float(across), sizes[2], longer)
-            box, mask = shade.on(view.azimuth_deg, range_m)
+            larger, longer = pose.height_m / below, WIDTH * length * ground / below
+            sizes = slant[n] * larger, ground * larger, length * larger
+            box, mask = _filled(view, range_m, azimuth[n], across, *sizes, longer)
             view.echoes[box] *= 1 - dark * mask
             view.power[box] *= (1 - dark * mask) ** 2
-            bodies.append(body)
+            bodies.append((azimuth[n], across, slant[n], ground, length))
         for body in bodies:
-            side = abs(math.sin(math.radians(body.across_deg))) - 0.5
+            side = abs(math.sin(math.radians(body[1]))) - 0.5
             level = self._scene.fish.bright_db + BROADSIDE_DB * side
-            box, mask = body.on(view.azimuth_deg, range_m)
+            box, mask = _filled(view, range_m, *body)
             echo = mask * np.float32(10 ** (level / 20))
             speckle = rng.standard_normal((*mask.shape, 2), dtype=np.float32)
             view.echoes[box] += echo * speckle.view(np.complex64)[..., 0] * math.sqrt(0.5)
             view.power[box] += echo**2
 
 
-@dataclass(frozen=True, slots=True)
-class _Body:
-    """A fish or its shadow. across_deg: heading relative to the line of sight. longer_m: stretch
-    along the line of sight."""
+def _filled(
+    view: View,
+    range_m: FloatArray,
+    azimuth_deg: float,
+    across_deg: float,
+    slant_m: float,
+    ground_m: float,
+    length_m: float,
+    longer_m: float = 0.0,
+) -> tuple[tuple[slice, slice], np.ndarray]:
+    """(the box of the view that a fish or shadow takes, how far it fills each cell, 0 to 1).
 
-    slant_m: float
-    azimuth_deg: float
-    ground_m: float
-    across_deg: float
-    length_m: float
-    longer_m: float = 0.0
-
-    def on(
-        self, azimuth_deg: FloatArray, range_m: FloatArray
-    ) -> tuple[tuple[slice, slice], np.ndarray]:
-        """(its box of the view, how far it fills each cell, 0 to 1); empty if out of view."""
-        reach = 0.7 * (self.length_m + self.longer_m)
-        angle = math.degrees(reach / self.ground_m)
-        rows = slice(*np.searchsorted(range_m, [self.slant_m - reach, self.slant_m + reach]))
-        columns = slice(
-            *np.searchsorted(azimuth_deg, [self.azimuth_deg - angle, self.azimuth_deg + angle])
-        )
-        ahead = (range_m[rows, None] - self.slant_m) * self.slant_m / self.ground_m
-        ahead = np.sign(ahead) * np.maximum(np.abs(ahead) - self.longer_m / 2, 0)
-        right = np.radians(azimuth_deg[None, columns] - self.azimuth_deg) * self.ground_m
-        cos, sin = math.cos(math.radians(self.across_deg)), math.sin(math.radians(self.across_deg))
-        along, across = ahead * cos + right * sin, right * cos - ahead * sin
-        half = self.length_m / 2
-        square = (along / half) ** 2 + (across / (WIDTH * half)) ** 2
-        return (rows, columns), np.exp(-(square**2)).astype(np.float32)
+    across_deg: its heading relative to the line of sight. longer_m: stretch along that line.
+    """
+    reach = 0.7 * (length_m + longer_m)
+    angle = math.degrees(reach / ground_m)
+    rows = slice(*np.searchsorted(range_m, [slant_m - reach, slant_m + reach]))
+    ends = np.searchsorted(view.azimuth_deg, [azimuth_deg - angle, azimuth_deg + angle])
+    columns = slice(*ends)
+    ahead = (range_m[rows, None] - slant_m) * slant_m / ground_m
+    ahead = np.sign(ahead) * np.maximum(np.abs(ahead) - longer_m / 2, 0)
+    right = np.radians(view.azimuth_deg[None, columns] - azimuth_deg) * ground_m
+    cos, sin = math.cos(math.radians(across_deg)), math.sin(math.radians(across_deg))
+    along, across = ahead * cos + right * sin, right * cos - ahead * sin
+    half = length_m / 2
+    square = (along / half) ** 2 + (across / (WIDTH * half)) ** 2
+    return (rows, columns), np.exp(-(square**2)).astype(np.float32)

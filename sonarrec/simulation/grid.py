@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray
+from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import Scene
@@ -21,7 +21,8 @@ STEP_DEG = 0.1  # azimuth between scatterers: a beam covers three or more
 MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes
 MARGIN_M = 0.25  # of slant range, for heave and sway; more if these are larger
 MOST_CELLS = 2**24  # about a gigabyte
-_FILL = 0.9  # side of a square, in range bins
+SQUARE_BINS = 0.9  # side of a square, in range bins
+BOX = 1.4  # half the side of the box in which an object is drawn, in its radii
 
 Cells = np.ndarray | tuple[np.ndarray, slice]
 """Where (bins, n) cells lie in a grid: flat indices, or, if each bin lies in one row, the (bins,)
@@ -41,10 +42,9 @@ def smooth_noise(
     return np.asarray(full / max(float(full.std()), 1e-6))
 
 
-def corners(grid: PolarGrid | SquareGrid) -> tuple[FloatArray, FloatArray]:
-    """(2,) least and (2,) largest x and y of a grid's cells, m."""
-    low, high = (np.array([end(grid.x_m), end(grid.y_m)], float) for end in (np.min, np.max))
-    return low, high
+def _clipped(position: FloatArray, count: int) -> np.ndarray:
+    """Positions as indices (intp) of so many cells; outside, of the first or the last."""
+    return np.asarray(np.clip(position, 0, count - 1).astype(np.intp))
 
 
 class PolarGrid:
@@ -66,8 +66,7 @@ class PolarGrid:
         margin = max(MARGIN_M, sway + motion.heave_m + slope + aside)
         self._first_m = first = max(sonar.range_min_m - margin, bin_m)
         rows = math.ceil((sonar.range_max_m + margin - first) / bin_m)
-        reach = sonar.field_of_view_deg / 2 + MARGIN_DEG
-        self._reach_deg = reach
+        self._reach_deg = reach = sonar.field_of_view_deg / 2 + MARGIN_DEG
         nearest = math.sqrt(max(first**2 - sonar.height_m**2, 0.25))
         reach += 4 * motion.yaw_jitter_deg + math.degrees(sway / nearest) + 1
         reach += math.degrees(aside / nearest)
@@ -79,9 +78,8 @@ class PolarGrid:
                 "azimuth, more than are made; fewer range_bins, or less sway or yaw_jitter_deg"
             )
         self.shape = rows, columns
-
         slant = first + (np.arange(rows) + 0.5) * bin_m
-        self.floorless: BoolArray = slant <= sonar.height_m
+        self.floorless = slant <= sonar.height_m
         self._ground = np.sqrt(np.maximum(slant**2 - sonar.height_m**2, 1e-9))
         self.ground_m = self._ground[:, None].astype(np.float32)
         azimuth = np.radians(self._first_deg + np.arange(columns) * STEP_DEG)
@@ -98,9 +96,9 @@ class PolarGrid:
         """(rows, columns) that this many metres take in the middle of the range window."""
         return metres / self._bin_m, metres * self._deg_per_m / STEP_DEG
 
-    def box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
-        """The rows and columns that a circle of radius reach_m may touch."""
-        reach_m *= 1.4
+    def box(self, ground_m: float, azimuth_deg: float, radius_m: float) -> tuple[slice, slice]:
+        """The rows and columns that a circle of this radius may touch."""
+        reach_m = radius_m * BOX
         near, far = np.searchsorted(self._ground, [ground_m - reach_m, ground_m + reach_m])
         if reach_m >= ground_m:
             return slice(near, far + 1), slice(0, self.shape[1])
@@ -120,8 +118,7 @@ class PolarGrid:
         """Flat indices (intp) of the cells at these positions; outside, of the nearest cells."""
         slant = np.sqrt(x**2 + y**2 + self._height_m**2)
         azimuth = self._within(np.degrees(np.arctan2(x, y)))
-        column = np.rint((azimuth - self._first_deg) / STEP_DEG)
-        column = np.clip(column, 0, self.shape[1] - 1).astype(np.intp)
+        column = _clipped(np.rint((azimuth - self._first_deg) / STEP_DEG), self.shape[1])
         return np.asarray(self._row(slant) * self.shape[1] + column)
 
     def index_from_origin(self, ground: FloatArray, azimuth_deg: FloatArray) -> Cells:
@@ -133,8 +130,7 @@ class PolarGrid:
         return np.asarray(row * self.shape[1] + np.clip(column, 0, self.shape[1] - 1))
 
     def _row(self, slant: FloatArray) -> np.ndarray:
-        row = np.floor((slant - self._first_m) / self._bin_m)
-        return np.asarray(np.clip(row, 0, self.shape[0] - 1).astype(np.intp))
+        return _clipped(np.floor((slant - self._first_m) / self._bin_m), self.shape[0])
 
 
 class SquareGrid:
@@ -146,43 +142,45 @@ class SquareGrid:
 
     def __init__(self, scene: Scene, path: Sequence[Pose]) -> None:
         sonar = scene.sonar
-        self.cell_m = cell = _FILL * (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
+        self.cell_m = SQUARE_BINS * (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
         self._reach_deg = sonar.field_of_view_deg / 2 + MARGIN_DEG
         poses = np.array([(p.pan_deg, p.x_m, p.y_m) for p in path])
         edge = np.radians(poses[:, :1] + np.linspace(-self._reach_deg, self._reach_deg, 9))
-        x, y = poses[:, 1:2], poses[:, 2:3]
-        x = np.hstack([x, x + sonar.range_max_m * np.sin(edge)])
-        y = np.hstack([y, y + sonar.range_max_m * np.cos(edge)])
-        self._first = x.min() - MARGIN_M, y.min() - MARGIN_M
-        columns = math.ceil((x.max() + MARGIN_M - self._first[0]) / cell)
-        rows = math.ceil((y.max() + MARGIN_M - self._first[1]) / cell)
+        ends = [  # of what is seen along x and y
+            np.hstack([middle, middle + sonar.range_max_m * of(edge)])
+            for middle, of in ((poses[:, 1:2], np.sin), (poses[:, 2:], np.cos))
+        ]
+        self._first = x0, y0 = [end.min() - MARGIN_M for end in ends]
+        columns, rows = (
+            math.ceil((end.max() + MARGIN_M - first) / self.cell_m)
+            for end, first in zip(ends, self._first, strict=True)
+        )
         if rows * columns > MOST_CELLS:
             raise SonarrecError(
-                f"{scene.name}: the vehicle sees {columns * cell:.0f} x {rows * cell:.0f} m of "
-                f"floor, too much for {sonar.range_bins} range bins; fewer frames or slower"
+                f"{scene.name}: the vehicle sees {columns * self.cell_m:.0f} x "
+                f"{rows * self.cell_m:.0f} m of floor, too much for {sonar.range_bins} range bins; "
+                "fewer frames or slower"
             )
         self.shape = rows, columns
-        self.floorless: BoolArray = np.zeros(rows, bool)
-        right = self._first[0] + (np.arange(columns) + 0.5) * cell
-        ahead = self._first[1] + (np.arange(rows) + 0.5) * cell
-        self.x_m = np.broadcast_to(right.astype(np.float32), self.shape)
-        self.y_m = np.broadcast_to(ahead.astype(np.float32)[:, None], self.shape)
+        self.floorless = np.zeros(rows, bool)
+        right = (x0 + (np.arange(columns) + 0.5) * self.cell_m).astype(np.float32)
+        ahead = (y0 + (np.arange(rows) + 0.5) * self.cell_m).astype(np.float32)
+        self.x_m = np.broadcast_to(right, self.shape)
+        self.y_m = np.broadcast_to(ahead[:, None], self.shape)
 
     def cells(self, metres: float) -> tuple[float, float]:
         """(rows, columns) that this many metres take."""
         return metres / self.cell_m, metres / self.cell_m
 
-    def box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
-        """The rows and columns that a circle of radius reach_m may touch."""
-        reach_m *= 1.4
-        azimuth = math.radians(azimuth_deg)
-        x, y = ground_m * math.sin(azimuth), ground_m * math.cos(azimuth)
-        rows, columns = (
+    def box(self, ground_m: float, azimuth_deg: float, radius_m: float) -> tuple[slice, slice]:
+        """The rows and columns that a circle of this radius may touch."""
+        azimuth, reach_m = math.radians(azimuth_deg), radius_m * BOX
+        columns, rows = (
             slice(
-                max(math.floor((centre - reach_m - first) / self.cell_m), 0),
-                max(math.ceil((centre + reach_m - first) / self.cell_m), 0) + 1,
+                max(math.floor((ground_m * of(azimuth) - reach_m - first) / self.cell_m), 0),
+                max(math.ceil((ground_m * of(azimuth) + reach_m - first) / self.cell_m), 0) + 1,
             )
-            for centre, first in ((y, self._first[1]), (x, self._first[0]))
+            for of, first in zip((math.sin, math.cos), self._first, strict=True)
         )
         return rows, columns
 
@@ -192,10 +190,11 @@ class SquareGrid:
 
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
         """Flat indices (intp) of the cells at these positions; outside, of the nearest cells."""
-        rows, columns = self.shape
-        column = np.clip(np.floor((x - self._first[0]) / self.cell_m), 0, columns - 1)
-        row = np.clip(np.floor((y - self._first[1]) / self.cell_m), 0, rows - 1)
-        return np.asarray((row * columns + column).astype(np.intp))
+        column, row = (
+            _clipped(np.floor((value - first) / self.cell_m), count)
+            for value, first, count in zip((x, y), self._first, self.shape[::-1], strict=True)
+        )
+        return np.asarray(row * self.shape[1] + column)
 
     def evened(self, ground: FloatArray) -> FloatArray:
         """(bins, 1) amplitude that corrects for columns of azimuth that share a cell.

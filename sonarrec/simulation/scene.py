@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,7 +18,6 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import DrawnSet, LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.nouns import Fan
-from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
 from sonarrec.sonar import Sonar
 from sonarrec.tables.toml import (
     AtLeastOne,
@@ -36,7 +35,6 @@ from sonarrec.tables.toml import (
 )
 
 BUILT_IN = Path(__file__).parent / "scenes"
-
 NO_ECHO_DB = -60.0  # multipath of this level or less is left out
 
 # Decibels: brightness and gains; standard deviations, amplitudes and losses.
@@ -45,6 +43,12 @@ Spread = Annotated[float, bounds(0, 100)]
 Period = Annotated[float, bounds(1e-3, 1e12)]
 Size = Annotated[int, bounds(16, 2**14)]
 Lean = Annotated[float, bounds(0, 45)]
+
+# Rings with a symbol that no ID has. The built-in model learns from wedges of any width and patches
+# of any shape; never from wedges of 45 degrees, three, five or six sectors, bars, crosses, letters.
+LEARNED_SYMBOLS = ("wedges", "blobs")
+OTHER_SYMBOLS = ("eighths", "foreign", "bar", "cross", "letter")
+SYMBOLS = (*LEARNED_SYMBOLS, *OTHER_SYMBOLS)
 
 # What can lie on the floor besides landmarks: kind: (size, width, height, bright_db).
 # size: radius of round things (0: that of the landmark set), length of long ones, one side of a
@@ -59,12 +63,10 @@ KINDS: dict[str, tuple[float, float, float, float]] = {
     "mesh": (0.40, 0.45, 0.0, 11.0),  # a patch of wire netting
     "beam": (0.70, 0.06, 0.03, 8.0),  # a wooden beam
     "stone": (0.05, 0.0, 0.03, 8.0),
-    # Rings with a symbol that no ID has, see `simulation.symbols`.
-    **dict.fromkeys((*LEARNED_SYMBOLS, *OTHER_SYMBOLS), (0.0, 0.0, 0.0, 11.0)),
+    **dict.fromkeys(SYMBOLS, (0.0, 0.0, 0.0, 11.0)),
     "cover": (0.15, 0.0, 0.0, 0.0),  # sediment that hides what lies below
     "wall": (8.0, 0.15, 1.5, 11.0),
 }
-SYMBOLS = (*LEARNED_SYMBOLS, *OTHER_SYMBOLS)
 ROUND = ("blank", "filled", "spokes", "half_ring", "tyre", "stone", "cover", *SYMBOLS)
 
 
@@ -121,6 +123,20 @@ class MotionSection:
     roll_deg: Lean = 0.0  # amplitude, about the heading
     attitude_period_s: Period = 6.0
 
+    @property
+    def speeds(self) -> tuple[tuple[float, float], ...]:
+        """(constant part, amplitude of its sine) of the speed ahead, to the right, of turning."""
+        return (
+            (self.surge_m_s, self.surge_swing_m_s),
+            (self.crab_m_s, self.crab_swing_m_s),
+            (self.yaw_deg_s, self.yaw_swing_deg_s),
+        )
+
+    @property
+    def travels(self) -> bool:
+        """Whether the sonar is on a vehicle that moves or turns."""
+        return any(amount for pair in self.speeds for amount in pair)
+
 
 @dataclass(frozen=True, slots=True)
 class FloorSection:
@@ -175,7 +191,7 @@ class MultipathSection:
     delay_m: Positive = 0.4  # how much farther away it shows
     blur_m: NotNegative = 0.03  # standard deviation in range
     blur_beams: NotNegative = 1.5  # and across
-    band_db: Level = -100.0  # of a band of surface echo, over the floor; likewise
+    band_db: Level = -100.0  # of a band of surface echo, over the floor; too
     band_m: Positive = 2.2  # its range; further ones, each 3 dB weaker, follow at band_step_m
     band_step_m: Positive = 0.7
     band_width_m: Positive = 0.05  # standard deviation
@@ -261,7 +277,10 @@ class PlacedObject:
     silted: Share = 0.0
 
 
-def position_of(item: PlacedLandmark | PlacedObject) -> tuple[float, float]:
+Placed = PlacedLandmark | PlacedObject
+
+
+def position_of(item: Placed) -> tuple[float, float]:
     """(x, y) of an object's centre: to the right and forward of the floor's origin, m."""
     azimuth = math.radians(item.azimuth_deg)
     return item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
@@ -287,75 +306,61 @@ class Scene:
     landmarks: tuple[PlacedLandmark, ...] = field(default=(), metadata={"key": "landmark"})
     objects: tuple[PlacedObject, ...] = field(default=(), metadata={"key": "object"})
 
-
-def scene_from_table(table: Mapping[str, Any], where: str) -> Scene:
-    """A Scene from the keys of its TOML. Raises SonarrecError, which begins with `where`."""
-    listed = table.get("landmark_set", "basin")
-    if isinstance(listed, str):
-        discs = load_landmarks(listed, where)
-    else:
-        discs = landmarks_from_table(listed, f"{where}: [landmark_set]")
-    if isinstance(discs, DrawnSet):
-        raise SonarrecError(f'{where}: a scene of drawn plates has kind = "plates"')
-    scene = from_table(Scene, {**table, "landmark_set": discs}, where)
-    _check_as_a_whole(scene, where)
-    return scene
+    @property
+    def items(self) -> tuple[Placed, ...]:
+        """All that lies on the floor, landmarks first."""
+        return *self.landmarks, *self.objects
 
 
-def check_scene(scene: Scene, where: str) -> None:
-    """Raise SonarrecError if a scene that was built in Python is not valid."""
-    scene_from_table(scene_table(scene), where)
+@dataclass(frozen=True, slots=True)
+class HeldPlate:
+    """A drawn plate, and how it is held. Its pose swings about what is stated."""
+
+    landmark: int  # its ID; of `others` if it is none of the set's
+    range_m: Positive = 1.0
+    bearing_deg: Finite = 0.0
+    turned_deg: Finite = 0.0  # counter-clockwise, in its own plane
+    # Between its plane and that of the image; a plate on the floor: the grazing angle's rest.
+    tilt_deg: Finite = 0.0
+    axis_deg: Finite = 0.0  # of the tilt, counter-clockwise from across
+    mirrored: bool = False
+    bright_db: Finite = 9.0  # of its rough cells over what is round it
+    dark_db: Finite = -6.0
+    known: bool = True  # whether it is of the set, and so in the truth
 
 
-def _check_as_a_whole(scene: Scene, where: str) -> None:
-    """Raise SonarrecError if values of the scene contradict each other."""
-    sonar, motion = scene.sonar, scene.motion
-    wrong = scene_sonar(scene).contradiction()
-    if wrong is not None:
-        raise SonarrecError(f"{where}: [sonar], with its errors, contradicts itself: {wrong}")
-    if sonar.height_m + motion.heave_m >= sonar.range_max_m or motion.heave_m >= sonar.height_m:
-        raise SonarrecError(f"{where}: heave_m leaves no floor in the range window")
-    if not motion.pan_min_deg <= motion.pan_start_deg <= motion.pan_max_deg:
-        raise SonarrecError(f"{where}: pan_start_deg must lie between pan_min_deg and pan_max_deg")
-    sweep, view = motion.pan_max_deg - motion.pan_min_deg, sonar.field_of_view_deg
-    if sweep > 300:
-        raise SonarrecError(f"{where}: the pan sweep must be 300 deg or less")
-    if sweep + view > 360:
-        raise SonarrecError(
-            f"{where}: the sweep of {sweep:g} deg and the view of {view:g} deg go round and see "
-            "the same floor twice; together they must be 360 deg or less"
-        )
-    items: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *scene.objects]
-    if travels(motion) and any(item.lean_deg for item in items):
-        raise SonarrecError(f"{where}: discs lean before a standing sonar only, not a vehicle's")
-    for landmark in scene.landmarks:
-        if landmark.id not in scene.landmark_set.ids:
-            raise SonarrecError(
-                f"{where}: landmark id {landmark.id} is not in the set "
-                f"{scene.landmark_set.name!r} ({', '.join(map(str, scene.landmark_set.ids))})"
-            )
-    for item in scene.objects:
-        if item.kind not in KINDS:
-            raise SonarrecError(
-                f"{where}: unknown kind of object {brief(item.kind)}; known: {', '.join(KINDS)}"
-            )
+@dataclass(frozen=True, slots=True)
+class PlateScene:
+    """A recording of drawn plates, written as polar images."""
+
+    name: str = "plates"
+    landmark_set: DrawnSet = field(default_factory=lambda: _drawn_set("actag24h10", "plates"))
+    others: DrawnSet | None = None  # drawings for plates that are none of the set's
+    plate: tuple[HeldPlate, ...] = (HeldPlate(0),)
+    seed: Count = 0
+    frames: AtLeastOne = 60
+    range_min_m: NotNegative = 0.2
+    range_max_m: Positive = 1.8
+    field_of_view_deg: Positive = 60.0
+    beams: Count = 256
+    bins: Count = 400
+    beam_width_deg: Positive = 0.6
+    pulse_m: Positive = 0.006
+    rate_hz: Positive = 10.0
+    swing: Share = 0.5  # how much the poses change: 1 is .1 m, 12 deg
+    streaks: Count = 3  # lines of echoes behind each plate
+    light_db: NotNegative = 3.0
+    clutter: Count = 3  # bright figures of about a plate's size
+    floor_db: Finite = 14.0  # of the background over the noise
+    # Of the sonar over the plates: one without tilt and swing lies on the floor.
+    height_m: NotNegative = 0.0
+    blank_every: Count = 0  # each so many frames one shows noise alone; 0: none
 
 
-def speeds(motion: MotionSection) -> tuple[tuple[float, float], ...]:
-    """(constant part, amplitude of its sine) of the speed ahead, to the right, and of turning."""
-    return (
-        (motion.surge_m_s, motion.surge_swing_m_s),
-        (motion.crab_m_s, motion.crab_swing_m_s),
-        (motion.yaw_deg_s, motion.yaw_swing_deg_s),
-    )
+AnyScene = Scene | PlateScene
 
 
-def travels(motion: MotionSection) -> bool:
-    """Whether the sonar is on a vehicle that moves or turns."""
-    return any(amount for pair in speeds(motion) for amount in pair)
-
-
-def load_scene(source: str | Path) -> Scene:
+def load_scene(source: str | Path) -> AnyScene:
     """Read a scene: the name of a built-in one ("paper", "basin", ...) or a TOML file.
 
     Raises SonarrecError if there is no such scene or file, or if the file is no valid scene.
@@ -365,6 +370,86 @@ def load_scene(source: str | Path) -> Scene:
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
         raise UsageError(f"no scene {brief(str(source))}: neither a file nor built in ({built_in})")
     return scene_from_table(read_toml(path), str(path))
+
+
+def scene_from_table(table: Mapping[str, Any], where: str) -> AnyScene:
+    """A scene from the keys of its TOML. Raises SonarrecError, which begins with `where`."""
+    table = dict(table)
+    if table.get("kind") == "plates":
+        del table["kind"]
+        for key in {"landmark_set", "others"} & set(table):
+            table[key] = _drawn_set(table[key], where)
+        plates = from_table(PlateScene, table, where)
+        scene: AnyScene = plates
+        fault = _fault_of_plates(plates)
+    else:
+        table["landmark_set"] = _landmark_set(table.get("landmark_set", "basin"), where)
+        if isinstance(table["landmark_set"], DrawnSet):
+            raise SonarrecError(f'{where}: a scene of drawn plates has kind = "plates"')
+        scene = discs = from_table(Scene, table, where)
+        fault = _fault(discs)
+    if fault is not None:
+        raise SonarrecError(f"{where}: {fault}")
+    return scene
+
+
+def check_scene(scene: Scene, where: str) -> None:
+    """Raise SonarrecError if a scene that was built in Python is not valid."""
+    scene_from_table(scene_table(scene), where)
+
+
+def _landmark_set(listed: Any, where: str) -> LandmarkSet:
+    if isinstance(listed, str):
+        return load_landmarks(listed, where)
+    return landmarks_from_table(listed, f"{where}: [landmark_set]")
+
+
+def _drawn_set(listed: Any, where: str) -> DrawnSet:
+    chosen = _landmark_set(listed, where)
+    if not isinstance(chosen, DrawnSet):
+        raise SonarrecError(f"{where}: {chosen.name} must be a set of drawn plates")
+    return chosen
+
+
+def _fault(scene: Scene) -> str | None:
+    """How values of a scene contradict each other; None if they do not."""
+    sonar, motion, discs = scene.sonar, scene.motion, scene.landmark_set
+    wrong = scene_sonar(scene).contradiction()
+    if wrong is not None:
+        return f"[sonar], with its errors, contradicts itself: {wrong}"
+    if sonar.height_m + motion.heave_m >= sonar.range_max_m or motion.heave_m >= sonar.height_m:
+        return "heave_m leaves no floor in the range window"
+    if not motion.pan_min_deg <= motion.pan_start_deg <= motion.pan_max_deg:
+        return "pan_start_deg must lie between pan_min_deg and pan_max_deg"
+    sweep, view = motion.pan_max_deg - motion.pan_min_deg, sonar.field_of_view_deg
+    if sweep > 300:
+        return "the pan sweep must be 300 deg or less"
+    if sweep + view > 360:
+        return (
+            f"the sweep of {sweep:g} deg and the view of {view:g} deg go round and see the same "
+            "floor twice; together they must be 360 deg or less"
+        )
+    if motion.travels and any(item.lean_deg for item in scene.items):
+        return "discs lean before a standing sonar only, not a vehicle's"
+    for item in scene.items:
+        if isinstance(item, PlacedLandmark):
+            if item.id not in discs.ids:
+                known = ", ".join(map(str, discs.ids))
+                return f"landmark id {item.id} is not in the set {discs.name!r} ({known})"
+        elif item.kind not in KINDS:
+            return f"unknown kind of object {brief(item.kind)}; known: {', '.join(KINDS)}"
+    return None
+
+
+def _fault_of_plates(scene: PlateScene) -> str | None:
+    for plate in scene.plate:
+        family = scene.landmark_set if plate.known else scene.others
+        if family is None or plate.landmark not in family.ids:
+            of = "landmark_set" if plate.known else "others"
+            return f"there is no ID {plate.landmark} in {of}"
+    if scene.range_min_m >= scene.range_max_m or not (scene.beams and scene.bins):
+        return "range_min_m must be below range_max_m, beams and bins be some"
+    return None
 
 
 def scene_table(scene: Scene) -> dict[str, Any]:
@@ -393,32 +478,40 @@ def scene_bearings(scene: Scene) -> FloatArray:
     return np.asarray(place * scene.sonar.field_of_view_deg / 2)
 
 
-def scene_sonar(scene: Scene) -> Sonar:
+def scene_sonar(scene: AnyScene) -> Sonar:
     """The geometry that the scene's sonar.toml states, with its errors."""
-    sonar = scene.sonar
-    polar = sonar.layout == "polar"
-    return Sonar(
-        layout="polar" if polar else "fan",
+    sonar = scene if isinstance(scene, PlateScene) else scene.sonar
+    stated = Sonar(
+        layout="polar",
         range_min_m=sonar.range_min_m,
         range_max_m=sonar.range_max_m,
         field_of_view_deg=sonar.field_of_view_deg,
-        tilt_deg=sonar.tilt_deg + sonar.tilt_error_deg,
-        height_m=sonar.height_m + sonar.height_error_m,
+        tilt_deg=30.0,
+        height_m=sonar.height_m or None,
         frame_rate_hz=scene.rate_hz,
         beam_width_deg=sonar.beam_width_deg,
-        bearings_deg=(
-            tuple(np.round(scene_bearings(scene), 4).tolist())
-            if polar and sonar.bearings != "even"
-            else None
-        ),
+    )
+    if isinstance(scene, PlateScene):
+        return stated
+    sonar = scene.sonar
+    uneven = sonar.layout == "polar" and sonar.bearings != "even"
+    return replace(
+        stated,
+        layout=sonar.layout,
+        tilt_deg=sonar.tilt_deg + sonar.tilt_error_deg,
+        height_m=sonar.height_m + sonar.height_error_m,
+        bearings_deg=tuple(np.round(scene_bearings(scene), 4).tolist()) if uneven else None,
     )
 
 
-def scene_fan(scene: Scene) -> Fan:
+def scene_fan(scene: AnyScene) -> Fan:
     """The fan of the scene's images. A polar layout has the fan that the reader makes of it."""
-    sonar = scene_sonar(scene).complete(scene.name)
-    if scene.sonar.layout == "polar":
-        return fan_for_polar(sonar, scene.sonar.range_bins)
-    scale = (scene.sonar.range_max_m - scene.sonar.range_min_m) / scene.sonar.range_bins
-    half_width = scene.sonar.range_max_m * math.sin(math.radians(scene.sonar.field_of_view_deg / 2))
-    return fan_for_image(sonar, scene.sonar.range_bins, 2 * math.floor(half_width / scale) + 1)
+    stated = scene_sonar(scene).complete(scene.name)
+    if isinstance(scene, PlateScene):
+        return fan_for_polar(stated, scene.bins)
+    sonar = scene.sonar
+    if sonar.layout == "polar":
+        return fan_for_polar(stated, sonar.range_bins)
+    scale = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
+    half_width = sonar.range_max_m * math.sin(math.radians(sonar.field_of_view_deg / 2))
+    return fan_for_image(stated, sonar.range_bins, 2 * math.floor(half_width / scale) + 1)

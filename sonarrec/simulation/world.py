@@ -5,28 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.simulation.grid import Cells, PolarGrid, SquareGrid, smooth_noise
-from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.objects import (
-    Canvas,
-    RaisedDisc,
-    Surface,
-    draw_object,
-    object_radius,
-    ripples,
-    silt_over,
-    size_of,
-)
-from sonarrec.simulation.plane import Plane
-from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, position_of
+from sonarrec.simulation.motion import Plane, Pose
+from sonarrec.simulation.objects import Layers, draw_object, ripples
+from sonarrec.simulation.scene import Scene
 
 TWIG = 0.12  # half the thickness of debris, in units of the noise that shapes it
+PATCHES = 6  # processes from which the fading of each place is mixed
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +36,6 @@ class View:
     sine: FloatArray
 
 
-class _Layers(NamedTuple):
-    """(rows, columns) of the grid: brightness (dB), number of the object (-1: the floor), m, m."""
-
-    level: np.ndarray
-    owner: np.ndarray
-    height: np.ndarray
-    relief: np.ndarray
-
-
 class World:
     """All scatterers on the floor, with their brightness, height and owner.
 
@@ -63,41 +44,32 @@ class World:
     Leaning discs are as seen from the floor's origin; on a polar grid, so are slopes and shadows.
     """
 
-    PATCHES = 6  # processes from which the fading of each place is mixed
-
-    def __init__(
-        self, scene: Scene, rng: np.random.Generator, grid: PolarGrid | SquareGrid
-    ) -> None:
-        self._scene = scene
-        self._grid = grid
-        self._plane = Plane.of(scene)
-        self._shape = shape = grid.shape
-        floor = scene.floor
-        layers = _Layers(
-            level=floor.texture_db * smooth_noise(rng, shape, grid.cells(floor.texture_m)),
-            owner=np.full(shape, -1, dtype=np.int16),
-            height=np.zeros(shape, dtype=np.float32),
-            relief=np.full(shape, floor.relief_m, dtype=np.float32),
+    def __init__(self, scene: Scene, grid: PolarGrid | SquareGrid) -> None:
+        self._scene, self._grid, self._plane = scene, grid, Plane.of(scene)
+        rng = np.random.default_rng([scene.seed, 1])
+        level = scene.floor.texture_db * self._noise(scene.floor.texture_m, rng)
+        silted = any(item.silted for item in scene.items)
+        leaning = any(item.lean_deg for item in scene.items)
+        none = np.broadcast_to(np.float32(0), grid.shape)
+        layers = Layers(
+            level=level,
+            owner=np.full(grid.shape, -1, np.int16),
+            height=np.zeros(grid.shape, np.float32),
+            relief=np.full(grid.shape, scene.floor.relief_m, np.float32),
+            lifted=none.copy() if leaning else none,
+            silt=self._noise(scene.floor.silt_m, 13) if silted else none,
         )
-        items: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *scene.objects]
-        self._silt = self._lifted = None
-        if any(item.silted for item in items):
-            silt_rng = np.random.default_rng([scene.seed, 13])
-            self._silt = smooth_noise(silt_rng, shape, grid.cells(floor.silt_m))
-        if any(item.lean_deg for item in items):
-            self._lifted = np.zeros(shape, dtype=np.float32)
-        for number, item in enumerate(items):
-            self._draw(item, number, layers)
+        for number, item in enumerate(scene.items):
+            draw_object(item, number, scene, grid, layers)
         self._rise: tuple[np.ndarray, np.ndarray] | None = None  # where squares rise, x and y
         self._relieve(layers)
-        height = layers.height
         if isinstance(grid, SquareGrid):  # there `view` finds the shadows
-            self._height = height.ravel() if height.any() else None
-            shadow, kernel = np.zeros(shape, bool), (3, 3)
+            self._height = layers.height.ravel() if layers.height.any() else None
+            shadow, kernel = np.zeros(grid.shape, bool), (3, 3)
         else:  # what is hidden behind something taller, from the floor's origin
             self._height, kernel = None, (3, 1)
-            lifted = height if self._lifted is None else height + self._lifted
-            shadow = _hidden(scene.sonar.height_m - lifted, grid.ground_m)
+            top = layers.height + layers.lifted
+            shadow = _hidden(scene.sonar.height_m - top, grid.ground_m)
         amplitude = np.power(np.float32(10), layers.level / 20)
         amplitude[shadow] *= 10 ** (scene.noise.shadow_db / 20)
         amplitude[grid.floorless] = 0
@@ -107,63 +79,32 @@ class World:
         self._cells = np.flatnonzero((layers.owner >= 0) & ~shadow)
         self._owner = layers.owner.ravel()[self._cells]
         self._plain = self._amplitude[self._cells]
-        self._mix = np.stack(
-            [
-                smooth_noise(rng, shape, grid.cells(scene.fading.patch_m)).ravel()[self._cells]
-                for _ in range(self.PATCHES)
-            ],
-            axis=1,
-        ) / np.float32(math.sqrt(self.PATCHES))
-        size = layers.owner.size
-        self._glow = np.zeros(size, dtype=np.float32)
-        self._scatter = rng.standard_normal((size, 2), dtype=np.float32)
+        mixed = [
+            self._noise(scene.fading.patch_m, rng).ravel()[self._cells] for _ in range(PATCHES)
+        ]
+        self._mix = np.stack(mixed, axis=1) / np.float32(math.sqrt(PATCHES))
+        self._glow = np.zeros(level.size, np.float32)
+        self._scatter = rng.standard_normal((level.size, 2), dtype=np.float32)
         self._scatter *= np.float32(math.sqrt(0.5))
         # The four of a cell taken for one value, so that all are fetched at once.
-        self._phase_rates = _phase_rates(size, rng).view(np.complex128)[:, 0]
+        self._phase_rates = _phase_rates(level.size, rng).view(np.complex128)[:, 0]
 
-    def _draw(self, item: PlacedLandmark | PlacedObject, number: int, layers: _Layers) -> None:
-        """Draw one object into the layers."""
-        scene, grid = self._scene, self._grid
-        x0, y0 = position_of(item)
-        if isinstance(item, PlacedLandmark):
-            radius = reach = scene.landmark_set.radius_m
-        else:
-            radius, _ = size_of(scene, item)
-            reach = object_radius(scene, item)
-        box = grid.box(item.ground_m, item.azimuth_deg, reach)
-        dx, dy = grid.x_m[box] - x0, grid.y_m[box] - y0
-        raised = None
-        if item.lean_deg:
-            raised = RaisedDisc(item, radius, scene.sonar.height_m, grid.x_m[box], grid.y_m[box])
-            dx, dy = raised.dx_m, raised.dy_m
-        cos, sin = (of(math.radians(item.orientation_deg)) for of in (math.cos, math.sin))
-        u, v = (dx * cos + dy * sin) / radius, (-dx * sin + dy * cos) / radius
-        # Edges that face the sonar, on the near and the far side, reflect more.
-        line = (dx * x0 + dy * y0) / (np.maximum(np.hypot(dx, dy), 1e-6) * item.ground_m)
-        facing = scene.fading.specular_db * (np.abs(line) - 0.5)
-        surface = Surface(u, v, np.hypot(u, v), line, facing, radius)
-        canvas = Canvas(surface, number, *(layer[box] for layer in layers))
-        draw_object(item, scene, canvas)
-        mine = canvas.owner == number
-        if raised is not None and self._lifted is not None:
-            canvas.level[mine] += raised.lit_db(scene.fading.specular_db)[mine]
-            self._lifted[box][mine] = raised.lifted_m[mine]
-        if item.silted and self._silt is not None:
-            silt = silt_over(self._silt[box], mine, item.silted)
-            canvas.level += silt * (canvas.texture - canvas.level)
-            canvas.owner[silt > 0.5] = -1
+    def _noise(self, size_m: float, of: np.random.Generator | int) -> np.ndarray:
+        """Smooth noise over the grid. of: a generator, or the number of one for this alone."""
+        rng = np.random.default_rng([self._scene.seed, of]) if isinstance(of, int) else of
+        return smooth_noise(rng, self._grid.shape, self._grid.cells(size_m))
 
-    def _relieve(self, layers: _Layers) -> None:
+    def _relieve(self, layers: Layers) -> None:
         """Add bumps and ripples, whose slopes are lit by the sonar; then twigs and shade."""
-        floor, grid, cells = self._scene.floor, self._grid, self._grid.cells
+        floor, grid = self._scene.floor, self._grid
         level, height, relief = layers.level, layers.height, layers.relief
-        if relief.any():
-            rng = np.random.default_rng([self._scene.seed, 6])
-            noise = smooth_noise(rng, relief.shape, cells(floor.relief_size_m))
+        rough = relief.any()
+        if rough:
+            noise = self._noise(floor.relief_size_m, 6)
             height += relief * np.where(relief < 0, -np.abs(noise), noise)
         if floor.ripple_height_m:
             height += ripples(self._scene, grid, layers.owner < 0)
-        if relief.any() or floor.ripple_height_m:
+        if rough or floor.ripple_height_m:
             if isinstance(grid, PolarGrid):
                 ground = grid.ground_m
                 grazing = np.arctan(np.float32(self._scene.sonar.height_m) / ground)
@@ -177,13 +118,12 @@ class World:
                 self._rise = right.ravel(), up.ravel()
         if floor.debris_db:
             rng = np.random.default_rng([self._scene.seed, 8])
-            bends, where = (smooth_noise(rng, relief.shape, cells(floor.debris_m)) for _ in "ab")
+            bends, where = (self._noise(floor.debris_m, rng) for _ in range(2))
             # The zeros of smooth noise are winding lines; a second noise cuts them into pieces.
             twigs = np.exp(-((bends / TWIG) ** 2)) / (1 + np.exp(-where / TWIG))
             level += np.float32(floor.debris_db) * twigs.astype(np.float32)
         if floor.light_db:
-            rng = np.random.default_rng([self._scene.seed, 7])
-            patches = smooth_noise(rng, relief.shape, cells(floor.light_m))
+            patches = self._noise(floor.light_m, 7)
             level -= np.float32(floor.light_db) / (1 + np.exp(-patches / 0.06))
 
     def fade(self, object_db: FloatArray, patches: FloatArray, afterglow_db: FloatArray) -> None:
@@ -247,7 +187,7 @@ class World:
     def _values(self, values: np.ndarray, cell: Cells) -> np.ndarray:
         """(bins, n) what the cells hold. values: one for each cell of the grid."""
         if isinstance(cell, tuple):
-            return np.asarray(values.reshape(self._shape)[cell])
+            return np.asarray(values.reshape(self._grid.shape)[cell])
         return np.asarray(values.take(cell))  # four times as fast as values[cell]
 
     def _shade(

@@ -113,8 +113,7 @@ def of_sonar(**changed: float) -> Scene:
 
 
 def amplitudes(scene: Scene, pan_deg: float = 3.21) -> np.ndarray:
-    receiver = Receiver(scene, np.random.default_rng(0))
-    return receiver.patterns(AZIMUTHS + pan_deg, pan_deg)
+    return Receiver(scene).patterns(AZIMUTHS + pan_deg, pan_deg)
 
 
 def lobe(sonar: SonarSection, off_deg: float) -> float:

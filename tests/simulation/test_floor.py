@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError
-from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.plane import Plane
+from sonarrec.simulation.motion import Plane, Pose
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import FloorSection, PlacedLandmark, PlacedObject, Scene, scene_sonar
 from tests.support.bare import BIN_M, POLAR, RANGE_M, even_power

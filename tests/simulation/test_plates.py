@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.simulation.plates import HeldPlate, PlateFrame, PlateScene, plate_scene, render_plates
+from sonarrec.simulation.render import SimulatedFrame, render
+from sonarrec.simulation.scene import HeldPlate, PlateScene, load_scene
 from sonarrec.simulation.simulate import simulate
 
 SCENE = PlateScene(
@@ -23,7 +24,7 @@ SCENE = PlateScene(
 )
 
 
-def at(scene: PlateScene, frame: PlateFrame, range_m: float, bearing_deg: float) -> float:
+def at(scene: PlateScene, frame: SimulatedFrame, range_m: float, bearing_deg: float) -> float:
     """Mean grey level of 3 x 3 samples."""
     bins = (range_m - scene.range_min_m) / (scene.range_max_m - scene.range_min_m) * scene.bins
     beams = (bearing_deg / scene.field_of_view_deg + 0.5) * scene.beams
@@ -35,7 +36,7 @@ def at(scene: PlateScene, frame: PlateFrame, range_m: float, bearing_deg: float)
 def test_cells_show_between_the_corners(mirrored: bool) -> None:
     """Corners alone say, by interpolation, where each cell lies."""
     scene = replace(SCENE, plate=(replace(SCENE.plate[0], mirrored=mirrored),))
-    frame = next(render_plates(scene))
+    frame = next(render(scene))
     (plate,) = frame.truth
     corners = plate.corners[:, 0] * np.exp(1j * np.radians(90 - plate.corners[:, 1]))
     drawing = scene.landmark_set.drawings()[2]
@@ -61,7 +62,7 @@ def test_cells_show_between_the_corners(mirrored: bool) -> None:
 def test_without_tilt_below_the_sonar_it_is_a_square_on_the_floor() -> None:
     plate = replace(SCENE.plate[0], tilt_deg=0.0)
     scene = replace(SCENE, plate=(plate,), swing=0.0, height_m=0.6)
-    (true,) = next(render_plates(scene)).truth
+    (true,) = next(render(scene)).truth
     assert true.range_m == pytest.approx(1.0)
     ground_m = np.sqrt(true.corners[:, 0] ** 2 - 0.6**2)
     corners = ground_m * np.exp(1j * np.radians(true.corners[:, 1]))
@@ -70,15 +71,14 @@ def test_without_tilt_below_the_sonar_it_is_a_square_on_the_floor() -> None:
 
 def test_the_same_scene_gives_the_same_frames_and_blanks_show_nothing() -> None:
     scene = replace(SCENE, frames=4, blank_every=2)
-    once, again = list(render_plates(scene)), list(render_plates(scene))
+    once, again = list(render(scene)), list(render(scene))
     assert all(np.array_equal(a.image, b.image) for a, b in zip(once, again, strict=True))
     assert [len(frame.truth) for frame in once] == [1, 0, 1, 0]
     assert once[1].image.mean() < once[0].image.mean() - 20
 
 
 def test_a_recording_is_written_with_its_truth(tmp_path: Path) -> None:
-    scene = plate_scene("plates")
-    assert scene is not None
+    scene = load_scene("plates")
     out = simulate(replace(scene, frames=2), tmp_path / "log")
     with (out / "gt.csv").open() as file:
         assert [(row["frame"], row["landmark"]) for row in csv.DictReader(file)] == [
@@ -106,4 +106,4 @@ def test_scenes_that_cannot_be_are_refused(text: str, words: str, tmp_path: Path
     file = tmp_path / "scene.toml"
     file.write_text(f'kind = "plates"\n{text}\n')
     with pytest.raises(SonarrecError, match=words):
-        plate_scene(file)
+        load_scene(file)

@@ -18,7 +18,7 @@ from sonarrec.simulation.scene import (
     Scene,
     SonarSection,
 )
-from sonarrec.simulation.truth import DistractorTruth
+from sonarrec.simulation.truth import Truth
 from sonarrec.truth.match import share_in_image
 from tests.support.bare import BARE, BIN_M, POLAR, mean_power, power
 from tests.support.command import sonarrec
@@ -104,7 +104,7 @@ def test_image_follows_the_truth_through_heave_and_sway() -> None:
     assert np.ptp([seen_where_it_is(frame, scene).range_m for frame in render(scene)]) > 0.05
 
 
-def seen_where_it_is(frame: SimulatedFrame, scene: Scene) -> DistractorTruth:
+def seen_where_it_is(frame: SimulatedFrame, scene: Scene) -> Truth:
     """The truth of the one object, which has a strong echo where it says."""
     (row,) = frame.distractors
     line, column = np.nonzero(cv2.blur(power(frame.image, scene), (5, 5)) > 60)

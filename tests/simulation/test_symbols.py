@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sonarrec.landmarks import load_landmarks
-from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS, symbol
+from sonarrec.simulation.objects import symbol
+from sonarrec.simulation.scene import LEARNED_SYMBOLS, OTHER_SYMBOLS
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern
 from tests.support.slow import but_first

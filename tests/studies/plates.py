@@ -20,7 +20,7 @@ from sonarrec.arrays import BoolArray
 from sonarrec.evaluation.intervals import bootstrap_weights, interval
 from sonarrec.landmarks import DrawnSet
 from sonarrec.nouns import Estimate
-from sonarrec.simulation.plates import PlateTruth
+from sonarrec.simulation.truth import Truth
 from tests.studies.learning.plates import SIDE, SIDE_M, apart, random_scene, set_of, stages_of
 from tests.support.simulated import WHOLE, in_processes
 
@@ -102,7 +102,7 @@ def count(seed: int) -> Counted:
     return Counted(seed, *counted.tolist())
 
 
-def off_m(one: Estimate | PlateTruth, other: Estimate | PlateTruth) -> float:
+def off_m(one: Estimate | Truth, other: Estimate | Truth) -> float:
     """Distance of two in the plane of the image."""
     at = [p.range_m * cmath.exp(1j * math.radians(p.bearing_deg)) for p in (one, other)]
     return abs(at[0] - at[1])

@@ -11,7 +11,7 @@ import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -32,7 +32,7 @@ from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
-from sonarrec.simulation.truth import LandmarkTruth
+from sonarrec.simulation.truth import TRUTH_COLUMNS
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
@@ -100,7 +100,7 @@ def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
         for result in recogniser.recognise(seen()):
             writer.write(replace(result, estimates=(*result.estimates, *waiting.popleft())))
         writer.finish([])
-    write_truth(job.folder / "gt.csv", ["frame", *(f.name for f in fields(LandmarkTruth))], truth)
+    write_truth(job.folder / "gt.csv", [*TRUTH_COLUMNS], truth)
 
 
 def in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:

@@ -12,7 +12,7 @@ from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, describe
 from sonarrec.recogniser.stage3.model import BUILT_IN
 from sonarrec.simulation.scene import Scene
-from sonarrec.simulation.truth import LandmarkTruth
+from sonarrec.simulation.truth import Truth
 from tests.studies.learning.matrices import FRAMES, labelled, scene_frames
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
@@ -46,7 +46,7 @@ def simulated(kind: str, seed: int) -> Samples:
 
 def samples_of(scene: Scene) -> Samples:
     """Samples from a simulated recording."""
-    truth: list[tuple[int, LandmarkTruth]] = []
+    truth: list[tuple[int, Truth]] = []
     tracks = describe(scene_frames(scene, truth), preset("default"), scene.landmark_set)
     return labelled(tracks, truth)
 

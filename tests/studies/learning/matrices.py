@@ -24,7 +24,7 @@ from sonarrec.recogniser.stage3.description import Describer
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_sonar
-from sonarrec.simulation.truth import LandmarkTruth
+from sonarrec.simulation.truth import Truth
 from tests.studies.learning.random_scenes import random_scene
 from tests.studies.learning.second_renderer import MAP_KINDS, map_frames, map_scene
 
@@ -74,7 +74,7 @@ def gather(kind: str, seed: int, folder: Path) -> Path:
     path = folder / f"{kind}_{seed}.npz"
     if path.exists():
         return path
-    truth: list[tuple[int, LandmarkTruth]] = []
+    truth: list[tuple[int, Truth]] = []
     if kind in MAP_KINDS:
         scene = map_scene(seed, kind, FRAMES)
         frames = map_frames(scene, kind, truth)
@@ -124,7 +124,7 @@ def read(path: Path) -> Matrices:
     return Matrices(path.stem.rpartition("_")[0], discs, average, count, **kept)
 
 
-def labelled(tracks: Tracks, truth: Iterable[tuple[int, LandmarkTruth]]) -> Samples:
+def labelled(tracks: Tracks, truth: Iterable[tuple[int, Truth]]) -> Samples:
     """The tracks of a simulated recording with what they truly are. truth: with its frames."""
     truth = list(truth)
     polar = np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)
@@ -136,7 +136,7 @@ def labelled(tracks: Tracks, truth: Iterable[tuple[int, LandmarkTruth]]) -> Samp
     )
 
 
-def scene_frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Frame]:
+def scene_frames(scene: Scene, truth: list[tuple[int, Truth]]) -> Iterator[Frame]:
     """A scene's frames as a reader would give them; their truth is added to `truth`."""
     polar = None
     for frame in render(scene):

@@ -27,14 +27,9 @@ from sonarrec.recogniser.drawn.model import MODEL, of_ids, of_one
 from sonarrec.recogniser.drawn.pose import Fit
 from sonarrec.recogniser.drawn.stage3 import PlateEvidence
 from sonarrec.recogniser.drawn.three_stages import DrawnStages, smooth
-from sonarrec.simulation.plates import (
-    HeldPlate,
-    PlateFrame,
-    PlateScene,
-    PlateTruth,
-    plate_sonar,
-    render_plates,
-)
+from sonarrec.simulation.render import SimulatedFrame, render
+from sonarrec.simulation.scene import HeldPlate, PlateScene, scene_sonar
+from sonarrec.simulation.truth import Truth
 from tests.support.simulated import in_processes
 
 SEEDS, FRAMES = range(1000, 1090), 24
@@ -173,14 +168,14 @@ def random_scene(
     )
 
 
-def stages_of(scene: PlateScene) -> tuple[DrawnStages, Iterator[tuple[PlateFrame, Frame]]]:
+def stages_of(scene: PlateScene) -> tuple[DrawnStages, Iterator[tuple[SimulatedFrame, Frame]]]:
     """What recognises a recording, and its frames."""
-    polar = PolarToFan(plate_sonar(scene).complete("scene"), scene.bins, scene.beams)
+    polar = PolarToFan(scene_sonar(scene).complete("scene"), scene.bins, scene.beams)
     config = preset("default")
     config = replace(config, features=replace(config.features, beam_width_deg=scene.beam_width_deg))
     frames = (
         (shot, Frame(shot.index, shot.timestamp_ns, shot.image, polar.fan, polar=polar))
-        for shot in render_plates(scene)
+        for shot in render(scene)
     )
     return DrawnStages(config, polar.fan, scene.landmark_set, "framework"), frames
 
@@ -205,7 +200,7 @@ def lessons_of_pictures(seed: int) -> list[Part]:
     return [(features[:, None], np.array(label, int), np.ones(len(label)))]
 
 
-def _fits(stages: DrawnStages, fit: Fit, true: PlateTruth) -> bool:
+def _fits(stages: DrawnStages, fit: Fit, true: Truth) -> bool:
     """Whether it is the true drawing, with its corners where they are."""
     if fit.row != true.landmark:
         return False

@@ -15,6 +15,8 @@ from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.scene import (
     KINDS,
+    LEARNED_SYMBOLS,
+    OTHER_SYMBOLS,
     SYMBOLS,
     FadingSection,
     FloorSection,
@@ -28,7 +30,6 @@ from sonarrec.simulation.scene import (
     check_scene,
     position_of,
 )
-from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
 from tests.studies.learning.other_worlds import OTHER_WORLDS, in_world, vehicle_motion
 
 KINDS_OF_SCENE = (

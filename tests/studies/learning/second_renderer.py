@@ -18,6 +18,7 @@ from sonarrec.arrays import BoolArray, FloatArray, FloatImage
 from sonarrec.geometry import PolarToFan
 from sonarrec.nouns import Frame
 from sonarrec.simulation.motion import poses
+from sonarrec.simulation.objects import symbol
 from sonarrec.simulation.scene import (
     SYMBOLS,
     PlacedLandmark,
@@ -28,8 +29,7 @@ from sonarrec.simulation.scene import (
     scene_fan,
     scene_sonar,
 )
-from sonarrec.simulation.symbols import symbol
-from sonarrec.simulation.truth import LandmarkTruth, truth_in_view
+from sonarrec.simulation.truth import Truth, truth_in_view
 from tests.studies.learning.random_scenes import random_scene
 
 MAP_KINDS = ("map_plain", "map_low", "map_relief", "map_amplitude", "map_buried", "map_clutter")
@@ -62,7 +62,7 @@ def map_scene(seed: int, kind: str, frames: int) -> Scene:
     return replace(scene, landmarks=(), objects=(*scene.objects, *fakes))
 
 
-def map_frames(scene: Scene, kind: str, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Frame]:
+def map_frames(scene: Scene, kind: str, truth: list[tuple[int, Truth]]) -> Iterator[Frame]:
     """The frames as a reader would give them; their truth is added to `truth`."""
     rng = np.random.default_rng([scene.seed, MAP_KINDS.index(kind), 77])
     sonar, fan = scene.sonar, scene_fan(scene)
