@@ -65,5 +65,5 @@ def calibrate(
         )
     with writing(out):
         write_text(out, report.as_toml())
-    lines = [*report.summary(), f"{out}: model, for `sonarrec run --model`"]
+    lines = [*report.summary, f"{out}: model, for `sonarrec run --model`"]
     finish(report.diagnostics, quiet, lines)

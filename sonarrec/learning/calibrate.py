@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray
+from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
 from sonarrec.landmarks import LandmarkSet
@@ -28,81 +28,22 @@ from sonarrec.truth.fits import misfit, tell_fit, tell_other_logs, tell_rows, wi
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import HEADER, TRUTH_FILE, TruthTable, read_truth
 
-Gain = tuple[float, float, float]
-"""Mean log likelihood by the built-in and the learned model, and standard error of the gain."""
-Labelled = tuple[tuple[int, int], tuple[int, int]]
-"""(positions at which truth has something to be seen, landmarks: IDs of each log, whose discs are
-taken for one), then the same of those on which a track lay."""
-Strangers = tuple[int, float, float]
-"""Frames of tracks on strangers, and the mean belief in an ID by the built-in and learned model."""
-
 
 @dataclass(frozen=True, slots=True)
 class LearningReport:
-    """A learned model, with what it was learned from and how good it is.
-
-    frames: of all logs. seen: per ID of the set, then for 'none of these', the frames in which a
-    track showed it and the number of such tracks. gain: by models learned without the landmark or
-    other track; None if it is not measured, see `gain_on_the_rest`. labelled: in the frames that
-    were read. strangers: mean belief in any ID where the truth has a stranger, by the built-in and
-    by the learned model; None without. diagnostics: what could not be used, and what the recordings
-    do not teach.
-    """
+    """A learned model; lines to print on what it was learned from and how good it is; and what
+    could not be used, and what the recordings do not teach."""
 
     model: AppearanceModel
-    landmarks: LandmarkSet
-    logs: tuple[str, ...]
-    frames: int
-    seen: tuple[tuple[int, int], ...]
-    gain: Gain | None
-    labelled: Labelled
-    strangers: Strangers | None
+    summary: list[str]
     diagnostics: Diagnostics
-
-    def summary(self) -> list[str]:
-        """Lines to print on what the model was learned from, and how good it is."""
-        names = [f"ID.{i}" for i in self.landmarks.ids] + ["none of these"]
-        # They go into a comment too, where a line break in a name would end it.
-        logs = ", ".join(map(printable, self.logs))
-        lines = [f"learned from {number_of(self.frames, 'frame')} of {logs}"]
-        lines += [
-            f"  {name:<13} {frames:>6} {'frame' if frames == 1 else 'frames':<6} "
-            f"{tracks:>4} {'track' if tracks == 1 else 'tracks'}"
-            for name, (frames, tracks) in zip(names, self.seen, strict=True)
-        ]
-        (positions, landmarks), (positions_met, landmarks_met) = self.labelled
-        lines.append(
-            f"tracks lay on {positions_met} of {number_of(positions, 'labelled position')}, and on "
-            f"{landmarks_met} of {number_of(landmarks, 'landmark')} (each ID of a log counts as "
-            "one)"
-        )
-        if self.strangers is not None:
-            frames, before, after = self.strangers
-            lines.append(
-                f"strangers in {number_of(frames, 'frame')}: mean belief in an ID by the built-in "
-                f"model {before:.3f}, learned {after:.3f}"
-            )
-        if self.gain is None:
-            return [
-                *lines,
-                f"with fewer than {FOLDS} tracks of landmarks, or of others, or with one landmark, "
-                "the gain over the built-in model is not measured",
-            ]
-        before, after, error = self.gain
-        return [
-            *lines,
-            "log likelihood per track and frame, on landmarks and other tracks left out: "
-            f"built-in model {before:.3f}, learned {after:.3f}",
-            f"gain {after - before:+.3f}, with a standard error of {error:.3f} over landmarks and "
-            "other tracks",
-        ]
 
     def as_toml(self) -> str:
         """The model as a file, with what it was learned from as comments."""
         head = [
             "Log odds of an ID against 'none of these' = bias + the curves of all features.",
             f"{MODEL_MARK}:",
-            *self.summary(),
+            *self.summary,
         ]
         return "".join(f"# {line}\n" for line in head) + self.model.as_toml()
 
@@ -157,26 +98,7 @@ def learn(
     for file, table in tables.items():
         if truths.count(file) > 1:  # of one log a truth of several is used as it is
             tell_other_logs(told, table, names, "they teach nothing")
-    parts = [lesson.samples for lesson in used]
-    built_in = built_in_model()
-    model = fit(parts, built_in)
-    seen = []  # frames and tracks of each ID, then of 'none of these'
-    for label_index in range(len(landmarks.ids) + 1):
-        tracks = [p.track[p.label == label_index] for p in parts]
-        seen.append((sum(map(len, tracks)), sum(len(np.unique(t)) for t in tracks)))
-    gain = gain_on_the_rest(parts)
-    told.note(*_not_taught(landmarks, seen, gain))
-    labelled = np.sum([lesson.labelled for lesson in used], axis=0).tolist()
-    logs, frames = tuple(lesson.log for lesson in used), sum(lesson.frames for lesson in used)
-    strange = [part_of(lesson.samples, lesson.strange) for lesson in used]
-    before, after = (
-        np.concatenate([1 - m.probabilities(s.features, s.smear)[:, -1] for s in strange])
-        for m in (built_in, model)
-    )
-    strangers = (len(after), float(before.mean()), float(after.mean())) if len(after) else None
-    return LearningReport(
-        model, landmarks, logs, frames, tuple(seen), gain, labelled, strangers, told
-    )
+    return _learned(used, landmarks, told)
 
 
 def _truth_beside(path: str | Path) -> Path:
@@ -194,8 +116,9 @@ class _Lesson:
     """What one log teaches.
 
     log: its name. samples: of its tracks. strange: (n,) which of them lie on a stranger. frames:
-    how many were read. rows: of truth for it. misfit: why its truth cannot be that of
-    the log, so that nothing is learned; None if it can.
+    how many were read. rows: of truth for it. labelled: (positions at which truth has something to
+    be seen, landmarks: IDs, whose discs are taken for one), then those that a track lay on. misfit:
+    why its truth cannot be that of the log, so that nothing is learned; None if it can.
     """
 
     log: str
@@ -203,7 +126,7 @@ class _Lesson:
     strange: BoolArray
     frames: int
     rows: int
-    labelled: Labelled
+    labelled: IntArray
     misfit: str | None
 
 
@@ -234,7 +157,18 @@ def _lesson(
     truth = match_truth(table, tracks)
     strangers = match_truth(table, tracks, strangers=True)
     samples, strange = _labelled(tracks, truth, strangers)
-    unlike = misfit(table, tracks, truth) or _no_track_on_a_row(table, tracks, truth, samples)
+    assert truth.position is not None
+    shown = truth.visible > 0
+    met = shown & lain_on(tracks, truth.frame_index, truth.position)
+    labelled = [(rows.sum(), len(np.unique(truth.landmark_index[rows]))) for rows in (shown, met)]
+    unlike = misfit(table, tracks, truth)
+    if unlike is None and shown.any() and not (samples.label < len(landmarks.ids)).any():
+        # Landmarks where the truth does not have them would be learned as "none of these".
+        unlike = (
+            f"{table.path}: no track of {name} lies within {2 * ON * landmarks.radius_m:.3g} m of "
+            f"any of its {number_of(int(shown.sum()), 'position')}; are they of this geometry? "
+            "`sonarrec truth check` draws them"
+        )
     told.note(*(f"{name}: {line}" for line in beams))
     told.problem(*log.diagnostics.problems)
     if unlike is not None:
@@ -248,39 +182,8 @@ def _lesson(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
                 f"was read of {name}; they teach nothing"
             )
-    rows, counted = truth.rows + strangers.rows, _counted(tracks, truth)
-    return _Lesson(name, samples, strange, len(tracks.frame), rows, counted, unlike)
-
-
-def _counted(tracks: Tracks, truth: Truth) -> Labelled:
-    assert truth.position is not None
-    shown = truth.visible > 0
-    met = shown & lain_on(tracks, truth.frame_index, truth.position)
-    whole, part = (
-        (int(rows.sum()), len(np.unique(truth.landmark_index[rows]))) for rows in (shown, met)
-    )
-    return whole, part
-
-
-def _not_taught(
-    landmarks: LandmarkSet, seen: Sequence[tuple[int, int]], gain: Gain | None
-) -> Iterator[str]:
-    """A line for each thing that the recordings do not show.
-
-    The arguments are the fields of LearningReport.
-    """
-    unseen = [f"ID.{i}" for i, (n, _) in zip(landmarks.ids, seen[:-1], strict=True) if not n]
-    if unseen:
-        yield (
-            f"{', '.join(unseen)} never seen: all IDs share the curves, but whether they "
-            "fit these IDs is not shown"
-        )
-    # As they are printed, so that figures that look equal count as equal.
-    if gain is not None and round(gain[1], 3) < round(gain[0], 3):
-        yield (
-            "the built-in model judges the tracks left out better than what is learned without "
-            "them; label more passes, or keep to the built-in model"
-        )
+    rows, frames = truth.rows + strangers.rows, len(tracks.frame)
+    return _Lesson(name, samples, strange, frames, rows, np.array(labelled), unlike)
 
 
 def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, BoolArray]:
@@ -307,18 +210,64 @@ def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, 
     return replace(samples, label=np.minimum(samples.label, ids)), strange
 
 
-def _no_track_on_a_row(
-    table: TruthTable, tracks: Tracks, truth: Truth, samples: Samples
-) -> str | None:
-    """Why nothing is learned from a log whose landmarks no track lies on; None if one does.
-
-    Landmarks where the truth does not have them would be learned as "none of these".
-    """
-    seen = int(np.count_nonzero(truth.visible > 0))
-    if not seen or (samples.label < len(tracks.landmarks.ids)).any():
-        return None
-    return (
-        f"{table.path}: no track of {tracks.name} lies within "
-        f"{2 * ON * tracks.landmarks.radius_m:.3g} m of any of its {number_of(seen, 'position')}; "
-        "are they of this geometry? `sonarrec truth check` draws them"
+def _learned(used: Sequence[_Lesson], landmarks: LandmarkSet, told: Diagnostics) -> LearningReport:
+    """Learn from the lessons, and compare with the built-in model."""
+    parts = [lesson.samples for lesson in used]
+    built_in = built_in_model()
+    model, gain = fit(parts, built_in), gain_on_the_rest(parts)
+    # They go into a comment too, where a line break in a name would end it.
+    logs = ", ".join(printable(lesson.log) for lesson in used)
+    frames = sum(lesson.frames for lesson in used)
+    lines, unseen = [f"learned from {number_of(frames, 'frame')} of {logs}"], []
+    for k, name in enumerate([*(f"ID.{i}" for i in landmarks.ids), "none of these"]):
+        tracks = [p.track[p.label == k] for p in parts]
+        seen, number = sum(map(len, tracks)), sum(len(np.unique(t)) for t in tracks)
+        frame, track = "frame" if seen == 1 else "frames", "track" if number == 1 else "tracks"
+        lines.append(f"  {name:<13} {seen:>6} {frame:<6} {number:>4} {track}")
+        unseen += [name] if not seen and k < len(landmarks.ids) else []
+    labelled = np.sum([lesson.labelled for lesson in used], axis=0).tolist()
+    (positions, discs), (positions_met, discs_met) = labelled
+    lines.append(
+        f"tracks lay on {positions_met} of {number_of(positions, 'labelled position')}, and on "
+        f"{discs_met} of {number_of(discs, 'landmark')} (each ID of a log counts as one)"
     )
+    strange = [part_of(lesson.samples, lesson.strange) for lesson in used]
+    before, after = (  # belief in any ID
+        np.concatenate([1 - m.probabilities(s.features, s.smear)[:, -1] for s in strange])
+        for m in (built_in, model)
+    )
+    if len(after):
+        lines.append(
+            f"strangers in {number_of(len(after), 'frame')}: mean belief in an ID by the built-in "
+            f"model {before.mean():.3f}, learned {after.mean():.3f}"
+        )
+    if gain is None:
+        lines.append(
+            f"with fewer than {FOLDS} tracks of landmarks, or of others, or with one landmark, "
+            "the gain over the built-in model is not measured"
+        )
+    else:
+        was, now, error = gain
+        lines += [
+            "log likelihood per track and frame, on landmarks and other tracks left out: "
+            f"built-in model {was:.3f}, learned {now:.3f}",
+            f"gain {now - was:+.3f}, with a standard error of {error:.3f} over landmarks and "
+            "other tracks",
+        ]
+    told.note(*_not_taught(unseen, gain))
+    return LearningReport(model, lines, told)
+
+
+def _not_taught(unseen: Sequence[str], gain: tuple[float, float, float] | None) -> Iterator[str]:
+    """A line for each thing that the recordings do not show. gain: as of gain_on_the_rest."""
+    if unseen:
+        yield (
+            f"{', '.join(unseen)} never seen: all IDs share the curves, but whether they "
+            "fit these IDs is not shown"
+        )
+    # As they are printed, so that figures that look equal count as equal.
+    if gain is not None and round(gain[1], 3) < round(gain[0], 3):
+        yield (
+            "the built-in model judges the tracks left out better than what is learned without "
+            "them; label more passes, or keep to the built-in model"
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from itertools import pairwise
 
@@ -111,16 +111,12 @@ def _basis(features: FloatArray, knots: Sequence[FloatArray]) -> npt.NDArray[np.
 
 def _penalty(knots: Sequence[FloatArray], bias: float = 1e-3) -> FloatArray:
     """(D, D) quadratic form: RIDGE on every value, SMOOTHNESS on every second difference."""
-    blocks = [np.full((1, 1), bias)]
+    form = np.diag([bias] + [RIDGE] * sum(map(len, knots)))
+    start = 1
     for at in knots:
-        bend = np.diff(np.eye(len(at)), 2, axis=0)
-        blocks.append(RIDGE * np.eye(len(at)) + SMOOTHNESS * bend.T @ bend)
-    size = sum(len(b) for b in blocks)
-    form = np.zeros((size, size))
-    start = 0
-    for block in blocks:
-        form[start : start + len(block), start : start + len(block)] = block
-        start += len(block)
+        bend, end = np.diff(np.eye(len(at)), 2, axis=0), start + len(at)
+        form[start:end, start:end] += SMOOTHNESS * bend.T @ bend
+        start = end
     return form
 
 
@@ -133,11 +129,13 @@ def _likelihood(
     """
     size = len(curves)
     loss, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
-    for features, smear, label in _blocks(recordings):
+    blocks = ((r, first) for r in recordings for first in range(0, len(r.label), AT_ONCE))
+    for recording, first in blocks:
+        samples = part_of(recording, slice(first, first + AT_ONCE))
         # Made again in every step: kept, they are thirty times as large as the features.
-        x = _basis(features, knots)
+        x = _basis(samples.features, knots)
         n, ids, _ = x.shape
-        share = smeared_share(smear).astype(np.float32)
+        share = smeared_share(samples.smear).astype(np.float32)
         if share.any():  # else the smear adds nothing: half as wide is four times as quick
             x = np.concatenate([x, x * share[:, None, None]], axis=2)
         width = x.shape[2]
@@ -147,24 +145,14 @@ def _likelihood(
         p = np.exp(logits - top)
         total = p.sum(axis=1, keepdims=True)
         p = (p / total)[:, :ids]
-        rows = np.flatnonzero(label < ids)
-        label = label[rows]
+        rows = np.flatnonzero(samples.label < ids)
+        label = samples.label[rows]
         loss += float((top + np.log(total)).sum() - logits[rows, label].sum())
         expected = np.einsum("nk,nkd->nd", p, x)
         gradient[:width] += x[rows, label].sum(axis=0, dtype=float) - expected.sum(axis=0)
         weighted = (x * np.sqrt(p)[..., None]).reshape(-1, width)
         curvature[:width, :width] += weighted.T @ weighted - expected.T @ expected
     return loss, gradient, curvature
-
-
-def _blocks(
-    recordings: Sequence[Samples],
-) -> Iterator[tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]]:
-    """Features, smear and label of AT_ONCE samples or fewer, of one recording each time."""
-    for recording in recordings:
-        for first in range(0, len(recording.label), AT_ONCE):
-            part = slice(first, first + AT_ONCE)
-            yield recording.features[part], recording.smear[part], recording.label[part]
 
 
 FOLDS = 5
@@ -206,11 +194,12 @@ def gain_on_the_rest(parts: Sequence[Samples]) -> tuple[float, float, float] | N
     before, after, of_unit = [], [], []
     for k in range(FOLDS):
         taught = [part_of(p, fold != k) for p, fold in zip(parts, folds, strict=True)]
-        left_out = [part_of(p, fold == k) for p, fold in zip(parts, folds, strict=True)]
         learned = fit(taught, built_in)
-        before += [_log_likelihood(built_in, p) for p in left_out]
-        after += [_log_likelihood(learned, p) for p in left_out]
-        of_unit += [unit[fold == k] for unit, fold in zip(units, folds, strict=True)]
+        for part, unit, fold in zip(parts, units, folds, strict=True):
+            left_out = part_of(part, fold == k)
+            before.append(_log_likelihood(built_in, left_out))
+            after.append(_log_likelihood(learned, left_out))
+            of_unit.append(unit[fold == k])
     was, now = np.concatenate(before), np.concatenate(after)
     error = _standard_error(now - was, np.concatenate(of_unit))
     return float(was.mean()), float(now.mean()), error
@@ -226,9 +215,9 @@ def _standard_error(values: FloatArray, cluster: IntArray) -> float:
     return float(np.sqrt(count / (count - 1) * np.sum(sums**2)) / len(values))
 
 
-def part_of(samples: Samples, mask: BoolArray) -> Samples:
-    """The samples that an (n,) mask chooses."""
-    return Samples(*(getattr(samples, f.name)[mask] for f in fields(Samples)))
+def part_of(samples: Samples, which: BoolArray | slice) -> Samples:
+    """The samples that an (n,) mask or a slice chooses."""
+    return Samples(*(getattr(samples, f.name)[which] for f in fields(Samples)))
 
 
 def _log_likelihood(model: AppearanceModel, samples: Samples) -> FloatArray:

@@ -77,28 +77,27 @@ def describe(
     """Run stages 1 and 2 over a recording and describe every track in every frame."""
     recorder = _Recorder()
     recogniser = fan = None
-    index, stamp, number, polar = [], [], [], []
+    times: list[tuple[int, int]] = []
+    where: list[tuple[int, int]] = []
+    polar: list[tuple[float, float]] = []
     features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)), np.float32)]
     smear: list[FloatArray] = [np.empty(0)]
-    rows: list[int] = []
     pictures = Levels(landmarks.radius_m).restored(Unchanging().filled(frames))
     for row, frame in enumerate(pictures):
         fan = fan or frame.fan
         recogniser = recogniser or ThreeStages(config, fan, landmarks, recorder, smi=None)
         tracks = recogniser.step(frame).estimates
-        index.append(frame.index)
-        stamp.append(frame.timestamp_ns)
-        rows += [row] * len(tracks)
-        number += [e.object for e in tracks]
+        times.append((frame.index, frame.timestamp_ns))
+        where += [(row, e.object) for e in tracks]
         polar += [(e.range_m, e.bearing_deg) for e in tracks]
         features.append(recorder.features[: len(tracks)].astype(np.float32))  # half the memory
         smear.append(recorder.smear[: len(tracks)])
-    frame_row, track = (np.array(column, np.int64) for column in (rows, number))
-    numbers, stamps = (np.array(column, np.int64) for column in (index, stamp))
+    index, stamp, of_frame, number = (
+        column for pairs in (times, where) for column in np.array(pairs, np.int64).reshape(-1, 2).T
+    )
     position = plane_from_polar(*np.array(polar).reshape(-1, 2).T)
     described = np.concatenate(features), np.concatenate(smear)
-    where = numbers, stamps, frame_row, track, position
-    return Tracks(name, landmarks, fan, *where, *described)
+    return Tracks(name, landmarks, fan, index, stamp, of_frame, number, position, *described)
 
 
 def _distances(
