@@ -11,7 +11,7 @@ import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -32,7 +32,7 @@ from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
-from sonarrec.simulation.truth import TRUTH_COLUMNS
+from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
@@ -93,7 +93,7 @@ def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
 
         def seen() -> Iterator[Frame]:
             for frame in frames or render(scene):
-                truth.extend([frame.index, *asdict(row).values()] for row in frame.truth)
+                truth.extend(truth_rows(frame.index, frame.truth))
                 waiting.append([e for rival in rivals for e in rival.step(frame.image)])
                 yield Frame(frame.index, frame.timestamp_ns, frame.image, fan)
 
