@@ -36,7 +36,7 @@ MOST_LINES = {
     **{"cli": 3300, "drawing": 820, "evaluation": 5360, "geometry": 450},
     **{"learning": 640, "mapping": 1380, "overlays": 470, "readers": 6445},
     **{"recogniser": 6510, "reports": 1830, "results": 1800, "runs": 1750},
-    **{"simulation": 2540, "tables": 950, "truth": 1340},
+    **{"simulation": 2540, "tables": 950, "truth": 1195},
 }
 """Of a room; set to what stands after an issue, and it only falls."""
 SMALL = 400  # lines of a room of one module

@@ -32,7 +32,7 @@ from sonarrec.evaluation.summary import SEED, units_text
 from sonarrec.nouns import follows
 from sonarrec.results.columns import chosen
 from sonarrec.results.run_file import read_run
-from sonarrec.truth.fits import tell_rows
+from sonarrec.truth.check import tell_rows
 
 
 def compare(

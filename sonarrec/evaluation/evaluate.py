@@ -26,7 +26,7 @@ from sonarrec.evaluation.tables import Evaluation
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.results.same_log import CountedOnce
 from sonarrec.sonar import Sonar
-from sonarrec.truth.fits import tell_other_logs, tell_rows
+from sonarrec.truth.check import tell_other_logs, tell_rows
 from sonarrec.truth.table import TruthTable, read_truth
 
 

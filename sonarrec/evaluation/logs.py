@@ -24,7 +24,7 @@ from sonarrec.results.read import LogResults, not_whole, read_log
 from sonarrec.results.run_file import read_run
 from sonarrec.results.same_log import Recording, TruthOf, recording
 from sonarrec.runs import cores
-from sonarrec.truth.fits import FEWEST, misfit, tell_fit, without_rows
+from sonarrec.truth.check import FEWEST, misfit, tell_fit, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 

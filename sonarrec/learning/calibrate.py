@@ -24,7 +24,7 @@ from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
 from sonarrec.tables.outputs import MODEL_MARK
-from sonarrec.truth.fits import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
+from sonarrec.truth.check import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import HEADER, TRUTH_FILE, TruthTable, read_truth
 

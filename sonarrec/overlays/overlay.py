@@ -30,7 +30,7 @@ from sonarrec.results.same_log import check_same_log, last_frame
 from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.tables.outputs import Kind, check_output, writing
-from sonarrec.truth.fits import misfit, without_rows
+from sonarrec.truth.check import misfit, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
 

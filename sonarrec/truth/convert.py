@@ -104,34 +104,27 @@ def convert(
             f"{number_of(len(without), 'annotation')} without one centre, {more}, left out"
         )
     ids = _landmark_ids(Counter(label for _, label, *_ in found), labels or {}, landmarks, told)
-    files = find_log(log.path).files if log is not None else []
-    in_log = [file.name for file in files if is_image(file)]
-    frames, rule = _frames_of([i.file_name for i in coco.images], in_log)
-    if rule is None:
-        frames = {name: number - first_frame for name, number in frames.items()}
-        rule = f"frames by the number that ends every image name, from {first_frame}"
+    frames, rule = _frames_of([image.file_name for image in coco.images], first_frame, log)
     if min(frames.values(), default=0) < 0 or len(set(frames.values())) < len(frames):
         raise SonarrecError(
             f"{source}: images before the log's first frame, or two of one frame ({rule}); give "
             "--log, another --first-frame, or annotations of one log only"
         )
-    if missing := {i.file_name for i, *_ in found} - set(frames):
+    if missing := {image.file_name for image, *_ in found} - set(frames):
         told.problem(f"{number_of(len(missing), 'image')} not in the log, such as {min(missing)}")
     used = [one for one in found if one[1] in ids and one[0].file_name in frames]
     if told.problems and not used:
         raise SonarrecError(f"{source}: nothing can be used: {'; '.join(told.problems)}")
     x, y, visible = np.array([one[2:] for one in used], float).reshape(-1, 3).T
     if log is not None and used:
-        sizes = {(i.width, i.height) for i, *_ in used}
+        sizes = {(image.width, image.height) for image, *_ in used}
         x, y, shown = _in_fan_pixels(source, sizes, log, x, y, landmarks.radius_m)
         visible = np.minimum(visible, shown)
-    rows = sorted(
-        {
-            (frames[image.file_name], ids[label], f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
-            for n, (image, label, *_) in enumerate(used)
-        }
-    )
-    write_truth(out, HEADER.split(","), rows)
+    rows = {
+        (frames[image.file_name], ids[label], f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
+        for n, (image, label, *_) in enumerate(used)
+    }
+    write_truth(out, HEADER.split(","), sorted(rows))
     told.note(rule)
     counts = Counter(row[1] for row in rows)
     return {i: counts[i] for i in landmarks.ids if counts[i]}, told
@@ -141,11 +134,11 @@ def _centre(one: _Annotation) -> tuple[float, float, float] | None:
     """(x, y, visible) of one annotation; None if it has no one position."""
     stated = {str(k).lower(): v for k, v in (one.attributes or {}).items()}
     visible = PARTLY_HIDDEN if stated.get("occluded") in (True, 1, "true") else 1.0
-    points = np.reshape((one.keypoints or [])[: len(one.keypoints or []) // 3 * 3], (-1, 3))
-    labelled = points[points[:, 2] > 0] if len(points) else points
+    k = one.keypoints or []
+    labelled = [point for point in zip(k[::3], k[1::3], k[2::3], strict=False) if point[2] > 0]
     if len(labelled) == 1:
         # A keypoint names a pixel; boxes and polygons run along the edges between pixels.
-        x, y, flag = labelled[0].tolist()
+        x, y, flag = labelled[0]
         return x, y, min(visible, PARTLY_HIDDEN if flag == 1 else 1.0)
     outlines = one.segmentation
     if isinstance(outlines, list) and len(outlines) == 1 and len(outlines[0]) >= 6:
@@ -185,15 +178,18 @@ def _landmark_ids(
     return ids
 
 
-def _frames_of(images: Sequence[str], in_log: Sequence[str]) -> tuple[dict[str, int], str | None]:
-    """(the frame of each image that has one, the rule; None: by the numbers that end the names).
+def _frames_of(
+    images: Sequence[str], first_frame: int, log: Log | None
+) -> tuple[dict[str, int], str]:
+    """(the frame of each image that has one, the rule).
 
     An image is found by its name in the log, in any folder and with any suffix. If the log has no
     names, the number at the end of every name counts; else the natural order of the names.
     """
     stems = {name: Path(unquote(name.replace("\\", "/").partition("?")[0])).stem for name in images}
-    of_log = {Path(name).stem: n for n, name in enumerate(in_log)}
-    if not set(stems.values()) & set(of_log):
+    in_log = [] if log is None else [file for file in find_log(log.path).files if is_image(file)]
+    of_log = {file.stem: n for n, file in enumerate(in_log)}
+    if not of_log.keys() & stems.values():
         stems = {name: _HASH.sub("", stem) for name, stem in stems.items()}
     if in_log:
         found = {name: of_log[stem] for name, stem in stems.items() if stem in of_log}
@@ -201,9 +197,9 @@ def _frames_of(images: Sequence[str], in_log: Sequence[str]) -> tuple[dict[str, 
             raise SonarrecError(f"no image of the log is called {images[0]!r}; give its own log")
         return found, "frames by image name in the log"
     ends = {name: _LAST_NUMBER.search(stem) for name, stem in stems.items()}
-    numbers = {name: int(end[0]) for name, end in ends.items() if end}
+    numbers = {name: int(end[0]) - first_frame for name, end in ends.items() if end}
     if len(numbers) == len(stems):
-        return numbers, None
+        return numbers, f"frames by the number that ends every image name, from {first_frame}"
     order = sorted(stems, key=lambda name: natural_order(stems[name]))
     by_order = "frames by the natural order of the images listed; give --log where it has more"
     return {name: n for n, name in enumerate(order)}, by_order

@@ -26,26 +26,25 @@ from sonarrec.truth.table import TruthTable
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The T landmarks in view of one log's processed frames."""
+    """The T landmarks in view of one log's processed frames.
+
+    frame_index: (T,) into ReadLog.frame. landmark_index: (T,) into the set's ids; the number of IDs
+    for a stranger. visible: (T,) share of the disc, 0 to 1. position: (T, 2) m in the fan plane, to
+    the right and ahead; None if not known. orientation: (T,) deg, as in estimates.csv; None without
+    the column. rows: number of rows of gt.csv on this log; of these `unprocessed` are on frames
+    that were not processed, `between` left out because a row with a nearer time has the frame.
+    tolerance_ns: longest time from a row to its frame; None if rows name frames by number.
+    """
 
     frame_index: IntArray
-    """(T,) into ReadLog.frame."""
     landmark_index: IntArray
-    """(T,) into the set's ids; the number of IDs for a stranger."""
     visible: FloatArray
-    """(T,) share of the disc, 0 to 1."""
     position: FloatArray | None
-    """(T, 2) m in the fan plane: to the right, ahead; None if positions are not known."""
     orientation: FloatArray | None
-    """(T,) deg, as in estimates.csv; None without the column."""
     rows: int
-    """Number of rows of gt.csv on this log."""
     unprocessed: int
-    """Number of these on frames that were not processed."""
     between: int
-    """Number of these left out because a row with a nearer time has the frame."""
     tolerance_ns: float | None
-    """Longest time from a row to its frame; None if rows name frames by number."""
 
     def pixels(self, fan: Fan) -> FloatArray | None:
         """(T, 2) column and row in the fan image; None if positions are not known."""
@@ -108,32 +107,30 @@ def match_truth(
             f"{log.name}; name the right one with --landmarks, or put it beside the log as "
             "landmarks.toml"
         )
-    at = table.at[mine]
-    tolerance_ns = None
+    at, tolerance_ns, position = table.at[mine], None, None
     if table.key == "frame":
-        row = np.minimum(np.searchsorted(log.frame, at), len(log.frame) - 1)
-        matched = log.frame[row] == at
-        kept = matched
+        index = np.minimum(np.searchsorted(log.frame, at), len(log.frame) - 1)
+        matched = kept = log.frame[index] == at
+    elif log.timestamp_ns is None:
+        raise SonarrecError(
+            f"{table.path} names frames by timestamp_ns, but the frames.csv of {log.name} has "
+            "no such column; add it, or give the truth by frame"
+        )
     else:
-        if log.timestamp_ns is None:
-            raise SonarrecError(
-                f"{table.path} names frames by timestamp_ns, but the frames.csv of {log.name} has "
-                "no such column; add it, or give the truth by frame"
-            )
         tolerance_ns = _tolerance_ns(log.timestamp_ns, tolerance_s)
-        row, matched, kept = match_times(log.timestamp_ns, at, tolerance_s)
-    position = None
+        index, matched, kept = match_times(log.timestamp_ns, at, tolerance_s)
     if table.position is not None:
         position = plane_position(table.position, log.fan)
-    chosen = mine[kept]
+    row = mine[kept]
+    landmark_index = (
+        np.full(len(row), len(ids)) if strangers else log.landmarks.indices(table.landmark[row])
+    )
     return Truth(
-        frame_index=row[kept],
-        landmark_index=np.full(len(chosen), len(ids))
-        if strangers
-        else log.landmarks.indices(table.landmark[chosen]),
-        visible=table.visible[chosen],
-        position=None if position is None else position[chosen],
-        orientation=None if table.orientation is None else table.orientation[chosen],
+        frame_index=index[kept],
+        landmark_index=landmark_index,
+        visible=table.visible[row],
+        position=None if position is None else position[row],
+        orientation=None if table.orientation is None else table.orientation[row],
         rows=len(at),
         unprocessed=int(np.count_nonzero(~matched)),
         between=int(np.count_nonzero(matched & ~kept)),
@@ -142,15 +139,11 @@ def match_truth(
 
 
 def _tolerance_ns(timestamp_ns: IntArray, tolerance_s: float | None) -> float:
-    """The tolerance as stated; else half the median time between frames.
-
-    timestamp_ns: (F,) of the frames, in any order.
-    """
+    """The tolerance as stated; else half the median time between frames (F,), in any order."""
     if tolerance_s is not None:
         return tolerance_s * 1e9
-    if len(timestamp_ns) < 2:
-        return 0.0
-    return float(np.median(np.diff(np.sort(timestamp_ns)))) / 2
+    steps = np.diff(np.sort(timestamp_ns))
+    return float(np.median(steps)) / 2 if len(steps) else 0.0
 
 
 def match_times(
@@ -171,9 +164,9 @@ def match_times(
     matched = offset <= _tolerance_ns(timestamp_ns, tolerance_s)
     # Per frame the nearest time, the earlier of two equally near; all rows of that time stay.
     best = np.lexsort((at, offset, near))
-    firsts = best[np.unique(near[best], return_index=True)[1]] if len(at) else best
+    frames, first = np.unique(near[best], return_index=True)
     stamp = np.zeros(len(times), dtype=np.int64)
-    stamp[near[firsts]] = at[firsts]
+    stamp[frames] = at[best[first]]
     return order[near], matched, matched & (at == stamp[near])
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from math import dist
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_plane
 from sonarrec.nouns import follows
@@ -24,6 +25,8 @@ from sonarrec.truth.table import FILLED_IN, TRACKED, write_truth
 HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")
 LEAST_DECLARED = 5  # frames in which a track must have declared its ID
 LEAST_AGREEMENT = 0.9  # share of the declarations of a track that must name the same ID
+_Taken = defaultdict[tuple[int, int], list[list[float]]]
+"""Floor positions proposed so far, by frame and ID."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +64,8 @@ def propose(
         check_follows(method)
     if not 0 <= min_score <= 1:
         raise UsageError(f"--min-score {min_score:g}: a score is within 0 to 1")
-    folders = find_logs(results)
+    folders, diagnostics = find_logs(results), Diagnostics()
     tracks: list[ProposedTrack] = []
-    diagnostics = Diagnostics()
 
     def rows() -> Iterator[tuple[object, ...]]:
         """The rows of gt.csv, one log in memory at a time."""
@@ -79,9 +81,9 @@ def propose(
                 continue
             diagnostics.problem(*not_whole(log, "used"))
             of_log: list[tuple[object, ...]] = []
-            taken: dict[tuple[int, int], list[FloatArray]] = {}
-            for estimates in _tracks(folder, log, method or leading(log.methods)):
-                track, proposed = _propose(log, estimates, min_score, max_gap, taken)
+            taken: _Taken = defaultdict(list)
+            for ids, estimates in _tracks(folder, log, method or leading(log.methods)):
+                track, proposed = _propose(log, ids, estimates, min_score, max_gap, taken)
                 tracks.append(track)
                 of_log += proposed
             name = (log.name,) if len(folders) > 1 else ()
@@ -91,9 +93,10 @@ def propose(
     return tracks, diagnostics
 
 
-def _tracks(folder: Path, log: LogResults, method: str) -> list[IntArray]:
-    """The estimates of each track that declared an ID, rising in frame; those with most
-    declarations of one ID first. Raises SonarrecError if they cannot be used."""
+def _tracks(folder: Path, log: LogResults, method: str) -> list[tuple[dict[int, int], IntArray]]:
+    """The tracks that declared an ID, those with most declarations of one ID first: (how often
+    each declared ID, their estimates, rising in frame). Raises SonarrecError if they cannot be
+    used."""
     path = folder / "estimates.csv"
     if log.fan is None:
         raise SonarrecError(
@@ -112,79 +115,60 @@ def _tracks(folder: Path, log: LogResults, method: str) -> list[IntArray]:
         )
     of_method = of_method[np.lexsort((log.frame_index[of_method], log.object[of_method]))]
     _, starts = np.unique(log.object[of_method], return_index=True)
-    tracks = [t for t in np.split(of_method, starts[1:]) if log.declared[t].any()]
-    return sorted(tracks, key=lambda track: -_declared(log, track)[1].max())
-
-
-def _declared(log: LogResults, track: IntArray) -> tuple[IntArray, IntArray]:
-    """(n,) the IDs that a track declared, as indices into the set, and (n,) how often."""
-    declared = track[log.declared[track]]
-    return np.unique(log.landmark_index[declared], return_counts=True)
+    tracks = []
+    for track in np.split(of_method, starts[1:]):
+        index, count = np.unique(log.landmark_index[track[log.declared[track]]], return_counts=True)
+        if len(index):
+            ids = [log.landmarks.ids[k] for k in index]
+            tracks.append((dict(zip(ids, count.tolist(), strict=True)), track))
+    return sorted(tracks, key=lambda track: -max(track[0].values()))
 
 
 def _propose(
     log: LogResults,
-    track: IntArray,
+    ids: dict[int, int],
+    estimates: IntArray,
     min_score: float,
     max_gap: int,
-    taken: dict[tuple[int, int], list[FloatArray]],
+    taken: _Taken,
 ) -> tuple[ProposedTrack, list[tuple[object, ...]]]:
-    """The track with these estimates, and its rows of gt.csv.
+    """One of `_tracks`, and its rows of gt.csv.
 
-    taken: floor positions proposed so far, by frame and ID; new ones are added. A position on the
-    disc of an earlier one gives no row: there two tracks are on one disc.
+    A position on the disc of an earlier one gives no row: there two tracks are on one disc.
     """
     assert log.position is not None
-    indices, counts = _declared(log, track)
-    ids = [log.landmarks.ids[k] for k in indices]
-    landmark, most = ids[int(counts.argmax())], int(counts.max())
-    best_score, left_out = float(log.score[track].max()), ""
-    if most < LEAST_AGREEMENT * counts.sum():
+    assert log.fan is not None
+    track, best_score = int(log.object[estimates[0]]), float(log.score[estimates].max())
+    landmark, left_out = max(ids, key=lambda i: ids[i]), ""
+    if ids[landmark] < LEAST_AGREEMENT * sum(ids.values()):
         left_out = "it declared several IDs: " + ", ".join(f"ID.{i}" for i in sorted(ids))
-    elif most < LEAST_DECLARED:
-        left_out = f"declared in {number_of(most, 'frame')} only"
+    elif ids[landmark] < LEAST_DECLARED:
+        left_out = f"declared in {number_of(ids[landmark], 'frame')} only"
     elif best_score < min_score:
         left_out = f"best score below {min_score:g}"
-    seen, first = np.unique(log.frame_index[track], return_index=True)
+    seen, first = np.unique(log.frame_index[estimates], return_index=True)
     rows: list[tuple[object, ...]] = []
     if not left_out:
-        range_m, bearing_deg = polar_from_plane(log.position[track[first]])
         gaps = [np.arange(a, b) for a, b in pairwise(seen) if b - a <= max_gap + 1]
         index = np.unique(np.concatenate([seen, *gaps]))
-        polar = np.interp(index, seen, range_m), np.interp(index, seen, bearing_deg)
-        source = np.where(np.isin(index, seen), TRACKED, FILLED_IN)
-        rows = [*_rows(log, landmark, int(log.object[track[0]]), index, polar, source, taken)]
-    return ProposedTrack(
-        log=log.name,
-        track=int(log.object[track[0]]),
-        landmark=landmark,
-        frames=(int(log.frame[seen[0]]), int(log.frame[seen[-1]])),
-        rows=len(rows),
-        interpolated=sum(row[-1] == FILLED_IN for row in rows),
-        best_score=best_score,
-        left_out=left_out,
-    ), rows
-
-
-def _rows(
-    log: LogResults,
-    landmark: int,
-    track: int,
-    index: IntArray,
-    polar: tuple[FloatArray, FloatArray],
-    source: npt.NDArray[np.str_],
-    taken: dict[tuple[int, int], list[FloatArray]],
-) -> Iterator[tuple[object, ...]]:
-    """The rows of gt.csv of a track at (n,) frames; polar: its range (m) and bearing (deg)."""
-    assert log.fan is not None
-    radius_m = log.landmarks.radius_m
-    x, y = pixel_from_polar(log.fan, *polar)
-    visible = share_in_image(log.fan, *polar, radius_m)
-    floor = plane_from_polar(ground_range(log.fan, polar[0]), polar[1])
-    for n, frame in enumerate(log.frame[index].tolist()):
-        others = taken.setdefault((frame, landmark), [])
-        doubled = any(np.hypot(*(floor[n] - other)) < radius_m for other in others)
-        if not doubled and visible[n] > 0:
-            others.append(floor[n])
-            position = (f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
-            yield (frame, landmark, *position, track, str(source[n]))
+        range_m, bearing_deg = (
+            np.interp(index, seen, values)
+            for values in polar_from_plane(log.position[estimates[first]])
+        )
+        x, y = pixel_from_polar(log.fan, range_m, bearing_deg)
+        visible = share_in_image(log.fan, range_m, bearing_deg, log.landmarks.radius_m)
+        floor = plane_from_polar(ground_range(log.fan, range_m), bearing_deg).tolist()
+        source = np.where(np.isin(index, seen), TRACKED, FILLED_IN).tolist()
+        for n, frame in enumerate(log.frame[index].tolist()):
+            others = taken[frame, landmark]
+            doubled = any(dist(floor[n], other) < log.landmarks.radius_m for other in others)
+            if not doubled and visible[n] > 0:
+                others.append(floor[n])
+                cells = f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}", track, source[n]
+                rows.append((frame, landmark, *cells))
+    frames = int(log.frame[seen[0]]), int(log.frame[seen[-1]])
+    filled = sum(row[-1] == FILLED_IN for row in rows)
+    proposed = ProposedTrack(
+        log.name, track, landmark, frames, len(rows), filled, best_score, left_out
+    )
+    return proposed, rows

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
@@ -14,7 +13,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.tables.outputs import replaced
+from sonarrec.tables.outputs import write_csv, writing
 from sonarrec.tables.read import (
     NONE,
     POSITION_KINDS,
@@ -43,31 +42,28 @@ _KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True, slots=True)
 class TruthTable:
-    """gt.csv as read: R rows."""
+    """gt.csv as read: R rows.
+
+    key: the column that names the frame, "frame" or "timestamp_ns"; at: (R,) its values. landmark:
+    (R,) IDs; NONE for an object that is no landmark of the set: a stranger. visible: (R,) share of
+    the disc, 0 to 1. log: (R,) names. position: as tables.position_pair gives it. pixels: (R,)
+    column and (R,) row beside a position by range and bearing, NaN where blank. orientation: (R,)
+    deg, NaN where blank. All four are None without their columns. proposed: (R,) whether
+    `truth propose` wrote the row, by the column `source`. not_read: a note on columns that are not
+    read, where positions or `visible` are missing: perhaps they are these; else "".
+    """
 
     path: Path
     key: str
-    """The column that names the frame: "frame" or "timestamp_ns"."""
     at: IntArray
-    """(R,) its values."""
     landmark: IntArray
-    """(R,) IDs; NONE for an object that is no landmark of the set: a stranger."""
     visible: FloatArray
-    """(R,) share of the disc, 0 to 1."""
     log: Any
-    """(R,) names; None without the column."""
     position: tuple[str, FloatArray, FloatArray] | None
-    """As tables.position_pair gives it; None without positions."""
     pixels: tuple[FloatArray, FloatArray] | None
-    """(R,) column and row beside a position by range and bearing, NaN where blank; None without."""
     orientation: FloatArray | None
-    """(R,) deg, NaN where blank; None without the column."""
     proposed: BoolArray
-    """(R,) whether `truth propose` wrote the row, by the column `source`."""
-    not_read: tuple[str, ...]
-    """Columns that are not read, if positions or `visible` are missing: perhaps they are these."""
-    timestamp_ns: IntArray | None
-    """(R,) times beside frame numbers; None without."""
+    not_read: str
 
     def rows_of(self, name: str, *, strangers: bool = False) -> IntArray:
         """(n,) the rows on a log that name a landmark, or those on strangers; rising."""
@@ -79,14 +75,8 @@ class TruthTable:
 
         names: that its results may have, the most precise last (`folders.possible_names`).
         """
-        if self.log is None:
-            return names[0]
-        named = set(self.log.unique())
+        named = set() if self.log is None else set(self.log.unique())
         return next((name for name in reversed(names) if name in named), names[0])
-
-    def not_read_text(self) -> str:
-        """A note on the columns that are not read."""
-        return f"{self.path}: columns {', '.join(self.not_read)} are not read"
 
     def digest_of(self, rows: IntArray) -> str:
         """A digest of the content of some rows; copies of a truth have the same."""
@@ -104,16 +94,12 @@ def read_truth(path: Path) -> TruthTable:
     Raises SonarrecError on wrong columns, an invalid cell or a repeated row.
     """
     table = read_rows(path)
-    wrong = (table.visible < 0) | (table.visible > 1)
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    for row in np.flatnonzero((table.visible < 0) | (table.visible > 1))[:1]:
         raise SonarrecError(
             f"{path} line {line_number(path, row)}: visible is the share of the disc in view, "
             f"0 to 1, not {table.visible[row]:g}"
         )
-    repeated = repeated_rows(table)
-    if len(repeated):
-        first, second = repeated[0]
+    for first, second in repeated_rows(table)[:1]:
         raise SonarrecError(
             f"{path} line {line_number(path, second)}: repeats line {line_number(path, first)} "
             f"(same {table.key}, landmark and position); delete one of them"
@@ -134,17 +120,13 @@ def read_rows(path: Path) -> TruthTable:
             f"expected a header such as {HEADER}"
         )
     rows = len(table["landmark"])
-    visible = table.get("visible", np.ones(rows))
-    position = position_pair(path, table)
-    pixels = None
+    visible, source = table.get("visible", np.ones(rows)), table.get("source")
+    position, pixels, others = position_pair(path, table), None, []
     if position is not None and position[0] == "polar" and {"x_px", "y_px"} <= table.keys():
         pixels = table["x_px"], table["y_px"]
-    proposed = np.zeros(rows, dtype=bool)
-    if "source" in table:
-        proposed = np.asarray(table["source"].isin((TRACKED, FILLED_IN)))
-    read = {"track", *_KINDS} - ({*POSITION_KINDS} if position is None else set())
-    complete = position is not None and "visible" in table
-    unread = [] if complete or not rows else read_header(path, HEADER)
+    if rows and (position is None or "visible" not in table):
+        read = {"", "track", *_KINDS} - ({*POSITION_KINDS} if position is None else set())
+        others = [name for name in read_header(path, HEADER) if name not in read]
     return TruthTable(
         path=path,
         key=key,
@@ -155,9 +137,8 @@ def read_rows(path: Path) -> TruthTable:
         position=position,
         pixels=pixels,
         orientation=table.get("orientation_deg"),
-        proposed=proposed,
-        not_read=tuple(name for name in unread if name and name not in read),
-        timestamp_ns=table.get("timestamp_ns") if key == "frame" else None,
+        proposed=np.zeros(rows, bool) if source is None else source.isin((TRACKED, FILLED_IN)),
+        not_read=f"{path}: columns {', '.join(others)} are not read" if others else "",
     )
 
 
@@ -171,11 +152,8 @@ def repeated_rows(table: TruthTable) -> IntArray:
     log = np.zeros(len(table.at)) if table.log is None else table.log.codes
     cells = (table.position[2], table.position[1], table.landmark, table.at, log)
     order = np.lexsort(cells)
-    same = np.ones(max(len(order) - 1, 0), dtype=bool)
-    for cell in cells:
-        same &= np.diff(cell[order]) == 0
-    first = np.flatnonzero(same)
-    pairs = np.sort(np.column_stack([order[first], order[first + 1]]), axis=1)
+    same = np.all([cell[order][1:] == cell[order][:-1] for cell in cells], axis=0)
+    pairs = np.sort(np.column_stack([order[:-1][same], order[1:][same]]), axis=1)
     return np.asarray(pairs[np.argsort(pairs[:, 1])], dtype=np.int64)
 
 
@@ -184,19 +162,7 @@ def write_truth(path: Path, header: Sequence[str], rows: Iterable[Sequence[objec
 
     An existing file is never replaced, since a person may have corrected it by hand.
     """
-    try:
-        if os.path.lexists(path):
-            raise FileExistsError
-        with replaced(path) as new:
-            with new.open("x", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(header)
-                writer.writerows(rows)
-            if os.path.lexists(path):  # made meanwhile
-                raise FileExistsError
-    except FileExistsError:
-        raise SonarrecError(
-            f"{path}: exists already and is left as it is; choose another --out"
-        ) from None
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
+    if os.path.lexists(path):
+        raise SonarrecError(f"{path}: exists already and is left as it is; choose another --out")
+    with writing(path):
+        write_csv(path, header, rows)

@@ -22,7 +22,6 @@ from sonarrec.sonar import load_sonar
 from sonarrec.truth.check import CheckedTruth, Fault, check_truth
 from tests.support.command import sonarrec
 from tests.support.logs import image_folder
-from tests.support.slow import but_first
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -70,13 +69,12 @@ def run(*arguments: str | Path, code: int = 0) -> Result:
 # --- No false alarm ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["pan", "polar"])
-def test_the_samples_are_sound(name: str) -> None:
-    assert faults(SAMPLES / name / "gt.csv", SAMPLES / name) == []
+def test_the_sample_is_sound() -> None:
+    assert faults(SAMPLES / "polar" / "gt.csv", SAMPLES / "polar") == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", but_first(["basin_a", "basin_b", "basin_c"]))
+@pytest.mark.parametrize("name", ["basin_a", "basin_b", "basin_c"])
 def test_recordings_of_another_simulator_are_sound(name: str) -> None:
     if not (SHARED / name).is_dir():
         pytest.skip("the shared recordings are not here")
@@ -129,8 +127,6 @@ def test_a_log_is_known_by_its_folders_and_its_name(tmp_path: Path, log: Path) -
     # A namesake in another folder may have the short name; its rows were taken.
     found = checked(truth(tmp_path, ["pings,0,1,2,0", f"{two[0]},0,9,2,0"], header), log)
     assert ([fault.line for fault in found.faults], found.others) == ([3], 1)
-    glob = checked(truth(tmp_path, [f"{two[0]},0,9,2,0"], header), log / "*.png")
-    assert [fault.line for fault in glob.faults] == [2]
 
 
 def test_truth_of_other_logs_alone_is_a_failure_and_an_empty_one_is_sound(
@@ -162,28 +158,23 @@ def test_a_range_of_nothing_or_less_is_outside(tmp_path: Path, log: Path) -> Non
     [
         (["0,7,2.0,0,1"], [(2, "landmark")]),
         (["12,1,2.0,0,1"], [(2, "frame")]),
-        (["-1,1,2.0,0,1"], [(2, "frame")]),
         (["0,1,2.0,0,1.2"], [(2, "visible")]),
         (["0,1,2.0,0,-0.1"], [(2, "visible")]),
         (["0,1,2.0,30,0.5"], [(2, "outside")]),
-        (["0,1,4.2,0,0.5"], [(2, "outside")]),
         (["0,1,0.3,0,0.5"], [(2, "outside")]),
         (["0,1,2.0,14.4,1"], [(2, "visible")]),
         (["0,1,2.0,14.4,0.5"], []),
         (["0,1,2.0,0,0.2"], []),  # hidden by something else
         (["0,1,2.0,0,1", "", "0,1,2.0,0,1"], [(4, "repeated")]),
         (["0,1,2.0,0,1", "0,1,2.01,0,1"], [(3, "overlap")]),
-        (["0,1,2.0,0,1", "0,2,2.0,0,1"], [(3, "overlap")]),
         (["0,1,2.0,0,1", "0,2,2.0,9,1", "0,3,2.02,9.1,1"], [(4, "overlap")]),
-        (["0,1,2.0,0,1", "0,2,2.0,9,1"], []),
         (["0,1,2.0,0,1", "1,1,2.2,0,1"], [(3, "jump")]),
         (["0,1,2.0,0,1", "1,1,2.0,6,1"], [(3, "jump")]),
         # One wrong row is one fault: the way back is none.
         (["0,1,2,0,1", "1,1,2,9,1", "2,1,2,1,1", "3,1,2,1,1"], [(3, "jump")]),
         (["0,1,2,0,1", "1,1,2,9,1", "2,1,2,0,1", "3,1,2,9,1"], [(3, "jump"), (5, "jump")]),
-        # A mistyped ID, and one that changes for good.
+        # A mistyped ID.
         ([f"{k},{1 + 3 * (k == 2)},2,{k},1" for k in range(5)], [(4, "changed")]),
-        ([f"{k},{1 + 3 * (k > 1)},2,{k},1" for k in range(5)], [(4, "changed")]),
         # One leaves while another enters elsewhere.
         (["0,1,2,-14,0.5", "1,2,2,14,0.5"], []),
         # A mistyped ID near an edge, while another landmark of that ID is in view.
@@ -194,7 +185,6 @@ def test_a_range_of_nothing_or_less_is_outside(tmp_path: Path, log: Path) -> Non
         ),
         # Neighbours that pan by more than a radius; the outer one leaves.
         (["0,1,2,9,1", "0,2,2,-14,0.5", "1,1,2,4.5,1", "1,2,2,-18,0.1", "2,1,2,0,1"], []),
-        (["0,1,2,-5,1", "0,2,2,-14,0.5", "1,1,2,-10,1"], []),
         # Two landmarks named the other way round from frame 2 on.
         (
             [f"{k},{1 + (k > 1)},2,{k},1" for k in range(4)]
@@ -269,24 +259,3 @@ def test_many_faults_of_a_kind_are_counted(tmp_path: Path, log: Path) -> None:
     assert done.stdout.count("ID.5 is not in the set 'basin' (1, 2, 3, 4), in 50 rows;") == 1
     assert done.stdout.count("visible is a share") == 20
     assert "... and 30 more of this kind: visible" in done.stdout
-    (log / "landmarks.toml").write_text(
-        'name = "five"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
-        "[[landmark]]\nid = 5\nsectors = [1, 0]\n"
-    )
-    done = run(path, log, code=3)
-    assert "not in the set" not in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said", "code"),
-    [
-        (("--max-pan", "0"), "--max-pan", 2),
-        (("--max-pan", "nan"), "nan is not a finite number", 2),
-        (("--landmarks", "nowhere"), "no landmark set 'nowhere'", 2),
-    ],
-)
-def test_bad_usage(
-    tmp_path: Path, log: Path, arguments: tuple[str, ...], said: str, code: int
-) -> None:
-    done = run(truth(tmp_path, ["0,1,2.0,0"]), log, *arguments, code=code)
-    assert said in done.stderr

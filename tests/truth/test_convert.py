@@ -97,13 +97,13 @@ def test_centres_and_visibility(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("label", ["3", "ID.3", "id_3", "landmark_3", " Landmark 3 "])
+@pytest.mark.parametrize("label", ["3", "ID.3", " Landmark 3 "])
 def test_labels_that_show_their_id(tmp_path: Path, label: str) -> None:
     source = coco(tmp_path, [BBOX | {"image_id": 7}], ["0.png"], labels=(label,))
     assert converted(tmp_path, source)[0][1] == 3
 
 
-@pytest.mark.parametrize("label", ["tyre 1", "1b", "ID.1 fake", "ID.7", "disc", ""])
+@pytest.mark.parametrize("label", ["tyre 1", "ID.1 fake", "ID.7", ""])
 def test_other_labels_need_a_map(tmp_path: Path, label: str) -> None:
     source = coco(tmp_path, [BBOX | {"image_id": 7}], ["0.png"], labels=(label,))
     assert "nothing can be used" in failure(source)
@@ -131,7 +131,6 @@ def test_frames_by_name_in_the_log(tmp_path: Path) -> None:
     source = coco(tmp_path, annotations, names)
     found = converted(tmp_path, source, "--log", log, code=3)
     assert [row[0] for row in found] == [1, 3]
-    assert converted(tmp_path, source, "--log", log / "*.png", code=3) == found
     other = coco(tmp_path, annotations[:1], ["ping2.png"])
     assert "ping2.png" in failure(other, "--log", log)
 
@@ -184,14 +183,11 @@ def test_an_existing_truth_is_never_written_over(tmp_path: Path) -> None:
 # --- Positions and visibility --------------------------------------------------------------------
 
 
-def test_annotations_of_resized_images_are_refused(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(2, 40, 50))
-    assert "another size" in failure(coco(tmp_path, [point(9, 9)], ["frame0.png"]), "--log", log)
-
-
 def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
     """On the fan's right edge, half of the disc; well outside, nothing; in the middle, all."""
     log = image_folder(tmp_path / "log", frames(2, 300, 560))
+    small = coco(tmp_path, [point(9, 9)], ["frame0.png"])
+    assert "another size" in failure(small, "--log", log)
     fan = make_fan()  # the same geometry on 300 rows
     edge = math.radians(fan.bearing_max_deg)
     pixels_away = 2.4 / fan.metres_per_pixel
@@ -201,6 +197,10 @@ def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
     source = coco(tmp_path, shapes, ["frame0.png"], (560, 300))
     rows = sorted(converted(tmp_path, source, "--log", log), key=lambda row: row[2])
     assert [row[4] for row in rows] == pytest.approx([1.0, 0.5, 0.0], abs=0.01)
+    with (log / "sonar.toml").open("a") as file:
+        file.write("flip = true\n")
+    mirrored = sorted(converted(tmp_path, source, "--log", log), reverse=True)
+    assert sorted(559 - row[2] for row in mirrored) == pytest.approx([row[2] for row in rows])
 
 
 @settings(max_examples=60)
@@ -227,8 +227,10 @@ UNEVEN = (-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14)
     [
         {},
         {"flip": True},
-        {"bearings_deg": UNEVEN[::-1]},
-        {"ranges_m": tuple(1.25 + 2.5 * ((n + 0.5) / 200) ** 1.3 for n in range(200))},
+        {
+            "bearings_deg": UNEVEN[::-1],
+            "ranges_m": tuple(1.25 + 2.5 * ((n + 0.5) / 200) ** 1.3 for n in range(200)),
+        },
         {"range_order": "far_first", "beam_order": "beam-major"},
     ],
 )
@@ -262,11 +264,3 @@ def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[
         found = polar_from_pixel(frame.fan, np.array([x]), np.array([y]))
         bearing = (1 if keys else -1) * 51 * 0.3
         assert np.ravel(found) == pytest.approx((1.25 + 120 * 0.0125, bearing), abs=0.02)
-
-
-def test_shapes_on_mirrored_fan_images(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(1, 80, 100))
-    with (log / "sonar.toml").open("a") as file:
-        file.write("flip = true\n")
-    source = coco(tmp_path, [point(15, 20)], ["frame0.png"])
-    assert converted(tmp_path, source, "--log", log)[0][2] == 99 - 14.5
