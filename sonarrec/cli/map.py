@@ -73,10 +73,9 @@ def map_(
       sonarrec map day1/dive day2/dive -o site
       sonarrec map sonarrec_out/dive --drift 0.1,5 --origin 54.3233,10.1394,87
     """
-    from sonarrec.mapping.axes import GeographicOrigin
-    from sonarrec.mapping.build import MapOptions, make_map
+    from sonarrec.mapping.build import make_map
     from sonarrec.mapping.path import Drift
-    from sonarrec.mapping.write import lines, write_all
+    from sonarrec.mapping.write import GeographicOrigin, lines, write_all
 
     folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
     if out is None:
@@ -94,7 +93,7 @@ def map_(
     if min(errors.position_m, errors.yaw_deg) < 0:
         raise UsageError(f"--drift {drift}: standard errors must not be negative")
     site = make_map(
-        folders, MapOptions(odometry, errors, method, landmarks, sonar, least_frames=min_frames)
+        folders, odometry, errors, method, landmarks=landmarks, sonar=sonar, min_frames=min_frames
     )
     write_all(out, site, on_earth)
     told = [f"{out}: {number_of(len(site.logs), 'log')}", *(f"  {line}" for line in lines(site))]

@@ -4,21 +4,34 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.mapping.join import Landmark, MappedLog, frames_of, join
-from sonarrec.mapping.passes import find_passes, read_declared
-from sonarrec.mapping.path import Drift, measured_motion_path, path_from_poses, read_frames
+from sonarrec.mapping.landmarks import (
+    Landmark,
+    MappedLog,
+    find_passes,
+    frames_of,
+    join,
+    read_declared,
+)
+from sonarrec.mapping.path import (
+    NO_DRIFT,
+    Drift,
+    measured_motion_path,
+    path_from_poses,
+    read_frames,
+)
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
-from sonarrec.results.same_log import CountedOnce, Recording, recording
+from sonarrec.results.same_log import CountedOnce, recording
 from sonarrec.results.sightings import check_follows
 from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar
@@ -30,7 +43,8 @@ class SiteMap:
 
     x is to the right and y ahead of a sonar whose yaw is 0. left_out: number of landmarks with too
     few frames. logs: those that could be used, each recording once. ros_axes: whether the poses'
-    own axes are x ahead and y to the left.
+    own axes, in which the files are written, are x ahead and y to the left, and yaw
+    counter-clockwise; else they are the map's.
     """
 
     landmark_set: LandmarkSet
@@ -40,119 +54,132 @@ class SiteMap:
     diagnostics: Diagnostics
     ros_axes: bool
 
+    def position(self, position: FloatArray) -> FloatArray:
+        """(..., 2) positions in the poses' axes, m."""
+        if not self.ros_axes:
+            return position
+        return np.stack([position[..., 1], -position[..., 0]], axis=-1)
 
-@dataclass(frozen=True, slots=True)
-class MapOptions:
-    """How results are read, and which landmarks a map holds.
+    def covariance(self, covariance: FloatArray) -> FloatArray:
+        """(2, 2) covariance of a position in the poses' axes, m^2."""
+        if not self.ros_axes:
+            return covariance
+        (xx, xy), (_, yy) = covariance
+        return np.array([[yy, -xy], [-xy, xx]])
 
-    odometry: tables of poses, see `_poses_of_run`. drift: of these poses. method: of estimates.csv;
-    None: `framework` or the only one. landmarks, sonar: in place of those in run.toml.
-    least_frames: landmarks declared in fewer frames, over all passes, are left out.
-    """
-
-    odometry: Sequence[Path] = ()
-    drift: Drift = field(default_factory=Drift)
-    method: str | None = None
-    landmarks: str | None = None
-    sonar: Sonar | None = None
-    least_frames: int = 3
+    def orientation(self, orientation_deg: float, landmark: int) -> float:
+        """An orientation counter-clockwise from the poses' x axis, below the period of the ID's
+        symbol."""
+        period_deg = self.landmark_set.periods_deg()[self.landmark_set.ids.index(landmark)]
+        return float((orientation_deg - 90 * self.ros_axes) % period_deg)
 
 
-def make_map(results: Sequence[Path], options: MapOptions | None = None) -> SiteMap:
+def make_map(
+    results: Sequence[Path],
+    odometry: Sequence[Path] = (),
+    drift: Drift = NO_DRIFT,
+    method: str | None = None,
+    *,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+    min_frames: int = 3,
+) -> SiteMap:
     """The map of the landmarks that a method declared.
 
     results: folders of the results of single logs, or folders that hold such folders. If a
-    recording has several results, the first count. Raises SonarrecError if none of the logs can be
-    used, or if they have no common axes.
+    recording has several results, the first count. odometry: tables of poses, see `_poses_of_run`;
+    drift: of these. method: of estimates.csv; None: `framework` or the only one. landmarks, sonar:
+    in place of those in run.toml. min_frames: landmarks declared in fewer, over all passes, are
+    left out. Raises SonarrecError if none of the logs can be used, or if they have no common axes.
     """
-    options, diagnostics = options or MapOptions(), Diagnostics()
+    told, copies = Diagnostics(), Diagnostics()
     found = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
-    folders: list[Path] = []
-    recordings: list[Recording] = []
     read: list[MappedLog] = []
+    logs: list[MappedLog] = []
     landmark_set: LandmarkSet | None = None
     tables_used: set[str | None] = set()
+    once = CountedOnce(lambda i: read[i].path.frame, "used", copies)
     for folder in found:
         try:
             run = read_run(folder / "run.toml")
-            own_set = run.landmark_set(options.landmarks)
+            own_set = run.landmark_set(landmarks)
             landmark_set = landmark_set or own_set
             if own_set.as_table() != landmark_set.as_table():
                 raise SonarrecError(
                     f"{folder}: landmark set {own_set.name!r}, not {landmark_set.name!r} as the "
                     "others"
                 )
-            poses = _poses_of_run(folder, run, options.odometry)
-            log, estimates = _read_log(folder, run, own_set, poses, options)
+            poses = _poses_of_run(folder, run, odometry)
+            log, estimates = _read_log(folder, run, own_set, poses, drift, method, sonar)
         except SonarrecError as error:
             if len(found) == 1:
                 raise
-            diagnostics.problem(str(error))
+            told.problem(str(error))
             continue
         tables_used.add(None if poses is None else poses.source.get("sha256"))
-        folders.append(folder)
-        recordings.append(recording(folder, run, estimates))
         read.append(log)
-    if landmark_set is None or not read:
-        raise SonarrecError("\n".join(["no log can be mapped", *diagnostics.problems]))
-    copies = Diagnostics()
-    once = CountedOnce(lambda i: read[i].path.frame, "used", copies)
-    each = zip(read, folders, recordings, strict=True)
-    logs = [log for log, folder, of in each if once.add(folder, of)]
+        if once.add(folder, recording(folder, run, estimates)):
+            logs.append(log)
+    if landmark_set is None or not logs:
+        raise SonarrecError("\n".join(["no log can be mapped", *told.problems]))
     alone = [log.name for log in logs if not log.path.from_poses]
     if alone and len(logs) > 1:
         raise UsageError(
             f"without poses each log has a coordinate frame of its own ({', '.join(alone)}): give "
             "poses with --odometry, or map the logs one by one"
         )
-    for told in (*(log.diagnostics for log in logs), copies):
-        diagnostics.note(*told.notes)
-        diagnostics.problem(*told.problems)
-    for table in options.odometry:
+    for of in (*(log.diagnostics for log in logs), copies):
+        told.note(*of.notes)
+        told.problem(*of.problems)
+    for table in odometry:
         if _digest(table) not in tables_used:
-            diagnostics.note(
+            told.note(
                 f"{table}: not used, for no log was run with it; to map a log by it, run the log "
                 "again with it"
             )
-    landmarks = join(logs, landmark_set)
-    seen_enough = [one for one in landmarks if frames_of(one.members) >= options.least_frames]
-    left_out, ros_axes = len(landmarks) - len(seen_enough), all(log.ros_axes for log in logs)
-    return SiteMap(landmark_set, seen_enough, left_out, logs, diagnostics, ros_axes)
+    every = join(logs, landmark_set)
+    kept = [one for one in every if frames_of(one.members) >= min_frames]
+    ros_axes = all(log.ros_axes for log in logs)
+    return SiteMap(landmark_set, kept, len(every) - len(kept), logs, told, ros_axes)
 
 
 def _read_log(
-    folder: Path, run: RunFile, landmarks: LandmarkSet, poses: PoseTable | None, options: MapOptions
+    folder: Path,
+    run: RunFile,
+    landmarks: LandmarkSet,
+    poses: PoseTable | None,
+    drift: Drift,
+    method: str | None,
+    sonar: Sonar | None,
 ) -> tuple[MappedLog, int]:
     """One log, and the number of its declared estimates. Raises SonarrecError if it is unusable."""
-    diagnostics = Diagnostics()
-    frames = read_frames(folder)
+    told, frames, ros_axes = Diagnostics(), read_frames(folder), False
     if poses is None:
-        if options.drift != Drift():
+        if drift != NO_DRIFT:
             raise UsageError("--drift applies to given poses, and there are none; give --odometry")
-        path = measured_motion_path(folder, frames, diagnostics)
+        path = measured_motion_path(folder, frames, told)
     elif "timestamp_ns" not in frames:
         raise SonarrecError(
             f"{folder}: frames.csv has no timestamp_ns, which is needed to find poses"
         )
     else:
-        path = path_from_poses(frames["frame"], frames["timestamp_ns"], poses, options.drift)
-    fan = run.fan(options.sonar)
+        path = path_from_poses(frames["frame"], frames["timestamp_ns"], poses, drift)
+        ros_axes = "topic" in poses.source
+    fan = run.fan(sonar)
     if fan is None:
-        raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
+        raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar")
     table = folder / "estimates.csv"
-    method = choose_method(table, options.method)
+    method = choose_method(table, method)
     check_follows(method)
     declared = read_declared(table, method, landmarks, fan, path.frame)
     passes = find_passes(declared, path, landmarks, fan)
-    ros_axes = poses is not None and "topic" in poses.source
-    log = MappedLog(folder.resolve().name, path, passes, fan, ros_axes, folder, diagnostics)
     if not run.finished:
-        diagnostics.problem(cut_short(str(folder), len(path.frame), "used"))
+        told.problem(cut_short(str(folder), len(path.frame), "used"))
     elif lost := rows_lost(folder, run.input):
-        diagnostics.problem(*(f"{folder}: {line}" for line in lost))
+        told.problem(*(f"{folder}: {line}" for line in lost))
     # The reasons why declared estimates are in no pass.
-    without = int((~np.isfinite(log.path.pose[declared.row]).all(axis=1)).sum())
-    near = len(declared.row) - without - sum(len(one.row) for one in log.passes)
+    without = int((~np.isfinite(path.pose[declared.row]).all(axis=1)).sum())
+    near = len(declared.row) - without - sum(len(one.row) for one in passes)
     for count, why in (
         (declared.strays, "frames.csv does not list their frames"),
         (without, "no pose is known in their frames"),
@@ -160,7 +187,8 @@ def _read_log(
     ):
         if count:
             whole = len(declared.row) + declared.strays
-            diagnostics.problem(f"{folder}: {count} of {whole} declared estimates left out: {why}")
+            told.problem(f"{folder}: {count} of {whole} declared estimates left out: {why}")
+    log = MappedLog(folder.resolve().name, path, passes, fan, ros_axes, told)
     return log, len(declared.row)
 
 
@@ -196,7 +224,7 @@ def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTab
     name = str(recorded.get("name"))
     homes = [log, *log.parents]
     for home in (folder.absolute(), folder.resolve()):  # beside a link; "." and ".." have no parent
-        homes += [home, home.parent, home.parent.parent]
+        homes += [home, *home.parents[:2]]
     for path in [*tables, *(home / name for home in [*homes, Path()])]:
         if _digest(path) == recorded.get("sha256"):
             return read_poses(path)

@@ -42,7 +42,10 @@ class Drift:
     yaw_deg: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+NO_DRIFT = Drift()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SonarPath:
     """Where the sonar was in every frame of one log.
 
@@ -86,14 +89,9 @@ class SonarPath:
             return own
         began = np.zeros_like(row) if since is None else since
         length = COMMON_LENGTH * (self.pose[row, 1:] - self.pose[began, 1:])
-        rotated = self._rotated(row, began, position)[:, :2]
+        angle, at_x, at_y = (COMMON_ROTATION * (self.common[row] - self.common[began])).T
+        rotated = np.column_stack([angle * y - at_y, at_x - angle * x])
         return np.asarray(own + sum(e[:, :, None] * e[:, None] for e in (length, rotated)))
-
-    def _rotated(self, row: IntArray, since: IntArray, position: FloatArray) -> FloatArray:
-        """(n, 3) change of a position (m) and of the heading (rad) by COMMON_ROTATION."""
-        angle, at_x, at_y = (COMMON_ROTATION * (self.common[row] - self.common[since])).T
-        x, y = (position - self.origin).T
-        return np.column_stack([angle * y - at_y, at_x - angle * x, angle])
 
     def yaw_variance(self, row: IntArray, since: IntArray | None = None) -> FloatArray:
         """(n,) variance of the heading, deg^2. The arguments are as in `position_covariance`."""
@@ -113,16 +111,13 @@ def path_from_poses(
 ) -> SonarPath:
     """The path that poses give. frame, timestamp_ns: (F,). Drift begins at the first known pose."""
     pose = poses.at_times(timestamp_ns)
-    minutes = np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9
     first = int(np.isfinite(pose).all(axis=1).argmax())
+    minutes = np.maximum(np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9, 0)
     minutes[: first + 1] = 0
-    shift = np.maximum(minutes, 0) * drift.position_m**2
-    rotation = np.maximum(minutes, 0) * math.radians(drift.yaw_deg) ** 2
-    even = np.column_stack([shift, 0 * shift, shift])
-    none = np.zeros((len(frame), 3))
+    shift, rotation = minutes * drift.position_m**2, minutes * math.radians(drift.yaw_deg) ** 2
     origin = np.nan_to_num(pose[first, 1:])
-    sums = _sums(pose[:, 1:] - origin, even, rotation)
-    return SonarPath(frame, timestamp_ns, pose, True, sums, none, origin)
+    sums = _sums(pose[:, 1:] - origin, np.column_stack([shift, 0 * shift, shift]), rotation)
+    return SonarPath(frame, timestamp_ns, pose, True, sums, np.zeros((len(frame), 3)), origin)
 
 
 def measured_path(
@@ -130,10 +125,9 @@ def measured_path(
 ) -> SonarPath:
     """The path of a sonar whose motion was measured. It starts at 0 and ends at unknown motion.
 
-    frame, timestamp_ns: (F,). moved: (F, 3) the motion to each frame from the one before:
-    rotation (deg, positive to the right), and shift to the right and ahead (m), in the axes of the
-    sonar before; NaN if not known. sigma: (F, 3) their standard errors. Those of the first frame
-    are not used.
+    frame, timestamp_ns: (F,). moved: (F, 3) the motion to each frame from the one before, as in
+    MOVED; NaN if not known. sigma: (F, 3) its standard errors. Those of the first frame are not
+    used.
     """
     moved, sigma = moved.copy(), sigma.copy()
     moved[:1] = sigma[:1] = 0
@@ -142,14 +136,13 @@ def measured_path(
     cos, sin = np.cos(before), np.sin(before)
     x = np.cumsum(moved[:, 1] * cos + moved[:, 2] * sin)
     y = np.cumsum(moved[:, 2] * cos - moved[:, 1] * sin)
-    pose = np.column_stack([yaw, x, y])
     right, ahead = sigma[:, 1] ** 2, sigma[:, 2] ** 2
     xx, yy = right * cos**2 + ahead * sin**2, right * sin**2 + ahead * cos**2
     shift = np.column_stack([xx, (ahead - right) * sin * cos, yy])
-    stood = (moved[:, 1:] == 0).all(axis=1)
-    rotation = np.where(stood, np.radians(moved[:, 0]), 0.0)
-    moments = np.column_stack([np.ones(len(x)), x, y])
+    pose = np.column_stack([yaw, x, y])
     sums = _sums(pose[:, 1:], shift, np.radians(sigma[:, 0]) ** 2)
+    rotation = np.where((moved[:, 1:] == 0).all(axis=1), np.radians(moved[:, 0]), 0.0)
+    moments = np.column_stack([np.ones(len(x)), x, y])
     common = np.cumsum(rotation[:, None] * moments, axis=0)
     return SonarPath(frame, timestamp_ns, pose, False, sums, common, np.zeros(2))
 
@@ -196,15 +189,14 @@ def measured_motion_path(folder: Path, table: Table, diagnostics: Diagnostics) -
     if "dx_m" not in table or "dy_m" not in table:
         diagnostics.note(f"{folder}: only the turn was measured; the sonar is taken to stand still")
     frame = table["frame"]
-    still = np.zeros(len(frame))
+    still = np.zeros(len(frame), np.int64)
     moved, sigma = (
         np.column_stack([table.get(name, still) for name in names])
         for names in (MOVED, MOVED_SIGMA)
     )
-    time = table.get("timestamp_ns", np.zeros(len(still), np.int64))
     # Motion from poses has no standard errors.
     sigma = np.where(np.isfinite(moved), np.nan_to_num(sigma), np.nan)
-    path = measured_path(frame, time, moved, sigma)
+    path = measured_path(frame, table.get("timestamp_ns", still), moved, sigma)
     unknown = ~np.isfinite(path.pose).all(axis=1)
     if unknown.any():
         diagnostics.note(

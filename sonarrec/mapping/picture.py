@@ -14,9 +14,8 @@ from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of
 from sonarrec.geometry import floor_depth, ground_range
-from sonarrec.mapping.axes import Axes, ellipse
 from sonarrec.mapping.build import SiteMap
-from sonarrec.mapping.join import Landmark, MappedLog
+from sonarrec.mapping.landmarks import Landmark, MappedLog, ellipse
 from sonarrec.tables.outputs import plain, write_figure
 
 LINES = "#333333"
@@ -28,14 +27,13 @@ LEAST_SEEN = 1 / 60  # size of the smallest ellipse that can be seen, in widths 
 
 def draw_map(path: Path, site: SiteMap) -> None:
     """Write the map as a PNG."""
-    axes_of = Axes(site.ros_axes)
     figure = Figure(figsize=(8, 8), dpi=120, layout="constrained")
     axes = figure.add_subplot()
     for log in site.logs:
-        fans = [axes_of.position(fan) for fan in _floor_seen(log)]
+        fans = [site.position(fan) for fan in _floor_seen(log)]
         axes.add_collection(PolyCollection(fans, facecolors="#e9eef2", edgecolors="none", zorder=0))
     for n, log in enumerate(site.logs):
-        positions = axes_of.position(log.path.pose[:, 1:])
+        positions = site.position(log.path.pose[:, 1:])
         label = "path of the sonar" if n == 0 else None
         axes.plot(*positions.T, color="#666666", linewidth=1, zorder=1, label=label)
         start = positions[log.path.known[:1]]
@@ -67,16 +65,16 @@ def draw_map(path: Path, site: SiteMap) -> None:
 def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int, larger: int) -> None:
     """Draw a disc in its ID's colour, a mark where its first sector begins, and its ellipse, which
     is enlarged `larger` times."""
-    axes_of, radius = Axes(site.ros_axes), site.landmark_set.radius_m
+    radius = site.landmark_set.radius_m
     colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[landmark.id]) / 255)
-    position = axes_of.position(landmark.position)
+    position = site.position(landmark.position)
     angle = np.linspace(0, 2 * np.pi, 49)
     disc = position + radius * np.column_stack([np.cos(angle), np.sin(angle)])
     axes.fill(*disc.T, facecolor=colour, alpha=0.7, edgecolor=LINES, zorder=2)
-    covariance = axes_of.covariance(landmark.covariance) * larger**2
+    covariance = site.covariance(landmark.covariance) * larger**2
     axes.plot(*ellipse(position, covariance).T, color=LINES, linewidth=1.2, zorder=3)
     if not math.isnan(landmark.orientation_deg):
-        sector = math.radians(axes_of.orientation(landmark.orientation_deg, 360))
+        sector = math.radians(landmark.orientation_deg - 90 * site.ros_axes)
         tip = position + radius * np.array([math.cos(sector), math.sin(sector)])
         axes.plot(*np.array([position, tip]).T, color=LINES, linewidth=2, zorder=3)
     axes.annotate(

@@ -16,10 +16,8 @@ import pandas as pd
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import local, number_of
-from sonarrec.mapping.axes import Axes, GeographicOrigin, cut_at_180, ellipse, rings_at_180
-from sonarrec.mapping.build import MapOptions, SiteMap, make_map
-from sonarrec.mapping.join import Landmark, frames_of
-from sonarrec.mapping.passes import Pass
+from sonarrec.mapping.build import SiteMap, make_map
+from sonarrec.mapping.landmarks import Landmark, Pass, ellipse, frames_of
 from sonarrec.mapping.path import Drift
 from sonarrec.mapping.picture import draw_map
 from sonarrec.sonar import Sonar, sonar_from
@@ -48,6 +46,42 @@ GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
 MOST_POINTS = 2_000  # points of a path in GeoJSON, at most
 
 
+@dataclass(frozen=True, slots=True)
+class GeographicOrigin:
+    """Where the origin of the poses lies on Earth (WGS 84, deg).
+
+    heading_deg: the compass heading of a sonar whose yaw is 0.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    heading_deg: float
+
+    def on_earth(self, position: FloatArray) -> FloatArray:
+        """(n, 2) longitude and latitude, deg (the order of GeoJSON), of positions on the floor.
+
+        position: (n, 2) m to the right and ahead, on the plane that touches the ellipsoid at the
+        origin. The conversion uses Earth-centred axes, so that it also works near a pole. Beyond
+        the 180th meridian longitudes count on, so that lines stay in one piece.
+        """
+        heading, latitude = math.radians(self.heading_deg), math.radians(self.latitude_deg)
+        right, ahead = position.T
+        east = right * math.cos(heading) + ahead * math.sin(heading)
+        north = ahead * math.cos(heading) - right * math.sin(heading)
+        a, e2 = 6378137.0, 0.00669437999014
+        n = a / math.sqrt(1 - e2 * math.sin(latitude) ** 2)
+        # Distance from the Earth's axis, towards the origin's meridian; distance along the axis.
+        out = n * math.cos(latitude) - north * math.sin(latitude)
+        up = n * (1 - e2) * math.sin(latitude) + north * math.cos(latitude)
+        distance, b = np.hypot(out, east), a * math.sqrt(1 - e2)
+        angle = np.arctan2(up * a, distance * b)  # Bowring's latitude
+        latitudes = np.arctan2(
+            up + e2 / (1 - e2) * b * np.sin(angle) ** 3, distance - e2 * a * np.cos(angle) ** 3
+        )
+        longitudes = self.longitude_deg + np.degrees(np.arctan2(east, out))
+        return np.column_stack([longitudes, np.degrees(latitudes)])
+
+
 def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = None) -> None:
     """Write map.csv, passes.csv, map.png and, with an origin, map.geojson.
 
@@ -55,29 +89,27 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
     a file of another kind is there.
     """
     headers = {"map.csv": MAP_COLUMNS, "passes.csv": PASS_COLUMNS}
-    tables = [folder / name for name in headers]
     picture, earth = folder / "map.png", folder / "map.geojson"
     check_tables(folder, headers)
-    if not is_filled(tables[0]):  # beside it the others are of a map as well, marked or not
+    if not is_filled(folder / "map.csv"):  # beside it the others are of a map too, marked or not
         check_output(picture, "picture")
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
     check_no_recording(folder, headers)
     with writing(folder):
-        write_csv(tables[0], MAP_COLUMNS, map_rows(site))
-        write_csv(tables[1], PASS_COLUMNS, pass_rows(site))
+        write_csv(folder / "map.csv", MAP_COLUMNS, map_rows(site))
+        write_csv(folder / "passes.csv", PASS_COLUMNS, pass_rows(site))
         draw_map(picture, site)
         earth.unlink(missing_ok=True)  # of a map before, with an origin
         if origin is not None:
-            _write_geojson(earth, site, origin)
+            write_text(earth, json.dumps(geojson(site, origin), allow_nan=False) + "\n")
 
 
 def _pose_cells(site: SiteMap, one: Landmark | Pass, landmark: int) -> list[str]:
     """The cells of _POSITION and _ORIENTATION, in the axes of the poses. landmark: its ID."""
-    axes = Axes(site.ros_axes)
-    (xx, xy), (_, yy) = axes.covariance(one.covariance)
-    cells = [f"{v:.4f}" for v in axes.position(one.position)]
+    (xx, xy), (_, yy) = site.covariance(one.covariance)
+    cells = [f"{v:.4f}" for v in site.position(one.position)]
     cells += [f"{v:.3e}" for v in (xx, xy, yy)]
-    orientation = axes.orientation(one.orientation_deg, _periods_deg(site)[landmark])
+    orientation = site.orientation(one.orientation_deg, landmark)
     if math.isnan(orientation):
         return [*cells, "", ""]
     return [*cells, f"{orientation:.2f}", f"{one.orientation_sigma_deg:.2f}"]
@@ -87,14 +119,14 @@ def map_rows(site: SiteMap) -> list[list[object]]:
     """The rows of map.csv, one per landmark."""
     rows: list[list[object]] = []
     for number, landmark in enumerate(site.landmarks, 1):
-        passes = [one for _, one in landmark.members]
-        times = [site.logs[g].path.timestamp_ns[one.row] for g, one in landmark.members]
+        passes = landmark.members
+        times = [one.path.timestamp_ns[one.row] for one in passes]
         score = np.average([one.score for one in passes], weights=[len(one.row) for one in passes])
         rows.append(
             [
                 *(number, landmark.id, *_pose_cells(site, landmark, landmark.id)),
-                *(len(passes), frames_of(landmark.members)),
-                *(len({g for g, _ in landmark.members}), f"{score:.4f}"),
+                *(len(passes), frames_of(passes), len({one.path for one in passes})),
+                f"{score:.4f}",
                 f"{min(one.near_m for one in passes):.3f}",
                 f"{max(one.far_m for one in passes):.3f}",
                 *(min(int(ns[0]) for ns in times), max(int(ns[-1]) for ns in times)),
@@ -106,76 +138,56 @@ def map_rows(site: SiteMap) -> list[list[object]]:
 
 def pass_rows(site: SiteMap) -> list[list[object]]:
     """The rows of passes.csv, one per pass, also of landmarks that were left out."""
-    axes = Axes(site.ros_axes)
     number = {
         one: n
         for n, landmark in enumerate(site.landmarks, 1)
-        for _, one in (*landmark.members, *landmark.others)
+        for one in (*landmark.members, *landmark.others)
     }
     rows: list[list[object]] = []
-    for g, log in enumerate(site.logs):
+    for log in site.logs:
         for one in log.passes:
             yaw, *position = log.path.pose[one.middle].tolist()
             rows.append(
                 [
                     *(number.get(one, ""), log.name, one.landmark, one.track),
                     *log.path.frame[one.row[[0, -1]]],
-                    *(frames_of([(g, one)]), f"{one.score:.4f}"),
-                    *_pose_cells(site, one, one.landmark),
+                    *(frames_of([one]), f"{one.score:.4f}", *_pose_cells(site, one, one.landmark)),
                     *(f"{one.near_m:.3f}", f"{one.far_m:.3f}"),
-                    *(f"{v:.4f}" for v in axes.position(np.array(position))),
-                    f"{axes.yaw(yaw):.3f}",
+                    *(f"{v:.4f}" for v in site.position(np.array(position))),
+                    f"{-yaw if site.ros_axes else yaw:.3f}",
                 ]
             )
     return rows
 
 
-def _periods_deg(site: SiteMap) -> dict[int, float]:
-    landmark_set = site.landmark_set
-    return dict(zip(landmark_set.ids, landmark_set.periods_deg().tolist(), strict=True))
-
-
-def _write_geojson(path: Path, site: SiteMap, origin: GeographicOrigin) -> None:
+def geojson(site: SiteMap, origin: GeographicOrigin) -> dict[str, object]:
     """The landmarks as points, their 95 % ellipses as polygons, the paths as lines (RFC 7946)."""
-    features = []
+    features: list[object] = []
+
+    def add(kind: str, line: FloatArray, properties: dict[str, object]) -> None:
+        """line: (n, 2) m, of a point's only one, or of a closed line or a path."""
+        along = np.round(origin.on_earth(line), 9).tolist()
+        coordinates = {"Point": along[0], "Polygon": [along]}.get(kind, along)
+        geometry = {"type": kind, "coordinates": coordinates}
+        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
+
     for number, landmark in enumerate(site.landmarks, 1):
         name: dict[str, object] = {"number": number, "landmark": landmark.id}
-        point = _rounded(origin.on_earth(landmark.position[None]))
+        facts: dict[str, object] = {"name": f"ID.{landmark.id}", **name}
         # Where the first sector begins, as a compass shows it.
         compass = (90 + origin.heading_deg - landmark.orientation_deg) % 360
-        facts: dict[str, object] = {} if math.isnan(compass) else {"heading_deg": round(compass, 2)}
-        sigma_m = math.sqrt(float(np.linalg.eigvalsh(landmark.covariance)[-1]))
-        seen = {"passes": len(landmark.members), "frames": frames_of(landmark.members)}
-        facts |= {"sigma_m": round(sigma_m, 4), **seen}
-        features.append(_feature("Point", point, {"name": f"ID.{landmark.id}", **name, **facts}))
-        rings = rings_at_180(origin.on_earth(ellipse(landmark.position, landmark.covariance)))
-        if rings:
-            polygon = [[_rounded(ring)] for ring in rings]
-            features.append(_feature("Polygon", polygon, {**name, "within": 0.95}))
+        if not math.isnan(compass):
+            facts["heading_deg"] = round(compass, 2)
+        facts |= {"sigma_m": round(landmark.sigma_m, 4), "passes": len(landmark.members)}
+        add("Point", landmark.position[None], facts | {"frames": frames_of(landmark.members)})
+        ring = ellipse(landmark.position, landmark.covariance)
+        add("Polygon", ring, {**name, "within": 0.95})
     for log in site.logs:
         known = log.path.known
         if len(known) > 1:
             chosen = np.linspace(0, len(known) - 1, min(len(known), MOST_POINTS)).round()
-            path_deg = origin.on_earth(log.path.pose[known[chosen.astype(int)], 1:])
-            parts = list(map(_rounded, cut_at_180(path_deg)))
-            features.append(_feature("LineString", parts, {"log": log.name}))
-    document = {"type": "FeatureCollection", "program": "sonarrec", "features": features}
-    write_text(path, json.dumps(document, allow_nan=False) + "\n")
-
-
-def _feature(
-    kind: str, parts: Sequence[Any], properties: Mapping[str, object]
-) -> dict[str, object]:
-    """A feature of GeoJSON; of several parts it is, for example, a MultiPolygon."""
-    geometry = {"type": f"Multi{kind}", "coordinates": parts}
-    if len(parts) == 1:
-        geometry = {"type": kind, "coordinates": parts[0]}
-    return {"type": "Feature", "geometry": geometry, "properties": properties}
-
-
-def _rounded(line: FloatArray) -> list[Any]:
-    coordinates: list[Any] = np.round(line, 9).tolist()
-    return coordinates
+            add("LineString", log.path.pose[known[chosen.astype(int)], 1:], {"log": log.name})
+    return {"type": "FeatureCollection", "program": "sonarrec", "features": features}
 
 
 def lines(site: SiteMap) -> list[str]:
@@ -184,17 +196,16 @@ def lines(site: SiteMap) -> list[str]:
     left_out = [f"{few} left out by --min-frames"] if site.left_out else []
     if not site.landmarks:
         return left_out or ["no landmark declared"]
-    axes, periods_deg = Axes(site.ros_axes), _periods_deg(site)
     rows = ["number  landmark       x m       y m  sigma m  orientation  sigma  passes  frames"]
     for number, landmark in enumerate(site.landmarks, 1):
-        x, y = axes.position(landmark.position)
-        sigma = math.sqrt(float(np.linalg.eigvalsh(landmark.covariance)[-1]))
-        orientation = axes.orientation(landmark.orientation_deg, periods_deg[landmark.id])
+        x, y = site.position(landmark.position)
+        orientation = site.orientation(landmark.orientation_deg, landmark.id)
         angles = (orientation, landmark.orientation_sigma_deg)
         angle, angle_sigma = ("-" if math.isnan(deg) else f"{deg:.1f}" for deg in angles)
         rows.append(
-            f"{number:>6}  {landmark.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {angle:>11}  "
-            f"{angle_sigma:>5}  {len(landmark.members):>6}  {frames_of(landmark.members):>6}"
+            f"{number:>6}  {landmark.id:>8}  {x:>8.3f}  {y:>8.3f}  {landmark.sigma_m:>7.3f}  "
+            f"{angle:>11}  {angle_sigma:>5}  {len(landmark.members):>6}  "
+            f"{frames_of(landmark.members):>6}"
         )
     return rows + left_out
 
@@ -233,10 +244,14 @@ def map_landmarks(
     out: a folder for the files of `sonarrec map`; default: none is written. odometry: tables of
     poses. drift: standard error of the poses after one minute, m and deg.
     """
-    geometry = sonar_from(sonar)
     site = make_map(
         _paths(results),
-        MapOptions(_paths(odometry), Drift(*drift), method, landmarks, geometry, min_frames),
+        _paths(odometry),
+        Drift(*drift),
+        method,
+        landmarks=landmarks,
+        sonar=sonar_from(sonar),
+        min_frames=min_frames,
     )
     if out is not None:
         write_all(Path(local(out)), site)

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
@@ -24,10 +23,16 @@ from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
-from sonarrec.mapping.axes import CHI2_95, ellipse
-from sonarrec.mapping.build import MapOptions, make_map
-from sonarrec.mapping.join import MappedLog, join
-from sonarrec.mapping.passes import HEIGHT_SIGMA_M, DeclaredEstimates, find_passes
+from sonarrec.mapping.build import make_map
+from sonarrec.mapping.landmarks import (
+    CHI2_95,
+    HEIGHT_SIGMA_M,
+    DeclaredEstimates,
+    MappedLog,
+    ellipse,
+    find_passes,
+    join,
+)
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.readers.poses_csv import read_poses
@@ -36,6 +41,7 @@ from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
+from tests.support.messages import definition, serialised
 from tests.support.rows import read_rows, write_rows
 
 BASIN = load_landmarks("basin")
@@ -102,21 +108,9 @@ def results(
                 common = rng.normal(0, SIGMA)
             track[disc] = frame, number, common
             noisy = exact + math.sqrt(0.5) * (common + rng.normal(0, SIGMA))
+            place, belief = (0.0, 0.0, *noisy[:2], noisy[2] % 360), (1.0, np.full(5, 0.2))
             found.append(
-                Estimate(
-                    "framework",
-                    number,
-                    0.0,
-                    0.0,
-                    *noisy[:2],
-                    noisy[2] % 360,
-                    1.0,
-                    np.full(5, 0.2),
-                    disc.id,
-                    0.99,
-                    True,
-                    *SIGMA,
-                )
+                Estimate("framework", number, *place, *belief, disc.id, 0.99, True, *SIGMA)
             )
         rows.append(tuple(found))
     config = preset("default")
@@ -157,14 +151,6 @@ def mapped(dive: Path) -> Path:
 # Where they lie
 
 
-def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
-    folder = results(tmp_path / "dive", there_and_back(20), there_and_back(20))
-    told = (folder / "run.toml").read_text()
-    (folder / "run.toml").write_text(told.replace("finished = true", "finished = false"))
-    said = sonarrec("map", folder, code=3).stderr
-    assert f"{folder}: the run was cut short (run.toml says finished = false); only 20 " in said
-
-
 def test_estimates_on_frames_that_are_not_listed_are_told(dive: Path) -> None:
     rows = read_rows(dive / "estimates.csv")
     strays = [row | {"frame": str(int(row["frame"]) + 1000)} for row in rows[:5]]
@@ -203,7 +189,7 @@ def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(dive: Pat
     rows = [f"[[landmark]]\nid = {i}\nsectors = {s}\n" for i, s in ((1, [1, 0]), (2, [1, 1]))]
     head = 'name = "s"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
     given.write_text(head + "".join(rows))
-    told = sonarrec("map", dive, "--landmarks", given, "--origin", "54,10,0").stdout
+    told = sonarrec("map", dive, "--landmarks", given, "--origin", "89.99998,10,0").stdout
     for name, count in (("map", 3), ("passes", 6)):
         found = read_rows(dive / "map" / f"{name}.csv")
         assert len(found) == count
@@ -219,10 +205,8 @@ def test_two_logs_make_one_map(tmp_path: Path) -> None:
     other = results(tmp_path / "other", path[::-1], path[::-1], [*SITE, Disc(4, -1.2, 2.0, 0)], 1)
     sonarrec("map", one, other, "-o", tmp_path / "site")
     rows = read_rows(tmp_path / "site" / "map.csv")
-    assert [(row["landmark"], row["logs"]) for row in rows] == [
-        *(("1", "2"), ("1", "2"), ("2", "2")),
-        ("4", "1"),
-    ]
+    found = [(row["landmark"], row["logs"]) for row in rows]
+    assert found == [("1", "2"), ("1", "2"), ("2", "2"), ("4", "1")]
     told = sonarrec("map", one, other, code=2)
     assert "several RESULTS need --out" in told.stderr
 
@@ -238,43 +222,28 @@ def test_what_lies_on_another_is_the_one_claimed_more(dive: Path) -> None:
     write_rows(estimates, rows)
     sonarrec("map", dive)
     rows = read_rows(dive / "map" / "map.csv")
-    assert [(row["landmark"], row["other_frames"]) for row in rows] == [
-        ("1", "0"),
-        ("1", "0"),
-        ("2", "5"),
-    ]
+    found = [(row["landmark"], row["other_frames"]) for row in rows]
+    assert found == [("1", "0"), ("1", "0"), ("2", "5")]
 
 
-@pytest.mark.parametrize("told", ["no column", "one cell empty"])
-def test_tracks_are_needed(dive: Path, told: str) -> None:
+def test_tracks_are_needed(dive: Path) -> None:
     """Without them two landmarks of one ID that are seen at once were one, between the two."""
     rows = read_rows(dive / "estimates.csv")
-    if told == "no column":
-        for row in rows:
-            del row["object"]
-    else:
-        rows[-1]["object"] = ""
+    rows[-1]["object"] = ""
     write_rows(dive / "estimates.csv", rows)
-    done = sonarrec("map", dive, code=1)
-    assert done.stderr == (
-        f"sonarrec: {dive / 'estimates.csv'}: a track needs object; not every declared row of "
-        "framework has it\n"
-    )
+    assert f"{dive / 'estimates.csv'}: a track needs object" in sonarrec("map", dive, code=1).stderr
     rows[-1] |= {"declared": "0"}  # a row that is in no pass needs none
     write_rows(dive / "estimates.csv", rows)
-    sonarrec("map", dive, code=1 if told == "no column" else 0)
+    sonarrec("map", dive)
 
 
 def test_landmarks_of_few_frames_are_left_out(dive: Path) -> None:
     most = max(int(row["frames"]) for row in map_rows(dive))
     assert map_rows(dive, "--min-frames", most + 1) == []
-    told = sonarrec("map", dive, "--min-frames", 10_000).stdout.splitlines()[1:]
-    assert told == ["  3 landmarks left out by --min-frames"]
-    assert "left out" not in sonarrec("map", dive).stdout
     told = sonarrec("map", dive, "--min-frames", most).stdout.splitlines()[-1:]
     assert told == ["  2 landmarks left out by --min-frames"]
     nothing = results(dive.parent / "empty", there_and_back(), there_and_back(), site=())
-    assert "no landmark declared" in sonarrec("map", nothing, "--min-frames", 10_000).stdout
+    assert "no landmark declared" in sonarrec("map", nothing).stdout
 
 
 def map_rows(folder: Path, *options: str | int) -> list[dict[str, str]]:
@@ -318,7 +287,7 @@ def still_pass(rng: np.random.Generator, tracks: int) -> MappedLog:
         strays=0,
     )
     passes = find_passes(declared, path, BASIN, FAN)
-    return MappedLog("dive", path, passes, FAN, ros_axes=False, folder=Path())
+    return MappedLog("dive", path, passes, FAN, ros_axes=False)
 
 
 @pytest.mark.slow
@@ -410,11 +379,8 @@ def test_a_landmark_that_comes_back_is_one_in_spite_of_drift(tmp_path: Path) -> 
     folder = results(tmp_path / "dive", path, path + off)
     assert len(map_rows(folder)) > 3  # as exact poses these are other landmarks
     rows = map_rows(folder, "--drift", "0.4,5")
-    assert [(row["landmark"], row["passes"]) for row in rows] == [
-        ("1", "2"),
-        ("1", "2"),
-        ("2", "2"),
-    ]
+    found = [(row["landmark"], row["passes"]) for row in rows]
+    assert found == [("1", "2"), ("1", "2"), ("2", "2")]
 
 
 def measured(
@@ -451,10 +417,10 @@ def test_without_poses_the_map_is_relative_to_the_first_frame(tmp_path: Path) ->
         at = (x + right * cos + ahead * sin, y + ahead * cos - right * sin)
         disc = min(SITE, key=lambda d: math.dist(at, (d.x, d.y)))
         assert math.dist(at, (disc.x, disc.y)) < 0.05
-        first = min(one_pass.row[0] for _, one_pass in one.members)
+        first = min(one_pass.row[0] for one_pass in one.members)
         # What is first seen later is placed less surely.
         assert np.sqrt(one.covariance[0, 0]) >= sigma[0] * math.sqrt(first)
-    told = sonarrec("map", folder, folder, code=0)  # the same one twice is one
+    sonarrec("map", folder, folder, code=0)  # the same one twice is one
     other = results(tmp_path / "other", path, None)
     measured(other, path, sigma)
     told = sonarrec("map", folder, other, "-o", tmp_path / "both", code=2)
@@ -505,17 +471,6 @@ def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
         assert feature["properties"]["heading_deg"] == pytest.approx(turn, abs=0.02)
     others = [f["geometry"]["type"] for f in features if f not in points]
     assert sorted(others) == ["LineString", *["Polygon"] * len(rows)]
-
-
-def test_headings_count_from_north_at_the_origin(mapped: Path) -> None:
-    """Also two metres from a pole, as the help page says, where north is another one everywhere."""
-    told = []
-    for latitude in (54.3233, 89.99998):
-        sonarrec("map", mapped.parent, f"--origin={latitude},10.1394,87", "-q")
-        features = json.loads((mapped / "map.geojson").read_text())["features"]
-        points = [f for f in features if f["geometry"]["type"] == "Point"]
-        told.append([f["properties"]["heading_deg"] for f in points])
-    assert told[0] == told[1]
 
 
 def test_an_ellipse_holds_what_it_says() -> None:
@@ -587,35 +542,21 @@ def test_the_frame_of_a_topic_is_as_ros_has_it(tmp_path: Path) -> None:
 
 
 def odometry_log(log: Path, path: FloatArray) -> None:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    name = "nav_msgs/msg/Odometry"
+    """An MCAP of the poses alone, as ROS has them."""
+    name = "geometry_msgs/msg/PoseStamped"
     with log.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        text = store.generate_msgdef(name, ros_version=2)[0].encode()
-        channel = writer.register_channel(
-            "/odom", "cdr", writer.register_schema(name, "ros2msg", text)
-        )
-        t: Any = store.types
+        schema = writer.register_schema(name, "ros2msg", definition(name))
+        channel = writer.register_channel("/odom", "cdr", schema)
         for n, (yaw, x, y) in enumerate(path.tolist()):
             half = -math.radians(yaw) / 2
-            zero = t["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-            message = t[name](
-                t["std_msgs/msg/Header"](t["builtin_interfaces/msg/Time"](0, 0), "map"),
-                "sonar",
-                t["geometry_msgs/msg/PoseWithCovariance"](
-                    t["geometry_msgs/msg/Pose"](
-                        t["geometry_msgs/msg/Point"](y, -x, 0.0),
-                        t["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half)),
-                    ),
-                    np.zeros(36),
-                ),
-                t["geometry_msgs/msg/TwistWithCovariance"](
-                    t["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)
-                ),
-            )
+            turned = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
+            pose = {"position": {"x": y, "y": -x, "z": 0.0}, "orientation": turned}
+            header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
             time = round(n * 1e9 / RATE)
-            writer.add_message(channel, time, bytes(store.serialize_cdr(message, name)), time)
+            data = serialised(name, {"header": header, "pose": pose})
+            writer.add_message(channel, time, data, time)
         writer.finish()
 
 
@@ -640,7 +581,7 @@ def test_faults_are_one_line(options: str, code: int, told: str, tmp_path: Path)
     assert not (folder / "map").exists()
 
 
-@pytest.mark.parametrize(("here", "named"), [(".", "dive"), ("dive", "."), ("dive/sub", "..")])
+@pytest.mark.parametrize(("here", "named"), [("dive", "."), ("dive/sub", "..")])
 def test_poses_are_found_from_wherever_the_results_are_named(
     here: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -719,7 +660,7 @@ def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None
     with pytest.raises(SonarrecError, match="neither poses"):
         make_map([bad])
     with pytest.raises(UsageError, match="there are none"):
-        make_map([bad], MapOptions(drift=Drift(1, 1)))
+        make_map([bad], drift=Drift(1, 1))
     assert make_map([good]).diagnostics.problems == []
 
 
