@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.nouns import ColourMap
+from sonarrec.nouns import BeamOrder, ColourMap
 from sonarrec.tables.toml import Finite, from_table, read_toml
 
 MIN_WINDOW_M = 0.01
@@ -27,7 +27,6 @@ height_m = 0.68             # above the floor; optional if tilt_deg is given
 frame_rate_hz = 4.0         # where frames carry no time; optional
 """
 
-BeamOrder = Literal["range-major", "beam-major"]
 RangeOrder = Literal["near_first", "far_first"]
 
 
@@ -204,29 +203,6 @@ class Sonar:
             steps = np.diff(self.ranges_m)
             if not len(steps) or not np.all(steps > 0):
                 yield ("ranges_m",), "ranges_m must rise from bin to bin"
-
-
-@dataclass(frozen=True, slots=True)
-class PingGeometry:
-    """The geometry that a polar ping states: everything except tilt and height."""
-
-    range_min_m: float  # the window's slant ranges
-    range_max_m: float
-    bearings_deg: tuple[float, ...]  # of the beams' middles
-    ranges_m: tuple[float, ...] | None  # of the bins' middles; None: evenly spaced
-    beam_order: BeamOrder | None = None  # None: to be found from the samples
-    beam_width_deg: float | None = None  # between half-power points; None: not stated
-
-    def as_sonar(self) -> Sonar:
-        """The geometry as a Sonar, without what a user cannot state."""
-        return Sonar(
-            layout="polar",
-            range_min_m=self.range_min_m,
-            range_max_m=self.range_max_m,
-            bearings_deg=self.bearings_deg,
-            ranges_m=self.ranges_m,
-            beam_order=self.beam_order,
-        )
 
 
 def _edges(bearings_deg: tuple[float, ...], flip: bool) -> tuple[float, float]:

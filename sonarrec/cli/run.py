@@ -135,7 +135,7 @@ def run(
     logs = options_log.named_logs(log, from_file, recursive)
     tell([], _unquoted_glob_notes(logs))
     if odometry is not None and len(logs) > 1:
-        from sonarrec.readers.poses_csv import read_poses
+        from sonarrec.readers.poses import read_poses
 
         read_poses(odometry)  # so that a fault is reported once, not for each log
     tasks = _tasks(logs, out, log_options, run_options, overwrite)

@@ -28,7 +28,7 @@ from sonarrec.mapping.path import (
     path_from_poses,
     read_frames,
 )
-from sonarrec.readers.poses_csv import read_poses
+from sonarrec.readers.poses import read_poses
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
 from sonarrec.results.same_log import CountedOnce, recording
@@ -206,7 +206,7 @@ def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTab
     if len(tables) == 1 and (not recorded or "topic" in recorded):
         return read_poses(tables[0])
     if "topic" in recorded:
-        from sonarrec.readers.messages.poses import read_topic  # brings decompressors
+        from sonarrec.readers.poses import read_topic  # brings decompressors
 
         if not log.exists():
             raise SonarrecError(

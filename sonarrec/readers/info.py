@@ -12,10 +12,11 @@ from typing import Any
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
-from sonarrec.readers.guess.plausible import Plausibility
+from sonarrec.nouns import Frame
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
-from sonarrec.readers.raw import RawFrame, RawLog
+from sonarrec.readers.plausible import Plausibility
+from sonarrec.readers.raw import RawLog
 from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]
@@ -137,7 +138,7 @@ class _Counts:
     start_ns: int | None = None
     end_ns: int | None = None
 
-    def add(self, frame: RawFrame) -> None:
+    def add(self, frame: Frame) -> None:
         """Count a frame."""
         self.frames += 1
         if frame.timestamp_ns is not None:

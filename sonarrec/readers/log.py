@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 from typing import Any
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Clock, Fan, Frame
-from sonarrec.readers.containers.recording import CLEARLY_BACK_NS
 from sonarrec.readers.decode.colour import LUMINANCE
 from sonarrec.readers.decode.frame_maker import FrameMaker
 from sonarrec.readers.open import Source
-from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, showing
+from sonarrec.readers.raw import CLEARLY_BACK_NS, RawLog, UnusableError, showing
 from sonarrec.sonar import Sonar
 
 YEAR_NS = 31_556_952 * 10**9
@@ -41,20 +40,14 @@ class Log:
         stated: Sonar,
         raw: RawLog,
         time: Clock,
-        observe: Callable[[RawFrame], None] | None = None,
+        observe: Callable[[Frame], None] | None = None,
     ) -> None:
         """raw: the source, opened. time: which of its times names a frame. observe: called with
-        each raw frame that is read."""
-        self.path = source.path
-        self.name = source.name
-        self.stated = stated
-        self.header = raw.header_info.sonar
-        self.frame_count = raw.frame_count
+        each frame as the log holds it."""
+        self.path, self.name, self.stated = source.path, source.name, stated
+        self.header, self.frame_count = raw.header_info.sonar, raw.frame_count
         self.diagnostics = raw.diagnostics
-        self._source = source
-        self._raw = raw
-        self._time = time
-        self._observe = observe
+        self._source, self._raw, self._time, self._observe = source, raw, time, observe
         origin = "headers" if raw.header_info.values else "messages"
         self._make = FrameMaker(stated, str(source.path), raw.diagnostics, origin)
         self.beam_width_deg = stated.beam_width_deg
@@ -139,42 +132,45 @@ class Log:
         self._timed = 0, 0
         self.diagnostics.begin_pass()
         self._raw.passed_over = range(0)  # an earlier pass may have set it
-        for index, raw in enumerate(self._settled()):
+        for index, stored in enumerate(self._settled()):
             if span[1] is not None and index >= span[1]:
                 return
-            if (raw.pixels is None and raw.problem is None) or (used and index < span[0]):
+            if (stored.pixels is None and stored.problem is None) or (used and index < span[0]):
                 continue  # outside of the span, or reported with others in the faults
             try:
-                pixels, fan, polar = self._make(raw)
-                stamp = self._time_of(index, raw)
+                frame = self._make(stored)
+                frame = replace(frame, index=index, timestamp_ns=self._time_of(index, stored))
             except UnusableError as error:
-                self.diagnostics.skip(raw.name, error)
+                self.diagnostics.skip(stored.name, error)
                 continue
-            if not used and raw.sonar is not None and self.stated.beam_width_deg is None:
-                self.beam_width_deg = raw.sonar.beam_width_deg
+            if not used and frame.ping is not None and self.stated.beam_width_deg is None:
+                self.beam_width_deg = frame.ping.beam_width_deg
             used += 1
             if index < span[0]:
                 self._raw.passed_over = range(span[0])
             else:
-                yield Frame(index, stamp, pixels, fan, raw.stamps, polar)
+                yield frame
         self.diagnostics.end_pass()
         if not used:
-            problems = self.diagnostics.problems
-            reason = f" ({problems[0]})" if problems else ""
-            raise SonarrecError(f"{self.path}: not one frame could be used{reason}")
+            raise SonarrecError(f"{self.path}: not one frame could be used{self._first_problem()}")
 
     def why_none(self) -> str:
         """The end of a message that no frame lies in a span: why, if frames could not be used."""
-        problems = self.diagnostics.problems
-        return f", or none that can be used ({problems[0]})" if problems else ""
+        problem = self._first_problem()
+        return f", or none that can be used{problem}" if problem else ""
 
-    def _settled(self) -> Iterator[RawFrame]:
-        """The raw frames, after the first few have decided how all are read."""
-        frames = _of_one_size(self._observed())
+    def _first_problem(self) -> str:
+        problems = self.diagnostics.problems
+        return f" ({problems[0]})" if problems else ""
+
+    def _settled(self) -> Iterator[Frame]:
+        """The stored frames, after the first few have decided how all are read."""
+        frames = self._observed()
+        frames = chain(_of_one_size(_to_settle(frames)), frames)
         first = _to_settle(frames)
         if self.fan is None:  # else an earlier pass has settled it
             self._make.settle(first)
-        stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
+        stamped = [frame.stamps.header for frame in first if frame.pixels is not None]
         self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
         if self._unset:
             self.diagnostics.note(
@@ -182,41 +178,39 @@ class Log:
             )
         return chain(first, frames)
 
-    def _observed(self) -> Iterator[RawFrame]:
-        for raw in self._raw:
+    def _observed(self) -> Iterator[Frame]:
+        for stored in self._raw:
             if self._observe is not None:
-                self._observe(raw)
-            yield raw
+                self._observe(stored)
+            yield stored
 
-    def _time_of(self, index: int, raw: RawFrame) -> int:
+    def _time_of(self, index: int, frame: Frame) -> int:
         """The time that names a frame, ns. Raises UnusableError if the frame has no such time."""
-        stamps = raw.stamps
-        by_clock = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
         clock = "log" if self._unset else self._time
-        stamp = by_clock[clock]
+        stamp: int | None = frame.timestamp_ns if clock == "log" else getattr(frame.stamps, clock)
         if stamp is None and self._time != "log":
             raise UnusableError(f"without a {self._time} time; --time log needs none")
-        if clock == "header" and stamp == 0 and self._timed[1] > 0:
+        number, before = self._timed
+        if stamp is None:
+            self.untimed = self.sonar.frame_rate_hz is None
+            return before + round((index - number) * 1e9 / (self.sonar.frame_rate_hz or 1.0))
+        if clock == "header" and stamp == 0 and before > 0:
             raise UnusableError("its header stamp is 0, as if not set; --time log needs none")
-        if stamp is not None and not -(2**63) <= stamp < 2**63:
+        if not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
-        if stamp is not None:
-            step = stamp - self._timed[1]
-            is_back = clock == "log" and step < -CLEARLY_BACK_NS
-            if self._timed[1] > 0 and (step > YEAR_NS or is_back) and not self._jumped:
-                self._jumped = True
-                how = f"jump ahead by {step / YEAR_NS:.1f} years"
-                how = f"go back by {-step / 1e9:.1f} s" if is_back else how
-                why = "were two recordings joined, or " if is_back else ""
-                self.diagnostics.note(
-                    f"times {how} at frame {index} ({why}was the clock set?); truth and poses by "
-                    "time fit one side of that"
-                )
-            self._timed = index, stamp
-            return stamp
-        self.untimed = self.sonar.frame_rate_hz is None
-        number, time_ns = self._timed
-        return time_ns + round((index - number) * 1e9 / (self.sonar.frame_rate_hz or 1.0))
+        step = stamp - before
+        is_back = clock == "log" and step < -CLEARLY_BACK_NS
+        if before > 0 and (step > YEAR_NS or is_back) and not self._jumped:
+            self._jumped = True
+            how = f"jump ahead by {step / YEAR_NS:.1f} years"
+            how = f"go back by {-step / 1e9:.1f} s" if is_back else how
+            why = "were two recordings joined, or " if is_back else ""
+            self.diagnostics.note(
+                f"times {how} at frame {index} ({why}was the clock set?); truth and poses by "
+                "time fit one side of that"
+            )
+        self._timed = index, stamp
+        return stamp
 
     def digest_source(self) -> tuple[int, str]:
         """(size in bytes, SHA-256 in hex) of the log's file: see `digest_of`."""
@@ -248,29 +242,26 @@ def digest_of(log: Source) -> tuple[int, str]:
     return size, digest.hexdigest()
 
 
-def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
-    """The frames. Among the first few, those of another size than most are marked as unusable. The
-    first usable frame decides the size of the log. If a driver sent it before it had its settings,
-    all others would be lost."""
-    frames = iter(frames)
-    first = _to_settle(frames)
-    sizes = Counter(size for f in showing(first) if (size := _stored_size(f)) is not None)
-    if not sizes:
-        sizes.update(size for f in first if (size := _stored_size(f)) is not None)
+def _of_one_size(first: Sequence[Frame]) -> list[Frame]:
+    """The first frames, of which those of another size than most are marked as unusable. The first
+    usable frame decides the size of the log. If a driver sent it before it had its settings, all
+    others would be lost."""
+    sizes = Counter(filter(None, map(_stored_size, showing(first))))
+    sizes = sizes or Counter(filter(None, map(_stored_size, first)))
+    usual = sizes.most_common(1)[0][0] if sizes else ()
+    marked = []
     for frame in first:
         size = _stored_size(frame)
-        if size is None or size == (usual := sizes.most_common(1)[0][0]):
-            yield frame
-        else:
+        if size is not None and size != usual:
             problem = f"{size[1]} x {size[0]} pixels in a log of {usual[1]} x {usual[0]}"
-            yield replace(frame, pixels=None, problem=problem)
-    del first  # frees its images
-    yield from frames
+            frame = replace(frame, pixels=None, problem=problem)  # type: ignore[arg-type]
+        marked.append(frame)
+    return marked
 
 
-def _to_settle(frames: Iterator[RawFrame]) -> list[RawFrame]:
+def _to_settle(frames: Iterator[Frame]) -> list[Frame]:
     """The first frames, up to the SETTLING_FRAMES-th that shows something."""
-    first: list[RawFrame] = []
+    first: list[Frame] = []
     shown = held = 0
     for frame in islice(frames, SETTLING_WITHIN):
         first.append(frame)
@@ -281,8 +272,8 @@ def _to_settle(frames: Iterator[RawFrame]) -> list[RawFrame]:
     return first
 
 
-def _stored_size(frame: RawFrame) -> tuple[int, ...] | None:
+def _stored_size(frame: Frame) -> tuple[int, ...] | None:
     """(rows, columns) of an image that does not state its geometry; None for others."""
-    if frame.pixels is None or frame.sonar is not None:
+    if frame.pixels is None or frame.ping is not None:
         return None
     return frame.pixels.shape[:2]

@@ -23,13 +23,12 @@ from sonarrec.errors import (
 )
 from sonarrec.nouns import IMAGE_SUFFIXES, PART
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
-from sonarrec.readers.containers.ddf.frames import DdfFrames
+from sonarrec.readers.containers.ddf import DdfFrames
 from sonarrec.readers.containers.gemini import GeminiPings
 from sonarrec.readers.containers.images import ImageFiles, ImagePaths, is_image
 from sonarrec.readers.containers.oculus import OculusPings
-from sonarrec.readers.containers.recording import Recording
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.readers.raw import RawLog
+from sonarrec.readers.raw import RawLog, Recording
 from sonarrec.sonar import Sonar, load_sonar
 from sonarrec.tables.order import natural_order
 
@@ -76,7 +75,7 @@ _BAG_FOLDER = Reader(
 READERS = (
     _IMAGES,
     Reader("video", VIDEO_SUFFIXES, lambda files, told: VideoFrames(files[0], told)),
-    Reader("MCAP", frozenset({".mcap"}), recording=_recorded("mcap.recording", "McapRecording")),
+    Reader("MCAP", frozenset({".mcap"}), recording=_recorded("mcap", "McapRecording")),
     Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_recorded("db3", "Db3Recording")),
     Reader("ROS 1 bag", frozenset({".bag"}), recording=_recorded("ros_bag", "RosBag")),
     _BAG_FOLDER,

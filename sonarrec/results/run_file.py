@@ -227,7 +227,7 @@ class LogOptions:
     sonar_file: Path | None = None  # in place of the sonar.toml beside the log
     topic: str | None = None  # the image channel of an MCAP
     time: Clock | None = None  # which of a message's times is that of its frame; default: log time
-    odometry: Path | None = None  # a table of the sonar's poses, see readers/poses_csv.py
+    odometry: Path | None = None  # a table of the sonar's poses, see readers/poses.py
     odometry_topic: str | None = None  # the topic with the poses, in place of a table
     frames: tuple[int, int | None] | None = None  # from the first up to, not including, the second
     up_to: Path | None = None  # the highest folder searched for files that belong to the log

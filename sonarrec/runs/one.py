@@ -12,8 +12,8 @@ from pathlib import Path
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import SonarrecError, number_of
 from sonarrec.nouns import Frame, FrameResult, Stamps
-from sonarrec.readers.guess.plausible import Plausibility
 from sonarrec.readers.open import find_log, log_name, results_name
+from sonarrec.readers.plausible import Plausibility
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import LogOptions, existing_results
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in

@@ -20,7 +20,7 @@ from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log, digest_of
 from sonarrec.readers.open import Source, find_log
-from sonarrec.readers.poses_csv import POSES_FILE, read_poses
+from sonarrec.readers.poses import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
@@ -229,7 +229,7 @@ def _poses(source: Source, log_options: LogOptions, earlier: RunFile) -> PoseTab
     earlier.check_poses(log_options)
     topic = log_options.odometry_topic
     if topic is not None:
-        from sonarrec.readers.messages.poses import (
+        from sonarrec.readers.poses import (
             read_topic,  # with its decompressors, where needed
         )
 

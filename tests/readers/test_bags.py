@@ -12,7 +12,7 @@ import zstandard
 from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.messages import ros
-from sonarrec.readers.messages.poses import read_topic
+from sonarrec.readers.poses import read_topic
 from tests.support.bags import IMAGE, bag, messages, ros1_messages, split_bag
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file, read
 from tests.support.messages import image_fields, serialised

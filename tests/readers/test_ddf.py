@@ -17,12 +17,12 @@ from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.ddf.aris import (
+from sonarrec.readers.containers.ddf_headers import (
     FILE_HEADER,
     FRAME_HEADER,
     bearings_deg,
+    lens_bearings_deg,
 )
-from sonarrec.readers.containers.ddf.didson import lens_bearings_deg
 from tests.support.command import sonarrec
 from tests.support.logs import frames
 from tests.support.sonar_files import (

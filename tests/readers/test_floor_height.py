@@ -16,7 +16,7 @@ import pytest
 from sonarrec.geometry import floor_depth
 from sonarrec.nouns import Fan
 from sonarrec.readers import open_log
-from sonarrec.readers.guess.height import LEAST, height_from_images
+from sonarrec.readers.decode.height import LEAST, height_from_images
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, load_scene, scene_fan
 from tests.support.command import sonarrec

@@ -15,7 +15,6 @@ from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.open import find_log
-from sonarrec.readers.raw import RawFrame
 from tests.readers.test_ddf import as_fan
 from tests.support import logs
 from tests.support.logs import frames
@@ -37,7 +36,7 @@ def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:
     return logs.read(path, sonar=TILT | sonar)
 
 
-def raw(path: Path) -> tuple[list[RawFrame], list[str]]:
+def raw(path: Path) -> tuple[list[Frame], list[str]]:
     log = find_log(path).open()
     return list(log), log.diagnostics.faults
 
@@ -69,13 +68,13 @@ def test_as_another_reader_reads_it(version: int, compression: int, tmp_path: Pa
             np.testing.assert_array_equal(
                 frame.pixels, np.frombuffer(data, np.uint8).reshape(bins, beams)
             )
-            assert frame.sonar is not None
+            assert frame.ping is not None
             # Its table is positive to the left.
             np.testing.assert_allclose(
-                frame.sonar.bearings_deg, -np.degrees(record.bearing_table), rtol=1e-12
+                frame.ping.bearings_deg, -np.degrees(record.bearing_table), rtol=1e-12
             )
-            assert frame.sonar.range_max_m == pytest.approx(calculate_range(record))
-            assert frame.sonar.range_min_m == 0
+            assert frame.ping.range_max_m == pytest.approx(calculate_range(record))
+            assert frame.ping.range_min_m == 0
             assert frame.timestamp_ns is not None
             # Theirs is by London's clock, an hour behind in the summer, and whole milliseconds.
             apart_s = frame.timestamp_ns / 1e9 - record.header.time.timestamp()
@@ -88,10 +87,10 @@ def test_times_window_and_header(tmp_path: Path) -> None:
     for k, frame in enumerate(log):
         assert frame.timestamp_ns == frame.stamps.log == START_NS + k * 125_000_000
         assert frame.stamps.header == START_NS + k * 125_000_000 - 31_250_000
-        assert frame.sonar is not None
+        assert frame.ping is not None
         bin_m = 1490 / 2 / 46_560
-        assert frame.sonar.range_min_m == pytest.approx(100 * bin_m)
-        assert frame.sonar.range_max_m == pytest.approx(164 * bin_m)
+        assert frame.ping.range_min_m == pytest.approx(100 * bin_m)
+        assert frame.ping.range_max_m == pytest.approx(164 * bin_m)
     assert log.header_info.values == {
         "sonar": "Gemini 1200ik, device 1194",
         "mounted": "upright",

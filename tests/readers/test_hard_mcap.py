@@ -15,7 +15,8 @@ import zstandard
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
-from sonarrec.readers.containers.mcap import chunks, recording
+from sonarrec.readers.containers import mcap as recording
+from sonarrec.readers.containers import mcap_chunks as chunks
 from tests.support.hard_logs import HardLog, record
 from tests.support.logs import PERIOD_NS, cdr_image, frames, read
 from tests.support.shapes import peak_of_reading, shapes

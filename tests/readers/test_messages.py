@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,7 @@ def test_the_forward_axis_is_found(forward: str, backwards: bool, side: int) -> 
             vector[forward] *= -1 if backwards else 1
             vector[across] *= side  # drivers disagree; beams always run from left to right
         fields = messages.projected_fields(0, image) | {"beam_directions": vectors}
-        told = ping_of(PROJECTED, fields).sonar
+        told = ping_of(PROJECTED, fields).ping
         assert told is not None
         expected = (BEARINGS_DEG + 3.0) * (1 if side > 0 else -1)
         expected = expected if expected[0] < expected[-1] else -expected
@@ -117,7 +118,7 @@ def test_gains_are_taken_out() -> None:
 def test_raw_sonar_image_ranges() -> None:
     """Range is (sample0 + i) c / (2 rate), told about the middle of each sample."""
     fields = messages.raw_fields(0, polar_frames(1)[0]) | {"sample0": 3, "sample_rate": 2000.0}
-    told = ping_of(RAW, fields).sonar
+    told = ping_of(RAW, fields).ping
     assert told is not None
     metres = SOUND_SPEED / 4000.0
     assert told.range_min_m == pytest.approx(2.5 * metres)
@@ -133,11 +134,11 @@ def test_bins_from_the_sonar_on_lie_at_their_own_ranges(name: str) -> None:
         fields = messages.projected_fields(0, image) | {"ranges": ranges.astype(np.float32)}
     else:
         fields = messages.raw_fields(0, image) | {"sample0": 0}
-    told = ping_of(name, fields).sonar
+    told = ping_of(name, fields).ping
     assert told is not None
     assert told.range_min_m == 0
     assert told.range_max_m == pytest.approx(ranges[-1] + BIN_M / 2)
-    sonar = told.as_sonar().updated(Sonar(tilt_deg=20.0)).complete("ping")
+    sonar = Sonar(**asdict(told), layout="polar", tilt_deg=20.0).complete("ping")
     np.testing.assert_allclose(bin_ranges(sonar, BINS), ranges, atol=1e-6)
 
 
@@ -234,8 +235,8 @@ def projected(**info: object) -> Fields:
 )
 def test_a_message_tells_how_wide_its_receiving_beams_are(widths, expected) -> None:
     ping = read_projected_sonar_image(projected(rx_beamwidths=widths))
-    assert ping.sonar is not None
-    assert ping.sonar.beam_width_deg == expected
+    assert ping.ping is not None
+    assert ping.ping.beam_width_deg == expected
     ping = read_projected_sonar_image(projected())
-    assert ping.sonar is not None
-    assert ping.sonar.beam_width_deg is None
+    assert ping.ping is not None
+    assert ping.ping.beam_width_deg is None

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.readers import open_log
-from sonarrec.readers.guess.names import in_order, times_in_names
+from sonarrec.readers.containers.images import ImagePaths, times_in_names
 from sonarrec.tables.order import natural_order
 from tests.support.logs import frames, image_folder
 
@@ -91,9 +91,9 @@ def test_names_without_times(stems: str) -> None:
 def ordered(stems: list[str]) -> tuple[bool, str | None]:
     """Whether names in disorder come back, and why that is a guess; None where they hold times."""
     paths = [f"/9/log.7/{stem}.png" for stem in stems]
-    found, doubt = in_order(random.Random(1).sample(paths, len(paths)))
-    times = times_in_names(Path(path).stem for path in found)
-    return found == paths, doubt if times is None else None
+    found = ImagePaths(map(Path, random.Random(1).sample(paths, len(paths))))
+    times = times_in_names([path.stem for path in found])
+    return [*map(str, found)] == paths, found.doubt if times is None else None
 
 
 @pytest.mark.parametrize("form", CERTAIN)

@@ -14,8 +14,8 @@ import pytest
 
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.guess.plausible import FRAMES, Plausibility
 from sonarrec.readers.info import describe
+from sonarrec.readers.plausible import FRAMES, Plausibility
 from sonarrec.sonar import Sonar
 from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import draw_on_floor, make_fan, speckled

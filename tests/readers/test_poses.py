@@ -19,8 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pose_table
 from sonarrec.nouns import Motion
-from sonarrec.readers.messages.poses import read_topic
-from sonarrec.readers.poses_csv import read_poses
+from sonarrec.readers.poses import read_poses, read_topic
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import load_scene

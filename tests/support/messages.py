@@ -24,7 +24,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.messages.types import decoder_for
-from sonarrec.readers.raw import Ping
 from sonarrec.sonar import Sonar
 from tests.support.flatbuffer import binary_schema, encode_flatbuffer
 from tests.support.logs import PERIOD_NS, mcap_file
@@ -399,10 +398,10 @@ def read(path: Path, **options: Any) -> tuple[list[Frame], list[str], list[str]]
         return list(log), log.diagnostics.problems, log.diagnostics.notes
 
 
-def ping_of(name: str, fields: dict[str, Any], **options: Any) -> Ping:
+def ping_of(name: str, fields: dict[str, Any], **options: Any) -> Frame:
     decode = decoder_for(name, "ros2msg", definition(name), "cdr")
     assert decode is not None
-    assert decode.kind.polar
+    assert decode.polar
     return decode(memoryview(serialised(name, fields, **options)))
 
 

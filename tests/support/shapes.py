@@ -13,7 +13,7 @@ from tests.support.hard_logs import HardLog, noise_images
 _READ = """
 import resource, sys
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.mcap import chunks
+from sonarrec.readers.containers import mcap_chunks as chunks
 if len(sys.argv) > 2:
     chunks.HELD_BYTES = int(sys.argv[2])
 from sonarrec.errors import SonarrecError

@@ -9,11 +9,11 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
-from sonarrec.readers.containers.recording import Channel, Message, Recording
+from sonarrec.readers.raw import Channel, Message, Recording
 from sonarrec.tables.order import natural_order
 
 METADATA = "metadata.yaml"
@@ -67,19 +67,6 @@ def _listed(folder: Path, diagnostics: Diagnostics) -> list[Path] | None:
         return None
 
 
-@dataclass(slots=True)
-class _Part:
-    """One file of a bag.
-
-    numbers: from the file's channel numbers to those of the bag. read: first and last log time of
-    what a pass has read, ns; None if nothing.
-    """
-
-    path: Path
-    numbers: dict[int, int] = field(default_factory=dict)
-    read: tuple[int, int] | None = None
-
-
 class BagFolder(Recording):
     """A `Recording` of all parts of a bag, of which one is open at a time.
 
@@ -88,22 +75,25 @@ class BagFolder(Recording):
 
     def __init__(self, path: Path, open_part: Open, diagnostics: Diagnostics) -> None:
         """open_part: opens one file. Raises SonarrecError if no part can be read."""
-        super().__init__(path, diagnostics)
-        self._open, self.profile, self.whole = open_part, "ros2", True
-        stored = _stored(path)
-        listed = _listed(path, diagnostics)
-        missing = [p.name for p in listed or () if p not in stored]
+        super().__init__(path, diagnostics, "ros2")
+        self._open = open_part
+        stored, listed = _stored(path), _listed(path, diagnostics)
         if listed is None:
             numbers = {int(match[2]) for p in stored if (match := _numbered(p))}
             missing = [f"part {n}" for n in range(max(numbers, default=-1)) if n not in numbers]
+            unlisted = []
+        else:
+            missing = [p.name for p in listed if p not in stored]
+            unlisted = [p.name for p in stored if p not in listed]
         self._tell(missing, "missing; frames after it have lower numbers than they had")
-        unlisted = [p.name for p in stored if listed is not None and p not in listed]
         self._tell(unlisted, f"not listed in {METADATA}, and not read")
-        self._parts = [_Part(file) for file in listed or stored if file in stored]
-        for part in self._parts:
-            self._look_into(part)
-        if not any(part.numbers for part in self._parts):
-            faults = self.diagnostics.faults
+        # Each part, and from its channel numbers to those of the bag.
+        self._parts: dict[Path, dict[int, int]] = {}
+        for part in listed or stored:
+            if part in stored:
+                self._look_into(part)
+        if not any(self._parts.values()):
+            faults = diagnostics.faults
             reason = f" ({faults[0]})" if faults else ""
             raise SonarrecError(f"{path}: no part of this bag can be read{reason}")
 
@@ -114,21 +104,20 @@ class BagFolder(Recording):
             few = ", ".join(names[:MOST_NAMED]) + ", ..." * (len(names) > MOST_NAMED)
             self.fault(f"{number_of(len(names), 'part')} of the bag {what}: {few}")
 
-    def _look_into(self, part: _Part) -> None:
+    def _look_into(self, part: Path) -> None:
         """Open a part and register its channels, counts, times and faults."""
         known = len(self.diagnostics.faults)
         try:
-            log = self._open(part.path, self.diagnostics)
-        except (SonarrecError, OSError) as error:
-            reason = error.strerror if isinstance(error, OSError) else str(error)
-            text = str(reason).removeprefix(f"{printable(part.path)}: ").partition("\n")[0]
-            self.diagnostics.fault(text, part.path.name)
+            log = self._open(part, self.diagnostics)
+        except SonarrecError as error:
+            text = str(error).removeprefix(f"{printable(part)}: ").partition("\n")[0]
+            self.diagnostics.fault(text, part.name)
             self.whole = False
             return
         log.close()
-        for number, channel in log.channels.items():
-            part.numbers[number] = self._number_of(channel)
-            self.counts[part.numbers[number]] += log.counts.get(number, 0)
+        self._parts[part] = numbers = {n: self._number_of(c) for n, c in log.channels.items()}
+        for own, number in numbers.items():
+            self.counts[number] += log.counts.get(own, 0)
         self.chunks.update(log.chunks)
         self.library = self.library or log.library
         self.whole &= log.whole and len(self.diagnostics.faults) == known
@@ -149,28 +138,23 @@ class BagFolder(Recording):
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels, part by part, each in log-time order."""
-        for part in self._parts:
-            yield from self._messages_of(part, channels)
-        self.note_set_back(part.read for part in self._parts if part.read is not None)
-
-    def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
-        numbers = {own: number for own, number in part.numbers.items() if number in channels}
-        if not numbers:
-            return
-        try:
-            log = self._open(part.path, self.diagnostics)
-        except (SonarrecError, OSError):  # it was there before
-            self.diagnostics.fault("cannot be read any more", part.path.name)
-            return
-        try:
-            for message in log.messages(numbers):
-                first, last = part.read or (message.log_time, message.log_time)
-                part.read = first, max(last, message.log_time)
-                yield replace(message, channel=numbers[message.channel])
-        except SonarrecError as error:
-            self.diagnostics.fault(str(error).removeprefix(f"{printable(part.path)}: "), part.path)
-        finally:
-            log.close()
-
-    def close(self) -> None:
-        """Does nothing, because parts are closed when they have been read."""
+        spans = []
+        for part, numbers in self._parts.items():
+            chosen = {own: number for own, number in numbers.items() if number in channels}
+            if not chosen:
+                continue
+            first = last = None
+            try:
+                log = self._open(part, self.diagnostics)
+                try:
+                    for message in log.messages(chosen):
+                        first = message.log_time if first is None else first
+                        last = max(last or 0, message.log_time)
+                        yield replace(message, channel=chosen[message.channel])
+                finally:
+                    log.close()
+            except SonarrecError as error:
+                self.diagnostics.fault(str(error).removeprefix(f"{printable(part)}: "), part.name)
+            if first is not None and last is not None:
+                spans.append((first, last))
+        self.note_set_back(spans)

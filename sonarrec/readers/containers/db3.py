@@ -7,14 +7,14 @@ import sqlite3
 from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.readers.containers.recording import Channel, Message, Recording
-from sonarrec.readers.raw import MAX_FRAME_BYTES
+from sonarrec.readers.raw import MAX_FRAME_BYTES, Channel, Message, Recording
 
 
 class Db3Recording(Recording):
@@ -25,13 +25,13 @@ class Db3Recording(Recording):
 
     def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if it is no such database, or nothing in it can be read."""
-        super().__init__(path, diagnostics)
-        self.profile, self.library = "ros2", "SQLite"
+        super().__init__(path, diagnostics, "ros2")
+        self.library = "SQLite"
         # Row, topic and time (ns) of each message in the order of recording: 24 bytes each.
         self._rows, self._topics, self._times = array("q"), array("q"), array("q")
         # Quoted, because the name becomes part of a URI, in which ? and # have a meaning.
-        name = quote(os.fsencode(path))
-        self._db = sqlite3.connect(f"file:{name}?immutable=1", uri=True)
+        self._db = sqlite3.connect(f"file:{quote(os.fsencode(path))}?immutable=1", uri=True)
+        self.close = self._db.close
         try:
             # SQLite returns rows whole, so no row may be longer than the longest message.
             self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_FRAME_BYTES)
@@ -39,7 +39,7 @@ class Db3Recording(Recording):
             self._db.execute("PRAGMA writable_schema = ON")  # else a short file is not opened
             self._read_channels()
         except (sqlite3.Error, TypeError, ValueError) as error:
-            self._db.close()
+            self.close()
             raise SonarrecError(f"{path}: not a database of a ROS 2 bag ({error})") from None
         self._find_rows()
         self.counts = Counter(self._topics)
@@ -55,26 +55,23 @@ class Db3Recording(Recording):
 
     def _read_channels(self) -> None:
         definitions: dict[str, tuple[str, bytes]] = {}
-        try:
+        columns = "topic_type, encoding, encoded_message_definition"
+        with suppress(sqlite3.Error):  # older databases have none
             for kind, encoding, text in self._db.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+                f"SELECT {columns} FROM message_definitions"
             ):
                 definitions[kind] = str(encoding), str(text).encode(errors="replace")
-        except sqlite3.Error:  # older databases have none
-            pass
-        for number, topic, kind, encoding in self._db.execute(
-            "SELECT id, name, type, serialization_format FROM topics"
-        ):
+        columns = "id, name, type, serialization_format"
+        for number, topic, kind, encoding in self._db.execute(f"SELECT {columns} FROM topics"):
             definition = definitions.get(kind, ("", b""))
             self.channels[int(number)] = Channel(str(topic), str(kind), *definition, str(encoding))
 
     def _find_rows(self) -> None:
         """Remember where each message is, up to the cut if there is one."""
         unlisted = 0
+        select = "SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid"
         try:
-            for row, topic, time in self._db.execute(
-                "SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid"
-            ):
+            for row, topic, time in self._db.execute(select):
                 if topic not in self.channels:
                     unlisted += 1
                     continue
@@ -95,19 +92,12 @@ class Db3Recording(Recording):
         for k in np.argsort(np.frombuffer(self._times, np.int64), kind="stable"):
             if (topic := self._topics[k]) not in channels:
                 continue
-            try:
-                found = self._db.execute(select, (self._rows[k],)).fetchone()
-            except sqlite3.Error:  # the row reaches beyond the cut
-                found = None
-            time, data = found or (None, None)
+            time, data = None, None
+            with suppress(sqlite3.Error):  # the row reaches beyond the cut
+                time, data = self._db.execute(select, (self._rows[k],)).fetchone() or (None, None)
             if isinstance(time, int) and time >= 0 and isinstance(data, bytes):
                 yield Message(topic, time, None, memoryview(data))
             else:
-                problem = "malformed row in its database"
-                yield Message(topic, self._times[k], None, None, problem)
+                yield Message(topic, self._times[k], None, None, "malformed row in its database")
         recorded = zip(self._topics, self._times, strict=True)
         self.note_set_back((time, time) for topic, time in recorded if topic in channels)
-
-    def close(self) -> None:
-        """Close the database."""
-        self._db.close()

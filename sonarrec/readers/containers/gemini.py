@@ -11,54 +11,52 @@ import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.readers.containers.file_bytes import FileBytes
+from sonarrec.nouns import Frame
 from sonarrec.readers.raw import (
     MAX_FRAME_BYTES,
+    FileBytes,
     HeaderInfo,
-    Ping,
-    RawFrame,
     RawLog,
     UnusableError,
     frame_of,
+    message_frame,
     ping_geometry,
+    stored,
 )
 
 Header = dict[str, Any]
 """What a record says about the sonar, by name and unit; None for impossible values."""
-Fields = list[tuple[str, str]]
 
-_MESSAGE: Fields = [
+_BEGIN = [
     ("star", "u1"), ("version", "u1"), ("length", "<u4"), ("time", "<f8"), ("type", "u1"),
     ("device", "<u2"), ("node", "<u2"), ("spare", "<u2"), ("record", "<u2"), ("mark", "<u2"),
-]  # fmt: skip
-_IMAGE: Fields = [
     ("image_version", "<u2"), ("first_bin", "<u4"), ("end_bin", "<u4"),
     ("range_compression", "<u2"), ("first_beam", "<u4"), ("end_beam", "<u4"),
 ]  # fmt: skip
-_SIZE: Fields = [("size", "<u4")]
-HEAD = np.dtype([*_MESSAGE, *_IMAGE, *_SIZE])
+_HEAD = np.dtype([*_BEGIN, ("size", "<u4")])
 """How an image's record begins, up to its samples, in versions 1 and 2."""
-HEAD_3 = np.dtype([*_MESSAGE, *_IMAGE, ("compression", "<u2"), *_SIZE])
+_HEAD_3 = np.dtype([*_BEGIN, ("compression", "<u2"), ("size", "<u4")])
 """The same from version 3 on."""
-TAIL = np.dtype(
+_TAIL = np.dtype(
     [
         ("state", "<u4"), ("bins_hz", "<u4"), ("aperture", "<f4"), ("time", "<f8"),
         ("flags", "<u2"), ("sound_speed", "<f4"), ("gain", "<i2"), ("chirp", "u1"),
         ("processing", "u1"), ("model", "u1"), ("zoomed", "u1"), ("end", "<u2"),
     ]
 )  # fmt: skip
-"""How it ends, after the samples and the bearings."""
+"""How it ends, after the samples and the bearings. zoomed: whether a second image, a magnified part
+of the first, follows before the end mark."""
 _OTHERS = (1, 2, 3, 98, 99)  # types of records: V4, video, status, serial, generic
 _STAR, _IMAGE_TYPE, _END_MARK = ord("*"), 0, 0xDEDE
-RECORD, RECORD_MARK = 1, 0xEFEF
-"""What an image's record begins with, after the head of every message."""
+_RECORD, _RECORD_MARK = 1, 0xEFEF  # what an image's record begins with, after every message's head
+_MARK = _RECORD.to_bytes(2, "little") + _RECORD_MARK.to_bytes(2, "little")
+_MARK_AT = 21  # bytes from the beginning of a record
 _ZLIB, _PLAIN = 0, 1  # compressions; 2 is H.264
 _UPSIDE_DOWN = 0xE000  # bits of `state`
 _MOST_BEAMS, _MOST_BINS = 4096, 2**16
@@ -69,35 +67,45 @@ _MODELS = {
 _EPOCH_S = 315_532_800  # 1980-01-01, in seconds since 1970
 
 
-def record_length(head: bytes) -> int | None:
-    """The length in bytes of an image's record; None if none begins with these bytes. head: its
-    first HEAD_3.itemsize bytes."""
+def _head(record: bytes) -> tuple[Any, int, int]:
+    """(fields of a record's head, number of beams, number of bins)."""
+    fields = np.frombuffer(record, _HEAD, 1)[0]
+    if fields["image_version"] >= 3:
+        fields = np.frombuffer(record, _HEAD_3, 1)[0]
+    beams = int(fields["end_beam"]) - int(fields["first_beam"])
+    return fields, beams, int(fields["end_bin"]) - int(fields["first_bin"])
+
+
+def _tail(record: bytes) -> Any:
+    return np.frombuffer(record, _TAIL, 1, len(record) - _TAIL.itemsize)[0]
+
+
+def _record_length(head: bytes) -> int | None:
+    """The length in bytes of an image's record; None if none begins with these bytes."""
     fields, beams, bins = _head(head)
     marks = (fields["star"], fields["type"], fields["record"], fields["mark"])
-    if marks != (_STAR, _IMAGE_TYPE, RECORD, RECORD_MARK):
-        return None
     size = int(fields["size"])
-    if not (0 < beams <= _MOST_BEAMS and 0 < bins <= _MOST_BINS and size <= MAX_FRAME_BYTES):
+    if marks != (_STAR, _IMAGE_TYPE, _RECORD, _RECORD_MARK) or not (
+        0 < beams <= _MOST_BEAMS and 0 < bins <= _MOST_BINS and size <= MAX_FRAME_BYTES
+    ):
         return None
-    return int(fields.dtype.itemsize) + size + 8 * beams + TAIL.itemsize
+    return int(fields.dtype.itemsize) + size + 8 * beams + _TAIL.itemsize
 
 
-def begins(head: bytes) -> bool:
-    """Whether a record of any kind begins here, or the mark at the end of all records. head: its
-    first HEAD_3.itemsize bytes."""
-    fields = np.frombuffer(head, HEAD, 1)[0]
+def _begins(head: bytes) -> bool:
+    """Whether a record of any kind begins here, or the mark at the end of all records."""
+    fields = np.frombuffer(head, _HEAD, 1)[0]
     is_other = fields["star"] == _STAR and fields["type"] in _OTHERS
     is_end = head.startswith(_END_MARK.to_bytes(2, "little"))
-    return bool(is_other or is_end or record_length(head) is not None)
+    return bool(is_other or is_end or _record_length(head) is not None)
 
 
-def decoded(record: bytes) -> tuple[Ping, Header]:
+def decoded(record: bytes) -> tuple[Frame, Header]:
     """The ping of a record, and its header. Raises UnusableError if it cannot be used."""
     fields, beams, bins = _head(record)
-    at = fields.dtype.itemsize
-    samples = _samples(record[at : at + int(fields["size"])], fields, beams * bins)
-    table = np.frombuffer(record, "<f8", beams, at + int(fields["size"]))
-    tail = _tail(record)
+    at, size = fields.dtype.itemsize, int(fields["size"])
+    samples = _samples(record[at : at + size], fields, beams * bins)
+    table, tail = np.frombuffer(record, "<f8", beams, at + size), _tail(record)
     speed, bins_hz = float(tail["sound_speed"]), int(tail["bins_hz"])
     if not 1000 <= speed <= 2000:
         raise UnusableError(f"a speed of sound of {speed:g} m/s")
@@ -109,57 +117,32 @@ def decoded(record: bytes) -> tuple[Ping, Header]:
     bin_m = speed / 2 / bins_hz
     ranges = (int(fields["first_bin"]) + np.arange(bins) + 0.5) * bin_m
     geometry = replace(ping_geometry(ranges, bearings), beam_order="range-major")
-    model = _MODELS.get(int(tail["model"]))
-    gain = int(tail["gain"])
+    model, gain = _MODELS.get(int(tail["model"])), int(tail["gain"])
     header: Header = {
-        "sonar": f"Gemini {model}, device {fields['device']}" if model else
-        f"Gemini, device {fields['device']}",
+        "sonar": f"Gemini{f' {model}' if model else ''}, device {fields['device']}",
         "mounted": "upside down" if upside_down else "upright",
         "sound_speed_m_s": float(f"{speed:.7g}"),
         "range_resolution_m": float(f"{bin_m:.7g}"),
         "gain_percent": gain if 0 <= gain <= 100 else None,
         "chirp": "yes" if tail["chirp"] else "no",
-    }  # fmt: skip
+    }
     pixels = np.frombuffer(samples, np.uint8).reshape(bins, beams)
-    return Ping(pixels, _since_1970(float(tail["time"])), geometry), header
-
-
-def _head(record: bytes) -> tuple[Any, int, int]:
-    """(fields of a record's head, number of beams, number of bins)."""
-    fields = np.frombuffer(record, HEAD, 1)[0]
-    if fields["image_version"] >= 3:
-        fields = np.frombuffer(record, HEAD_3, 1)[0]
-    beams = int(fields["end_beam"]) - int(fields["first_beam"])
-    return fields, beams, int(fields["end_bin"]) - int(fields["first_bin"])
-
-
-def _tail(record: bytes) -> Any:
-    return np.frombuffer(record, TAIL, 1, len(record) - TAIL.itemsize)[0]
-
-
-def zoomed(record: bytes) -> bool:
-    """Whether a second image, a magnified part of the first, follows before the end mark."""
-    return bool(_tail(record)["zoomed"] == 1)
+    return message_frame(pixels, _since_1970(float(tail["time"])), geometry), header
 
 
 def _samples(data: bytes, fields: Any, count: int) -> bytes:
     """The `count` samples of a record, range after range. Raises UnusableError."""
+    compression = _PLAIN if len(data) == count else _ZLIB
     if "compression" in fields.dtype.names:
         compression = int(fields["compression"])
-    else:
-        compression = _PLAIN if len(data) == count else _ZLIB
     if compression == _ZLIB:
-        inflater = zlib.decompressobj()
         try:
-            data = inflater.decompress(data, count + 1)
+            data = zlib.decompressobj().decompress(data, count + 1)
         except zlib.error:
             raise UnusableError("its compressed samples are damaged") from None
     elif compression != _PLAIN:
-        raise UnusableError(
-            "its samples are compressed as video (H.264), which is not read"
-            if compression == 2
-            else f"unknown compression {compression}"
-        )
+        video = "its samples are compressed as video (H.264), which is not read"
+        raise UnusableError(video if compression == 2 else f"unknown compression {compression}")
     if len(data) != count:
         raise UnusableError(f"{len(data)} samples, not the {count} of its beams and bins")
     return data
@@ -177,11 +160,9 @@ _PIECE = 2**20  # bytes
 _ENTRY_MARK, _ENTRY_BYTES = b"PK\x03\x04", 30  # before a file in a ZIP
 _STORED, _DEFLATED = 0, 8
 _ENCRYPTED = 1  # of an entry's flags
-_MARK = RECORD.to_bytes(2, "little") + RECORD_MARK.to_bytes(2, "little")
-_MARK_AT = 21  # bytes from the beginning of a record
 
 
-def pieces(path: Path) -> Iterator[bytes]:
+def _pieces(path: Path) -> Iterator[bytes]:
     """The `.dat` of a file, in pieces, for it may be of any length.
 
     Python's zipfile is not used, because it does not open a file whose end is missing, and returns
@@ -190,7 +171,7 @@ def pieces(path: Path) -> Iterator[bytes]:
     """
     file = FileBytes(path)
     try:
-        found = _find_dat(file, str(path), 0)
+        found = _find_dat(file, path, 0)
         while found is not None:  # more than one if files were joined
             method, at = found
             inflater = zlib.decompressobj(-zlib.MAX_WBITS)
@@ -199,19 +180,19 @@ def pieces(path: Path) -> Iterator[bytes]:
                 yield inflater.decompress(piece) if method == _DEFLATED else piece
             if method == _DEFLATED and not inflater.eof:
                 raise UnusableError("its end is missing")
-            found = _find_dat(file, str(path), at - len(inflater.unused_data))
+            found = _find_dat(file, path, at - len(inflater.unused_data))
     except zlib.error:
         raise UnusableError("its compressed contents are damaged") from None
     finally:
         file.close()
 
 
-def _find_dat(file: FileBytes, where: str, start: int) -> tuple[int, int] | None:
-    """(ZIP method of the `.dat`, where its contents begin); None if none follows. where: names the
-    file. start: where to search from; at 0 there must be one."""
+def _find_dat(file: FileBytes, path: Path, start: int) -> tuple[int, int] | None:
+    """(ZIP method of the `.dat`, where its contents begin); None if none follows. start: where to
+    search from; at 0 there must be one."""
     at = file.find(_ENTRY_MARK, start, file.size if start else 1)
     if at is None and not start:
-        raise SonarrecError(f"{where}: not a .glf of a Gemini, which is a ZIP")
+        raise SonarrecError(f"{path}: not a .glf of a Gemini, which is a ZIP")
     while at is not None:
         head = file.at(at, _ENTRY_BYTES)
         flags, method, name, extra = (
@@ -220,89 +201,65 @@ def _find_dat(file: FileBytes, where: str, start: int) -> tuple[int, int] | None
         if file.at(at + _ENTRY_BYTES, name).lower().endswith(b".dat"):
             if flags & _ENCRYPTED or method not in (_STORED, _DEFLATED):
                 raise SonarrecError(
-                    f"{where}: packed or encrypted in a way that is not read (ZIP method {method}, "
+                    f"{path}: packed or encrypted in a way that is not read (ZIP method {method}, "
                     f"flags {flags:#x}); unpack it, and pack it again as a plain ZIP"
                 )
             return method, at + _ENTRY_BYTES + name + extra
         at = file.find(_ENTRY_MARK, at + 1, file.size)
     if start:
         return None
-    raise SonarrecError(f"{where}: a ZIP without a .dat, which holds a Gemini's images")
+    raise SonarrecError(f"{path}: a ZIP without a .dat, which holds a Gemini's images")
 
 
-def records(data: Iterator[bytes]) -> Iterator[tuple[int, bytes | None, str]]:
+def _records(data: Iterator[bytes]) -> Iterator[tuple[int, bytes | None, str | None]]:
     """Yield (position, bytes, problem) of each image's record; no bytes if it is damaged. data: the
     `.dat`, in pieces. position: in the `.dat`. Other records (the sonar's status, a compass) are
     skipped. An error of `data` is raised after the records before it."""
-    window = _Window(data)
-    follows = True  # whether the window begins where a record ended
-    while window.fill(HEAD_3.itemsize):
-        if follows and not begins(window.head):
-            yield window.position, None, "no record begins there; damaged"
-        follows = False
-        at = window.held.find(_MARK, _MARK_AT)
-        window.drop(len(window.held) - HEAD_3.itemsize + 1 if at < 0 else at - _MARK_AT)
-        if at < 0 or not window.fill(HEAD_3.itemsize):
-            continue
-        position, length = window.position, record_length(window.head)
-        if length is None:
-            window.drop(1)
-        elif not window.fill(length):
-            yield position, None, f"only {len(window.held)} of its {length} bytes are there"
-            window.drop(_MARK_AT)
-        elif not zoomed(record := bytes(window.held[:length])) and (
-            _tail(record)["end"] != _END_MARK
-        ):
-            yield position, None, "its end mark is missing; bytes are lost or wrong"
-            window.drop(_MARK_AT)
-        else:
-            yield position, record, ""
-            window.drop(length)
-            follows = not zoomed(record)
-    if window.broken is not None:
-        raise window.broken
+    held, position = bytearray(), 0  # bytes that are not used yet, and where they begin
+    broken: UnusableError | None = None
+    follows = True  # whether `held` begins where a record ended
 
-
-class _Window:
-    """A part of the data, which moves on as records are found.
-
-    held: the bytes that are not used yet. position: where they begin in the data. broken: the error
-    that ended the data; None if there was none.
-    """
-
-    def __init__(self, data: Iterator[bytes]) -> None:
-        self._data = data
-        self.held, self.position = bytearray(), 0
-        self.broken: UnusableError | None = None
-
-    @property
-    def head(self) -> bytes:
-        """The first HEAD_3.itemsize bytes that are held."""
-        return bytes(self.held[: HEAD_3.itemsize])
-
-    def fill(self, count: int) -> bool:
+    def fill(count: int) -> bool:
         """Hold at least so many bytes; False if the data end before."""
-        while len(self.held) < count:
-            try:
-                piece = next(self._data, None)
-            except UnusableError as error:
-                self.broken, piece = error, None
-            if piece is None:
-                return False
-            self.held.extend(piece)
-        return True
+        nonlocal broken
+        try:
+            while len(held) < count and (piece := next(data, None)) is not None:
+                held.extend(piece)
+        except UnusableError as error:
+            broken = error
+        return len(held) >= count
 
-    def drop(self, count: int) -> None:
-        """Release the first `count` bytes."""
-        del self.held[:count]
-        self.position += count
+    def drop(count: int) -> None:
+        nonlocal position
+        del held[:count]
+        position += count
 
-
-_NOTES = (
-    "left and right are as free readers show them; if a landmark lies on the wrong side, state "
-    "bearings_deg in reverse order",
-    "times are those of the recording computer, whose time zone is not stated; UTC is assumed",
-)
+    while fill(_HEAD_3.itemsize):
+        if follows and not _begins(bytes(held[: _HEAD_3.itemsize])):
+            yield position, None, "no record begins there; damaged"
+        follows = False
+        at = held.find(_MARK, _MARK_AT)
+        drop(len(held) - _HEAD_3.itemsize + 1 if at < 0 else at - _MARK_AT)
+        if at < 0 or not fill(_HEAD_3.itemsize):
+            continue
+        length = _record_length(bytes(held[: _HEAD_3.itemsize]))
+        if length is None:
+            drop(1)
+        elif not fill(length):
+            yield position, None, f"only {len(held)} of its {length} bytes are there"
+            drop(_MARK_AT)
+        else:
+            record = bytes(held[:length])
+            zoomed = _tail(record)["zoomed"] == 1
+            if not zoomed and _tail(record)["end"] != _END_MARK:
+                yield position, None, "its end mark is missing; bytes are lost or wrong"
+                drop(_MARK_AT)
+            else:
+                yield position, record, None
+                drop(length)
+                follows = not zoomed
+    if broken is not None:
+        raise broken
 
 
 class GeminiPings(RawLog):
@@ -310,18 +267,22 @@ class GeminiPings(RawLog):
 
     def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if the file holds no image that can be read."""
-        super().__init__(diagnostics)
-        self.polar = True
+        super().__init__(diagnostics, polar=True)
         self._path = path
         self._device, header = self._first()
         self.header_info = HeaderInfo(values=header)
-        self.diagnostics.note(*_NOTES)
+        diagnostics.note(
+            "left and right are as free readers show them; if a landmark lies on the wrong side, "
+            "state bearings_deg in reverse order",
+            "times are those of the recording computer, whose time zone is not stated; UTC is "
+            "assumed",
+        )
 
     def _first(self) -> tuple[int, Header]:
         """The number of the first sonar, and the header of its first image that can be read."""
         problem = ""
         try:
-            for _, record, reason in records(pieces(self._path)):
+            for _, record, reason in _records(_pieces(self._path)):
                 if record is not None:
                     try:
                         return int(_head(record)[0]["device"]), decoded(record)[1]
@@ -332,10 +293,10 @@ class GeminiPings(RawLog):
             problem = problem or f" ({error})"
         raise SonarrecError(f"{self._path}: no image of a Gemini can be read in it{problem}")
 
-    def __iter__(self) -> Iterator[RawFrame]:
+    def __iter__(self) -> Iterator[Frame]:
         number, others = 0, 0
         try:
-            for position, record, problem in records(pieces(self._path)):
+            for position, record, problem in _records(_pieces(self._path)):
                 fields = None if record is None else _head(record)[0]
                 if fields is not None and fields["device"] != self._device:
                     others += 1
@@ -343,9 +304,9 @@ class GeminiPings(RawLog):
                 name = f"image {number} at byte {position}"
                 logged_ns = None if fields is None else _since_1970(float(fields["time"]))
                 if record is None or number in self.passed_over:
-                    yield RawFrame(name, logged_ns, None, problem or None)
+                    yield stored(name, logged_ns, None, problem)
                 else:
-                    yield frame_of(name, logged_ns, partial(_ping, record))
+                    yield frame_of(name, logged_ns, lambda r: decoded(r)[0], record)
                 number += 1
         except UnusableError as error:
             self.diagnostics.fault(f"{error}; what comes before is read", self._path.name)
@@ -355,7 +316,3 @@ class GeminiPings(RawLog):
                 "read; record one sonar to a file",
                 self._path.name,
             )
-
-
-def _ping(record: bytes) -> Ping:
-    return decoded(record)[0]

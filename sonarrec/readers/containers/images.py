@@ -1,4 +1,4 @@
-"""Reads folders, globs and lists of images."""
+"""Reads folders, globs and lists of images, in the order and with the times of their names."""
 
 from __future__ import annotations
 
@@ -6,17 +6,31 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
+from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics
-from sonarrec.nouns import IMAGE_SUFFIXES, date_text
+from sonarrec.nouns import IMAGE_SUFFIXES, Frame, date_text
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
-from sonarrec.readers.guess.names import in_order, times_in_names
-from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
+from sonarrec.readers.raw import RawLog, UnusableError, stored
+from sonarrec.tables.order import natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
+# No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
+LEAST_STEP_NS = 5_000_000
+_GAP = 20  # times the least step, from which on a counter may have reached its limit there
+# Since 1970, from 2004 to 2033: seconds with or without decimals, or milli-, micro- or nanoseconds.
+_SINCE_1970 = re.compile(
+    r"(?<![0-9])(1[1-9][0-9]{8})(?:\.([0-9]{1,9})|([0-9]{3}(?:[0-9]{3}){0,2}))?(?![0-9])"
+)
+# As ISO 8601 has them. File systems do not like colons, so that other signs stand for them.
+_ISO = re.compile(
+    r"(?<![0-9])(20[0-9]{2})(-?)([0-9]{2})\2([0-9]{2})[-_T ]"
+    r"([0-9]{2})([-_.:]?)([0-9]{2})\6([0-9]{2})(?:[.,]([0-9]{1,9}))?(?![0-9]|[\s_]?[AaPp][Mm])"
+)
 
 
 def names_an_image(name: str) -> bool:
@@ -27,34 +41,20 @@ def names_an_image(name: str) -> bool:
 def is_image(path: Path) -> bool:
     """Whether a path is taken for an image: a known suffix, not hidden, and a file. A link to a
     file that is not there is an image that cannot be read: it keeps its number."""
-    if not names_an_image(path.name):
-        return False
     try:
-        return stat.S_ISREG(path.stat().st_mode)
+        return names_an_image(path.name) and stat.S_ISREG(path.stat().st_mode)
     except OSError:
         return True
 
 
-def _contents(file: Path) -> np.ndarray:
-    """The bytes of an image file. Raises UnusableError where they cannot be had."""
-    try:
-        with file.open("rb", buffering=0) as opened:
-            size = os.fstat(opened.fileno()).st_size
-            if size > MAX_FILE_BYTES:
-                raise UnusableError(f"a file of {size} bytes, more than is read")
-            return np.frombuffer(opened.read(), np.uint8)
-    except OSError as error:
-        if file.is_symlink() and not file.exists():
-            raise UnusableError("a link to a file that is not there") from None
-        raise UnusableError(f"unreadable file ({error.strerror})") from None
-
-
 class ImagePaths(Sequence[Path]):
-    """Images in the order of their names, kept as text: a list of a Path each takes five times as
-    much. doubt: why the order is a guess; None if it is certain."""
+    """Images in the natural order of their names, kept as text: a list of a Path each takes five
+    times as much. doubt: why the order is a guess; None if it is certain: where all names are the
+    same but for counters that rise from each to the next."""
 
     def __init__(self, paths: Iterable[Path]) -> None:
-        self._texts, self.doubt = in_order(map(str, paths))
+        self._texts = sorted(map(str, paths), key=_key)
+        self.doubt = _doubt(self._texts) if len(self._texts) > 1 else None
 
     def __getitem__(self, index: int) -> Path:  # type: ignore[override] # there are no slices
         """An image."""
@@ -65,22 +65,84 @@ class ImagePaths(Sequence[Path]):
         return len(self._texts)
 
 
-def _not_as_numbered(files: Sequence[Path]) -> tuple[int, str] | None:
-    """(index, name) of the first image whose number in its name does not follow from the first's.
-    None if there is none, and if the names differ in more than one number or lack more numbers than
-    they have: then these are times, or every tenth frame."""
+def _key(path: str) -> str:
+    """By the name without its suffix, so that Capture comes before Capture (2)."""
+    return f"{natural_order(os.path.splitext(path)[0])}\0{path}"  # noqa: PTH122
+
+
+def _doubt(ordered: Sequence[str]) -> str | None:
+    """Why the order of these paths is a guess; None if it is certain."""
+    shared = os.path.commonpath([os.path.dirname(path) for path in ordered])  # noqa: PTH120
+    form, before = None, list[int]()
+    lows, highs, spans = list[int](), list[int](), list[int]()
+    for path in ordered:
+        stem = os.path.splitext(path[len(shared) :])[0]  # noqa: PTH122
+        if (form := form or re.sub("[0-9]+", "#", stem)) != re.sub("[0-9]+", "#", stem):
+            return f"{os.path.basename(path)} is not named as {os.path.basename(ordered[0])}"  # noqa: PTH119
+        values = [int(digits) for digits in re.findall("[0-9]+", stem)]
+        steps = [b - a for a, b in zip(before, values, strict=True)] if before else []
+        lows = [*map(min, lows, steps)] if lows else steps
+        highs = [*map(max, highs, steps)] if highs else steps
+        spans = [*map(sum, zip(spans, steps, strict=True))] if spans else steps
+        before = values
+    varying = [n for n, (low, high) in enumerate(zip(lows, highs, strict=True)) if low or high]
+    if not varying:
+        return "several have the same name"
+    if re.search(r"(?:^|[^0-9A-Za-z)#])-#", form or ""):
+        return "a dash before a number may be a minus sign"
+    if len(varying) > 1 and any(lows[n] <= 0 for n in varying):
+        return "several numbers in them change"
+    if any(2 * highs[n] > spans[n] and highs[n] > _GAP * lows[n] for n in varying):
+        return "a number leaves out more than half of its span, and may begin anew behind that"
+    return None
+
+
+def times_in_names(stems: Sequence[str]) -> IntArray | None:
+    """(n,) times in ns that stand in n names without their suffix; None if they hold none.
+
+    Each name holds one time, all in the same form: as ISO 8601 has date and time (in UTC), or since
+    1970 in s, ms, us or ns. They must rise from name to name, mostly by LEAST_STEP_NS or more.
+    """
+    found = (_rising(form, stems) for form in (_ISO, _SINCE_1970) if stems)
+    return next((times for times in found if times is not None), None)
+
+
+def _rising(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | None:
+    times = []
+    for stem in stems:
+        if len(found := form.findall(stem)) != 1:
+            return None
+        if form is _ISO:
+            year, _, month, day, hour, _, minute, second, decimals = found[0]
+            try:
+                fields = map(int, (year, month, day, hour, minute, second))
+                seconds = int(datetime(*fields, tzinfo=UTC).timestamp())  # type: ignore[misc, arg-type]
+            except ValueError:  # a 13th month
+                return None
+        else:
+            seconds, decimals = int(found[0][0]), found[0][1] or found[0][2]
+        times.append(seconds * 10**9 + int(f"{decimals:0<9}"))
+    steps = np.diff(times)
+    if len(steps) and (steps.min() <= 0 or np.median(steps) < LEAST_STEP_NS):
+        return None
+    return np.array(times, np.int64)
+
+
+def _not_as_numbered(stems: Sequence[str]) -> int | None:
+    """The first image whose number in its name does not follow from the first's. None if there is
+    none, and if the names differ in more than one number or lack more numbers than they have: then
+    these are times, or every tenth frame."""
     first = number = 0
-    around, uncounted = None, None
-    for index, file in enumerate(files):
-        parts = re.fullmatch(r"(.*?)(?<![0-9])([0-9]{1,9})([^0-9]*)", file.stem, re.DOTALL)
+    around = uncounted = None
+    for index, stem in enumerate(stems):
+        parts = re.fullmatch(r"(.*?)(?<![0-9])([0-9]{1,9})([^0-9]*)", stem, re.DOTALL)
         if parts is None or parts.group(1, 3) != (around := around or parts.group(1, 3)):
             return None
         number = int(parts[2])
-        if index == 0:
-            first = number
+        first = number if index == 0 else first
         if uncounted is None and number - first != index:
-            uncounted = index, file.name
-    return uncounted if number - first < 2 * len(files) else None
+            uncounted = index
+    return uncounted if number - first < 2 * len(stems) else None
 
 
 class ImageFiles(RawLog):
@@ -95,12 +157,12 @@ class ImageFiles(RawLog):
         self.frame_count = len(self.files)
         stems = [file.stem for file in self.files]
         self._times = times_in_names(stems)
-        if (note := self._about_times(stems)) is not None:
+        if (note := self._about_names(stems)) is not None:
             diagnostics.note(note)
 
-    def _about_times(self, stems: Sequence[str]) -> str | None:
+    def _about_names(self, stems: Sequence[str]) -> str | None:
         """What a user should know of the frames' times and numbers. stems: names without suffix."""
-        # Whether most images are named like another but for the suffix.
+        # Whether most images are named as another but for the suffix.
         if len(set(stems)) < len(stems) and 3 * len(
             {file.with_suffix("") for file in self.files}
         ) <= 2 * len(stems):
@@ -120,24 +182,36 @@ class ImageFiles(RawLog):
                 f"{self.files[-1].name}, is a guess: {self.files.doubt}; if it is wrong, name them "
                 "by one counter (000000, 000001, ...)"
             )
-        if (uncounted := _not_as_numbered(self.files)) is not None:
-            index, name = uncounted
+        if (index := _not_as_numbered(stems)) is not None:
             return (
                 "the names of its images leave out or repeat numbers, but frames are counted: "
-                f"{name} is frame {index}"
+                f"{self.files[index].name} is frame {index}"
             )
         return None
 
-    def __iter__(self) -> Iterator[RawFrame]:
+    def __iter__(self) -> Iterator[Frame]:
         for number, file in enumerate(self.files):
-            name = file.name
-            timestamp_ns = None if self._times is None else int(self._times[number])
+            time_ns = None if self._times is None else int(self._times[number])
             if number in self.passed_over:
-                yield RawFrame(name, timestamp_ns, None)
+                yield stored(file.name, time_ns, None)
                 continue
             try:
                 pixels = decode_image(data := _contents(file))
             except UnusableError as error:
-                yield RawFrame(name, timestamp_ns, None, str(error))
+                yield stored(file.name, time_ns, None, str(error))
             else:
-                yield RawFrame(name, timestamp_ns, pixels, white=pgm_maxval(data))
+                yield stored(file.name, time_ns, pixels, white=pgm_maxval(data))
+
+
+def _contents(file: Path) -> np.ndarray:
+    """The bytes of an image file. Raises UnusableError where they cannot be had."""
+    try:
+        with file.open("rb", buffering=0) as opened:
+            size = os.fstat(opened.fileno()).st_size
+            if size > MAX_FILE_BYTES:
+                raise UnusableError(f"a file of {size} bytes, more than is read")
+            return np.frombuffer(opened.read(), np.uint8)
+    except OSError as error:
+        if file.is_symlink() and not file.exists():
+            raise UnusableError("a link to a file that is not there") from None
+        raise UnusableError(f"unreadable file ({error.strerror})") from None

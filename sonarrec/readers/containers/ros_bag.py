@@ -12,8 +12,7 @@ from typing import Any
 import lz4.frame
 
 from sonarrec.errors import Diagnostics, SonarrecError, name_as_text
-from sonarrec.readers.containers.recording import Channel, Message, Recording
-from sonarrec.readers.raw import MAX_FRAME_BYTES
+from sonarrec.readers.raw import MAX_FRAME_BYTES, Channel, Message, Recording
 
 
 class RosBag(Recording):
@@ -23,19 +22,20 @@ class RosBag(Recording):
         """Raises SonarrecError if it is no bag or is damaged, OSError if it cannot be read."""
         from rosbags.rosbag1 import Reader
 
-        super().__init__(path, diagnostics)
-        reader: Any = Reader(path)
-        self._reader = reader
+        super().__init__(path, diagnostics, "ros1")
+        self._reader: Any = Reader(path)
         try:
-            reader.open()
+            self._reader.open()
+            self.close = self._reader.close
             names = {bz2.decompress: "bz2", lz4.frame.decompress: "lz4"}
-            self.chunks.update(names.get(c.decompressor, "none") for c in reader.chunks.values())
-            for c in reader.connections:
+            chunks = self._reader.chunks.values()
+            self.chunks.update(names.get(chunk.decompressor, "none") for chunk in chunks)
+            for c in self._reader.connections:
                 definition = c.msgdef.data.encode(errors="replace")
                 self.channels[c.id] = Channel(c.topic, c.msgtype, "ros1msg", definition, "ros1")
-            self.counts = Counter({c.id: c.msgcount for c in reader.connections})
-            if reader.message_count:
-                self.span = reader.start_time, reader.end_time - 1
+            self.counts = Counter({c.id: c.msgcount for c in self._reader.connections})
+            if self._reader.message_count:
+                self.span = self._reader.start_time, self._reader.end_time - 1
         except OSError:
             raise
         except Exception as error:  # rosbags does not list what it raises for damaged bags
@@ -43,38 +43,28 @@ class RosBag(Recording):
             raise SonarrecError(
                 f"{path}: not a whole bag of ROS 1 ({_line(error)}){hint}"
             ) from None
-        self.profile = "ros1"
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order."""
+        connections = [c for c in self._reader.connections if c.id in channels]
+        if not connections:
+            return  # for rosbags, no connections means all
         read = 0
         try:
-            for message in self._messages(channels):
+            for connection, time, data in self._reader.messages(connections):
                 read += 1
-                yield message
+                if len(data) > MAX_FRAME_BYTES:
+                    problem = f"a message of {len(data)} bytes, more than is read"
+                    yield Message(connection.id, time, None, None, problem)
+                else:
+                    yield Message(connection.id, time, None, memoryview(data))
+            entries = chain.from_iterable(self._reader.indexes[c.id] for c in connections)
+            recorded = sorted((entry.chunk_pos, entry.offset, entry.time) for entry in entries)
+            self.note_set_back((time, time) for _, _, time in recorded)
         except Exception as error:
             count = sum(self.counts[c] for c in channels)
             self.whole = False
             self.fault(f"damaged ({_line(error)}): {count - read} of {count} frames are lost")
-
-    def _messages(self, channels: Collection[int]) -> Iterator[Message]:
-        connections = [c for c in self._reader.connections if c.id in channels]
-        if not connections:
-            return  # for rosbags, no connections means all
-        for connection, time, data in self._reader.messages(connections):
-            if len(data) > MAX_FRAME_BYTES:
-                problem = f"a message of {len(data)} bytes, more than is read"
-                yield Message(connection.id, time, None, None, problem)
-            else:
-                yield Message(connection.id, time, None, memoryview(data))
-        entries = chain.from_iterable(self._reader.indexes[c.id] for c in connections)
-        recorded = sorted((entry.chunk_pos, entry.offset, entry.time) for entry in entries)
-        self.note_set_back((time, time) for _, _, time in recorded)
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._reader.bio is not None:
-            self._reader.close()
 
 
 def _line(error: BaseException) -> str:

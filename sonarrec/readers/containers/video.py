@@ -9,7 +9,8 @@ from pathlib import Path
 import cv2
 
 from sonarrec.errors import Diagnostics, SonarrecError
-from sonarrec.readers.raw import RawFrame, RawLog
+from sonarrec.nouns import Frame
+from sonarrec.readers.raw import RawLog, stored
 
 _CUES, _CLUSTER = b"\x1c\x53\xbb\x6b", b"\x1f\x43\xb6\x75"  # elements of Matroska
 _TAIL_BYTES = 2**20
@@ -34,38 +35,35 @@ class VideoFrames(RawLog):
     def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if OpenCV cannot open the file as a video."""
         super().__init__(diagnostics)
-        name = opencv_name(path)
+        self._path, self._name = path, opencv_name(path)
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: we report faults ourselves
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        self._video = cv2.VideoCapture(name)
+        self._video = cv2.VideoCapture(self._name)
         if not self._video.isOpened():
             raise SonarrecError(f"{path}: does not open as a video (damaged, or an unknown codec)")
-        count = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
+        count, rate = map(self._video.get, (cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS))
         self.frame_count = round(count) if 0 < count < 1e9 else None
-        rate = self._video.get(cv2.CAP_PROP_FPS)
         self.playback_hz = rate if 0 < rate < 1e6 else None
-        self._path, self._name = path, name
+        self.close = self._video.release
         self._at_begin = True
 
-    def __iter__(self) -> Iterator[RawFrame]:
+    def __iter__(self) -> Iterator[Frame]:
         if not self._at_begin:  # of an earlier pass
             self._video.open(self._name)
         self._at_begin = False
-        index, last_ns = 0, -1
-        timestamp_ns: int | None
+        index, last_ns, rate = 0, -1, self.playback_hz
         while self._video.grab():
             pixels = None
             if index not in self.passed_over:
                 ok, pixels = self._video.retrieve()
                 if not ok:
                     break
-            at_ns = round(self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-            if at_ns > last_ns:
-                last_ns = timestamp_ns = at_ns
+            time_ns: int | None = round(self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+            if time_ns is not None and time_ns > last_ns:
+                last_ns = time_ns
             else:  # the container states no times
-                rate = self.playback_hz
-                timestamp_ns = None if rate is None else round(index * (1e9 / rate))
-            yield RawFrame(f"frame {index}", timestamp_ns, pixels)
+                time_ns = None if rate is None else round(index * (1e9 / rate))
+            yield stored(f"frame {index}", time_ns, pixels)
             index += 1
         count = self.frame_count or 0
         if index < count and self._is_estimate():
@@ -87,7 +85,3 @@ class VideoFrames(RawLog):
             tail = file.read()
         ending = tail.rfind(_CUES) > tail.rfind(_CLUSTER)  # which a cut one lacks
         return self._path.suffix.lower() == ".mkv" and ending
-
-    def close(self) -> None:
-        """Release the file."""
-        self._video.release()

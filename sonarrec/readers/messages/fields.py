@@ -28,10 +28,9 @@ class Fields:
         return name in self._values
 
     def _get(self, name: str) -> Any:
-        try:
-            return self._values[name]
-        except KeyError:
-            raise UnusableError(f"malformed message (no field {name!r})") from None
+        if name not in self._values:
+            raise UnusableError(f"malformed message (no field {name!r})")
+        return self._values[name]
 
     def _wrong(self, name: str, expected: str) -> UnusableError:
         return UnusableError(f"malformed message (field {name!r} is no {expected})")
@@ -80,9 +79,8 @@ class Fields:
 
     def numbers(self, name: str) -> np.ndarray:
         """(n,) float64, finite."""
-        value = self._get(name)
         try:
-            array = np.asarray(value, dtype=np.float64)
+            array = np.asarray(self._get(name), dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
             raise self._wrong(name, "list of numbers") from None
         if array.ndim != 1 or not np.isfinite(array).all():
@@ -92,9 +90,7 @@ class Fields:
     def vectors(self, name: str) -> np.ndarray:
         """(n, 3) float64, finite, from a list of geometry_msgs/Vector3."""
         value = self._get(name)
-        if isinstance(value, list):  # from JSON
-            if not all(isinstance(v, Mapping) for v in value):
-                raise self._wrong(name, "list of vectors")
+        if isinstance(value, list) and all(isinstance(v, Mapping) for v in value):  # from JSON
             value = {axis: [v.get(axis, 0.0) for v in value] for axis in "xyz"}
         if not isinstance(value, Mapping):
             raise self._wrong(name, "list of vectors")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from functools import partial
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.readers.containers.recording import Recording
+from sonarrec.nouns import Frame
 from sonarrec.readers.messages.fields import DefinitionError
 from sonarrec.readers.messages.types import Decoder, decoder_for
-from sonarrec.readers.raw import RawFrame, RawLog, frame_of
+from sonarrec.readers.raw import RawLog, Recording, frame_of, stored
 
 MOST_NAMED = 5
 """Channels, in a message that none of them holds images."""
@@ -20,18 +19,15 @@ def image_decoders(log: Recording) -> dict[int, Decoder]:
     """A decoder for every channel with sonar images. If the definition of a channel's messages
     cannot be used, the recording's faults say why."""
     decoders: dict[int, Decoder] = {}
-    # Channels may share a definition.
-    by_definition: dict[tuple[str, str, bytes, str], Decoder | None] = {}
+    unusable = set[tuple[str, str, bytes, str]]()  # channels may share a definition
     for number, channel in log.channels.items():
         key = channel.schema, channel.schema_encoding, channel.definition, channel.message_encoding
-        if key not in by_definition:
-            try:
-                by_definition[key] = decoder_for(*key)
-            except DefinitionError as error:
-                by_definition[key] = None
-                log.fault(f"the definition of {channel.topic} cannot be used ({error})")
-        if (decoder := by_definition[key]) is not None:
-            decoders[number] = decoder
+        try:
+            if key not in unusable and (decoder := decoder_for(*key)) is not None:
+                decoders[number] = decoder
+        except DefinitionError as error:
+            unusable.add(key)
+            log.fault(f"the definition of {channel.topic} cannot be used ({error})")
     return decoders
 
 
@@ -44,27 +40,24 @@ class ChannelImages(RawLog):
         topics and none is chosen, or if `topic` is none of them."""
         super().__init__(log.diagnostics)
         self._log = log
+        self.close = log.close
         try:
             self._decoders = _choose(log, topic)
         except BaseException:
             log.close()
             raise
         self.topic = log.channels[next(iter(self._decoders))].topic
-        self.polar = any(decoder.kind.polar for decoder in self._decoders.values())
+        self.polar = any(decoder.polar for decoder in self._decoders.values())
         self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
 
-    def close(self) -> None:
-        """Close the recording."""
-        self._log.close()
-
-    def __iter__(self) -> Iterator[RawFrame]:
+    def __iter__(self) -> Iterator[Frame]:
         for number, message in enumerate(self._log.messages(self._decoders)):
-            name = f"message {number} of {self._log.channels[message.channel].topic}"
+            name = f"message {number} of {self.topic}"
             if message.data is None or number in self.passed_over:
-                yield RawFrame(name, message.log_time, None, message.problem)
+                yield stored(name, message.log_time, None, message.problem)
             else:
-                decode = partial(self._decoders[message.channel], message.data)
-                yield frame_of(name, message.log_time, decode, message.publish_time)
+                decode = self._decoders[message.channel]
+                yield frame_of(name, message.log_time, decode, message.data, message.publish_time)
 
 
 def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
@@ -72,29 +65,29 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
     decoders = image_decoders(log)
     topics = sorted({log.channels[c].topic for c in decoders})
     if not topics:
-        if not log.channels:
-            deque(log.messages({}), 0)  # which tells why: chunks are looked into only now
-        held = sorted(
-            f"{c.topic} ({c.schema or 'no schema'}, {c.message_encoding or 'no encoding'})"
-            for c in log.channels.values()
-        )
-        more = f" and {len(held) - MOST_NAMED} more" if len(held) > MOST_NAMED else ""
-        holds = f"it holds {', '.join(held[:MOST_NAMED]) or 'no channel'}{more}"
-        faults = [fault.removeprefix(f"{log.path.name}: ") for fault in log.diagnostics.faults]
-        help_ = (
-            "; `sonarrec help formats` lists the types of messages that are read" if held else ""
-        )
-        raise SonarrecError(
-            f"{log.path}: no image channel; {'; '.join([*faults[:1], holds])}{help_}"
-        )
+        raise SonarrecError(f"{log.path}: no image channel; {_held(log)}")
     if topic is None and len(topics) > 1:
-        used = {log.channels[c].topic for c in decoders if log.counts.get(c)}
-        topics = sorted(used) or topics
-    if topic is None and len(topics) > 1:
-        raise UsageError(
-            f"{log.path}: several image channels; choose one with --topic: " + ", ".join(topics)
-        )
+        topics = sorted({log.channels[c].topic for c in decoders if log.counts.get(c)}) or topics
+        if len(topics) > 1:
+            raise UsageError(
+                f"{log.path}: several image channels; choose one with --topic: {', '.join(topics)}"
+            )
     if topic is not None and topic not in topics:
         raise UsageError(f"{log.path}: no image channel {topic!r}; there is {', '.join(topics)}")
-    topic_chosen = topic or topics[0]
-    return {c: d for c, d in decoders.items() if log.channels[c].topic == topic_chosen}
+    chosen = topic or topics[0]
+    return {c: d for c, d in decoders.items() if log.channels[c].topic == chosen}
+
+
+def _held(log: Recording) -> str:
+    """What a recording without images holds, and what is wrong with it."""
+    if not log.channels:
+        deque(log.messages({}), 0)  # which tells why: chunks are looked into only now
+    held = sorted(
+        f"{c.topic} ({c.schema or 'no schema'}, {c.message_encoding or 'no encoding'})"
+        for c in log.channels.values()
+    )
+    faults = [fault.removeprefix(f"{log.path.name}: ") for fault in log.diagnostics.faults]
+    more = f" and {len(held) - MOST_NAMED} more" if len(held) > MOST_NAMED else ""
+    holds = f"it holds {', '.join(held[:MOST_NAMED]) or 'no channel'}{more}"
+    help_ = "; `sonarrec help formats` lists the types of messages that are read" if held else ""
+    return f"{'; '.join([*faults[:1], holds])}{help_}"

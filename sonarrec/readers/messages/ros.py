@@ -22,7 +22,6 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from sonarrec.readers.containers.mcap.chunks import inflated_zstd
 from sonarrec.readers.messages.fields import DefinitionError
 from sonarrec.readers.raw import MAX_FRAME_BYTES, UnusableError
 
@@ -241,12 +240,12 @@ class RosDecoder:
 
 def _inflate(message: memoryview) -> memoryview:
     """Inflate a message that was compressed by itself. Raises UnusableError if that fails."""
-    out = bytearray()
+    decoder = zstandard.ZstdDecompressor(max_window_size=2 * MAX_FRAME_BYTES)
     try:
-        for piece in inflated_zstd(iter([bytes(message)])):
-            out += piece
-            if len(out) > MAX_FRAME_BYTES:
-                raise UnusableError(f"inflates to more than {MAX_FRAME_BYTES} bytes")
+        with decoder.stream_reader(bytes(message), read_across_frames=True) as reader:
+            inflated = reader.read(MAX_FRAME_BYTES + 1)
     except zstandard.ZstdError:
         raise UnusableError("malformed message (does not inflate)") from None
-    return memoryview(bytes(out))
+    if len(inflated) > MAX_FRAME_BYTES:
+        raise UnusableError(f"inflates to more than {MAX_FRAME_BYTES} bytes")
+    return memoryview(inflated)

@@ -1,6 +1,6 @@
-"""The message types that hold sonar images, and how each is turned into a Ping.
+"""The message types that hold sonar images, and how each is turned into a Frame.
 
-To add a message type, write one function from Fields to a Ping and add one row to MESSAGES.
+To add a message type, write one function from Fields to a Frame and add one row to IMAGES or PINGS.
 `fields_decoder` finds what turns the bytes into Fields: CDR, ROS 1, JSON, protobuf, flatbuffers.
 """
 
@@ -15,50 +15,50 @@ from typing import Any
 import numpy as np
 
 from sonarrec.arrays import FloatArray
+from sonarrec.nouns import Frame
 from sonarrec.readers.containers.oculus import oculus_geometry, oculus_samples
 from sonarrec.readers.decode.pixels import decode_image, raw_pixels
 from sonarrec.readers.messages import foxglove
 from sonarrec.readers.messages.fields import Fields
-from sonarrec.readers.raw import Ping, UnusableError, ping_geometry
-from sonarrec.sonar import PingGeometry
+from sonarrec.readers.raw import UnusableError, message_frame, ping_geometry
 
 WIDEST_BEAM_DEG = 5.0
 Decode = Callable[[memoryview], Mapping[str, Any]]
 """Decodes a message into its fields; raises UnusableError if it is malformed. Texts of binary
 messages may come as bytes."""
 
-# What each message means
 
-
-def read_image(message: Fields) -> Ping:
+def read_image(message: Fields) -> Frame:
     """sensor_msgs/Image, foxglove.RawImage: uncompressed pixels."""
     encoding = message.text("encoding")
     height, width, step = message.whole("height"), message.whole("width"), message.whole("step", 0)
     big_endian = message.whole("is_bigendian", 0) != 0
     pixels = raw_pixels(message.octets("data"), height, width, encoding, step, big_endian)
-    return Ping(pixels, message.stamp_ns())
+    return message_frame(pixels, message.stamp_ns())
 
 
-def read_compressed_image(message: Fields) -> Ping:
+def read_compressed_image(message: Fields) -> Frame:
     """sensor_msgs/CompressedImage, foxglove.CompressedImage: an image file. The field `format`
     ("png", "mono8; png compressed mono8", ...) is ignored, because the data begin with the file's
     own mark."""
-    return Ping(decode_image(message.octets("data")), message.stamp_ns())
+    return message_frame(decode_image(message.octets("data")), message.stamp_ns())
 
 
 # In the order in which marine_acoustic_msgs/SonarImageData numbers them.
 _SAMPLE_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 
 
-def _samples(image: Fields, bins: int, beams: int) -> np.ndarray:
-    """(bins, beams) samples of a SonarImageData, assumed to be range-major."""
+def _samples(message: Fields, bins: int, bearings_deg: FloatArray) -> np.ndarray:
+    """(bins, beams) samples of a message's SonarImageData, assumed to be range-major."""
+    image = message.inner("image")
+    beams, number = image.whole("beam_count"), image.whole("dtype")
+    if beams != len(bearings_deg):
+        raise UnusableError(f"{beams} beams with {len(bearings_deg)} directions")
     if bins < 2 or beams < 2:
         raise UnusableError(f"{beams} beams of {bins} samples are no image")
-    number = image.whole("dtype")
     if number >= len(_SAMPLE_TYPES):
         raise UnusableError(f"unknown sample type {number}")
-    order = ">" if image.whole("is_bigendian") else "<"
-    dtype = np.dtype(order + _SAMPLE_TYPES[number])
+    dtype = np.dtype((">" if image.whole("is_bigendian") else "<") + _SAMPLE_TYPES[number])
     data = image.octets("data")
     if bins * beams * dtype.itemsize != len(data):
         raise UnusableError(
@@ -66,13 +66,6 @@ def _samples(image: Fields, bins: int, beams: int) -> np.ndarray:
             f"{len(data)} bytes"
         )
     return np.frombuffer(data, dtype).reshape(bins, beams)
-
-
-def _beam_count(image: Fields, bearings: np.ndarray) -> int:
-    beams = image.whole("beam_count")
-    if beams != len(bearings):
-        raise UnusableError(f"{beams} beams with {len(bearings)} directions")
-    return beams
 
 
 def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
@@ -97,14 +90,30 @@ def _fan_bearings(directions: FloatArray) -> FloatArray:
     return _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
 
 
-def read_projected_sonar_image(message: Fields) -> Ping:
+def read_projected_sonar_image(message: Fields) -> Frame:
     """marine_acoustic_msgs/ProjectedSonarImage: states a direction per beam and a range per bin."""
-    image = message.inner("image")
     bearings = _fan_bearings(message.vectors("beam_directions"))
     ranges = message.numbers("ranges")
-    pixels = _samples(image, len(ranges), _beam_count(image, bearings))
-    geometry = ping_geometry(ranges, bearings)
-    return Ping(pixels, message.stamp_ns(), replace(geometry, beam_width_deg=_beam_width(message)))
+    return _acoustic_ping(message, _samples(message, len(ranges), bearings), ranges, bearings)
+
+
+def read_raw_sonar_image(message: Fields) -> Frame:
+    """marine_acoustic_msgs/RawSonarImage: ranges are computed from the times of the samples."""
+    bearings = _left_to_right(np.degrees(message.numbers("rx_angles")))
+    speed = message.inner("ping_info").number("sound_speed")
+    rate = message.number("sample_rate")
+    if speed <= 0 or rate <= 0:
+        raise UnusableError(f"sound speed {speed:g} m/s at {rate:g} samples a second")
+    pixels = _samples(message, message.whole("samples_per_beam"), bearings)
+    ranges = (message.whole("sample0") + np.arange(len(pixels))) * speed / (2 * rate)
+    return _acoustic_ping(message, pixels, ranges, bearings)
+
+
+def _acoustic_ping(
+    message: Fields, pixels: np.ndarray, ranges_m: FloatArray, bearings_deg: FloatArray
+) -> Frame:
+    ping = replace(ping_geometry(ranges_m, bearings_deg), beam_width_deg=_beam_width(message))
+    return message_frame(pixels, message.stamp_ns(), ping)
 
 
 def _beam_width(message: Fields) -> float | None:
@@ -119,35 +128,14 @@ def _beam_width(message: Fields) -> float | None:
     return round(float(np.median(degrees)), 3) if len(degrees) else None
 
 
-def read_raw_sonar_image(message: Fields) -> Ping:
-    """marine_acoustic_msgs/RawSonarImage: ranges are computed from the times of the samples."""
-    image = message.inner("image")
-    bearings = _left_to_right(np.degrees(message.numbers("rx_angles")))
-    speed = message.inner("ping_info").number("sound_speed")
-    rate = message.number("sample_rate")
-    if speed <= 0 or rate <= 0:
-        raise UnusableError(f"sound speed {speed:g} m/s at {rate:g} samples a second")
-    bins = message.whole("samples_per_beam")
-    pixels = _samples(image, bins, _beam_count(image, bearings))
-    ranges = (message.whole("sample0") + np.arange(bins)) * speed / (2 * rate)
-    geometry = ping_geometry(ranges, bearings)
-    return Ping(pixels, message.stamp_ns(), replace(geometry, beam_width_deg=_beam_width(message)))
-
-
-def _oculus_geometry(message: Fields, bins: int, beams: int) -> PingGeometry:
-    resolution = message.number("range_resolution")
-    return oculus_geometry(message.numbers("bearings"), resolution, bins, beams)
-
-
-def read_oculus_ping(message: Fields) -> Ping:
+def read_oculus_ping(message: Fields) -> Frame:
     """sonar_oculus/OculusPing: an image (compressed in later versions) and its geometry."""
     inner = message.inner("ping")
     image = read_image(inner) if "encoding" in inner else read_compressed_image(inner)
-    geometry = _oculus_geometry(message, *image.pixels.shape[:2])
-    return Ping(image.pixels, message.stamp_ns(), geometry)
+    return _oculus_ping(message, image.pixels)
 
 
-def read_oculus_interfaces_ping(message: Fields) -> Ping:
+def read_oculus_interfaces_ping(message: Fields) -> Frame:
     """oculus_interfaces/Ping: a row may begin with a gain; it is divided by the gain's root."""
     bins, beams, step = (message.whole(k) for k in ("n_ranges", "n_beams", "step"))
     size = message.whole("sample_size")
@@ -156,35 +144,35 @@ def read_oculus_interfaces_ping(message: Fields) -> Ping:
     if len(data) != bins * step:  # a wrong step is ignored, as in images
         step = 0
     pixels = oculus_samples(data, bins, beams, size, gains=gains, step=step)
-    return Ping(pixels, message.stamp_ns(), _oculus_geometry(message, bins, beams))
+    return _oculus_ping(message, pixels)
 
 
-@dataclass(frozen=True, slots=True)
-class MessageType:
-    """How a message type is read, and whether it is polar and states its own geometry."""
-
-    read: Callable[[Fields], Ping]
-    polar: bool = False
+def _oculus_ping(message: Fields, pixels: np.ndarray) -> Frame:
+    bearings, resolution = message.numbers("bearings"), message.number("range_resolution")
+    ping = oculus_geometry(bearings, resolution, *pixels.shape[:2])
+    return message_frame(pixels, message.stamp_ns(), ping)
 
 
-_IMAGE, _COMPRESSED = MessageType(read_image), MessageType(read_compressed_image)
-_PROJECTED = MessageType(read_projected_sonar_image, polar=True)
-_OCULUS = MessageType(read_oculus_ping, polar=True)
-MESSAGES = {
-    "sensor_msgs/Image": _IMAGE,
-    "sensor_msgs/CompressedImage": _COMPRESSED,
-    "foxglove/RawImage": _IMAGE,
-    "foxglove/CompressedImage": _COMPRESSED,
-    "foxglove_msgs/RawImage": _IMAGE,
-    "foxglove_msgs/CompressedImage": _COMPRESSED,
-    "marine_acoustic_msgs/ProjectedSonarImage": _PROJECTED,
-    "marine_acoustic_msgs/RawSonarImage": MessageType(read_raw_sonar_image, polar=True),
-    "acoustic_msgs/ProjectedSonarImage": _PROJECTED,  # its name before 2022
-    "sonar_oculus/OculusPing": _OCULUS,
-    "sonar_oculus/OculusPingUncompressed": _OCULUS,
-    "sonar_oculus_interface/OculusPing": _OCULUS,
-    "oculus_interfaces/Ping": MessageType(read_oculus_interfaces_ping, polar=True),
+Read = Callable[[Fields], Frame]
+IMAGES: dict[str, Read] = {
+    "sensor_msgs/Image": read_image,
+    "sensor_msgs/CompressedImage": read_compressed_image,
+    "foxglove/RawImage": read_image,
+    "foxglove/CompressedImage": read_compressed_image,
+    "foxglove_msgs/RawImage": read_image,
+    "foxglove_msgs/CompressedImage": read_compressed_image,
 }
+PINGS: dict[str, Read] = {
+    "marine_acoustic_msgs/ProjectedSonarImage": read_projected_sonar_image,
+    "marine_acoustic_msgs/RawSonarImage": read_raw_sonar_image,
+    "acoustic_msgs/ProjectedSonarImage": read_projected_sonar_image,  # its name before 2022
+    "sonar_oculus/OculusPing": read_oculus_ping,
+    "sonar_oculus/OculusPingUncompressed": read_oculus_ping,
+    "sonar_oculus_interface/OculusPing": read_oculus_ping,
+    "oculus_interfaces/Ping": read_oculus_interfaces_ping,
+}
+"""Polar: they state their own geometry."""
+MESSAGES = IMAGES | PINGS
 
 
 def message_type(schema_name: str) -> str:
@@ -195,14 +183,15 @@ def message_type(schema_name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """Turns a message's bytes into a Ping; raises UnusableError if they cannot be used."""
+    """Turns a message's bytes into a Frame; raises UnusableError if they cannot be used."""
 
     fields: Decode
-    kind: MessageType
+    read: Read
+    polar: bool
 
-    def __call__(self, message: memoryview) -> Ping:
+    def __call__(self, message: memoryview) -> Frame:
         with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
-            return self.kind.read(Fields(self.fields(message)))
+            return self.read(Fields(self.fields(message)))
 
 
 def decoder_for(
@@ -212,11 +201,10 @@ def decoder_for(
     schema_encoding, schema_data: the message definition in the file ("ros2msg", ...). Raises
     DefinitionError if it cannot be used and we have none of our own."""
     name = message_type(schema_name)
-    kind = MESSAGES.get(name)
-    if kind is None:
+    if name not in MESSAGES:
         return None
     fields = fields_decoder(name, schema_encoding, schema_data, message_encoding)
-    return None if fields is None else Decoder(fields, kind)
+    return None if fields is None else Decoder(fields, MESSAGES[name], name in PINGS)
 
 
 def fields_decoder(

@@ -1,1 +1,0 @@
-"""MCAP recordings: what is in the file, which messages are images or poses, and their fields."""

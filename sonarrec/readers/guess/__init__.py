@@ -1,1 +1,0 @@
-"""What is found out about a recording where nobody states it."""
