@@ -1,95 +1,78 @@
-"""The columns of the three tables, each name once, and the methods that stand in them."""
+"""The columns of the tables that a run writes, each stated once, and the methods in them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from functools import cache
+from operator import attrgetter
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sonarrec.nouns import Estimate, FrameResult, Stamps
+from sonarrec.errors import UsageError, printable
+from sonarrec.nouns import FrameResult, Stamps, follows
 
 if TYPE_CHECKING:
     from sonarrec.tables.read import Kind  # imports pandas, which a run does not need
-from pathlib import Path
-
-from sonarrec.errors import UsageError, printable
-from sonarrec.nouns import follows
-
-Part = TypeVar("Part")
 
 
 @dataclass(frozen=True, slots=True)
-class Column(Generic[Part]):
+class Column:
     """One column.
 
-    cell: makes the cell from a frame's result and the part of it that the row is about.
-    kind: what a cell must be when it is read back; None: the column is not read. needed: tables of
-    other programs must have the column too.
+    form: how a cell is written. kind: what a cell must be when it is read back; None: the column
+    is not read. needed: tables of other programs must have the column too.
     """
 
     name: str
-    cell: Callable[[FrameResult, Part], object]
+    form: str
     kind: Kind | None = None
     needed: bool = False
 
 
-FRAME_COLUMNS: tuple[Column[Stamps], ...] = (
-    Column("frame", lambda r, _: r.index, "whole", needed=True),
-    Column("timestamp_ns", lambda r, _: r.timestamp_ns, "whole"),
-    Column("candidates", lambda r, _: r.candidates),
-    Column("tracks", lambda r, _: r.tracks),
-    Column("log_time_ns", lambda _, s: s.log),
-    Column("publish_time_ns", lambda _, s: s.publish),
-    Column("header_stamp_ns", lambda _, s: s.header),
-    Column("dx_m", lambda r, _: _motion_text(r, "right_m", 5)),
-    Column("dy_m", lambda r, _: _motion_text(r, "ahead_m", 5)),
-    Column("dyaw_deg", lambda r, _: _motion_text(r, "pan_deg", 4)),
-    Column("dx_sigma_m", lambda r, _: _motion_sigma_text(r, "right_sigma_m", 5)),
-    Column("dy_sigma_m", lambda r, _: _motion_sigma_text(r, "ahead_sigma_m", 5)),
-    Column("dyaw_sigma_deg", lambda r, _: _motion_sigma_text(r, "pan_sigma_deg", 4)),
+_NUMBER: tuple[Column, Column] = (
+    Column("frame", "%d", "whole", needed=True),
+    Column("timestamp_ns", "%d"),
 )
+FRAME_COLUMNS = (
+    Column("frame", "%d", "whole", needed=True),
+    Column("timestamp_ns", "%d", "whole"),
+    Column("candidates", "%d"),
+    Column("tracks", "%d"),
+    Column("log_time_ns", "%s"),
+    Column("publish_time_ns", "%s"),
+    Column("header_stamp_ns", "%s"),
+    Column("dx_m", "%.5f"),
+    Column("dy_m", "%.5f"),
+    Column("dyaw_deg", "%.4f"),
+    Column("dx_sigma_m", "%.5f"),
+    Column("dy_sigma_m", "%.5f"),
+    Column("dyaw_sigma_deg", "%.4f"),
+)
+_BEFORE_BELIEFS = (
+    Column("method", "%s", "text", needed=True),
+    Column("object", "%d", "label"),
+    Column("x_px", "%.2f", "blank or place"),
+    Column("y_px", "%.2f", "blank or place"),
+    Column("range_m", "%.4f", "blank or place"),
+    Column("bearing_deg", "%.3f", "blank or place"),
+    Column("orientation_deg", "%.1f", "blank or number"),
+    Column("existence", "%.4f", "blank or number"),
+)
+_AFTER_BELIEFS = (
+    Column("landmark", "%d", "whole", needed=True),
+    Column("score", "%.6f", "number", needed=True),
+    Column("declared", "%d", "flag", needed=True),
+    Column("range_sigma_m", "%.4f", "blank or number"),
+    Column("bearing_sigma_deg", "%.3f", "blank or number"),
+    Column("orientation_sigma_deg", "%.1f", "blank or number"),
+)
+"""Their names, and those of _BEFORE_BELIEFS, are those of an Estimate's fields."""
+CORNERS = tuple(f"{axis}{k}" for k in range(1, 5) for axis in "rb")
+"""Columns of a plate's corners: slant range, m, and bearing, deg, of each."""
 FRAMES_HEADER = "frame,timestamp_ns"
 ESTIMATES_HEADER = "frame,method,range_m,bearing_deg,landmark,score,declared"
 """Headers for error messages: the fewest columns that can be scored."""
-
-
-def estimate_columns(ids: Sequence[int], corners: bool = False) -> tuple[Column[Estimate], ...]:
-    """The columns of estimates.csv for a landmark set with these IDs; corners: of drawn plates."""
-    return (
-        Column("frame", lambda r, _: r.index, "whole", needed=True),
-        Column("timestamp_ns", lambda r, _: r.timestamp_ns),
-        Column("method", lambda _, e: e.method, "text", needed=True),
-        Column("object", lambda _, e: e.object, "label"),
-        Column("x_px", lambda _, e: f"{e.x_px:.2f}", "blank or place"),
-        Column("y_px", lambda _, e: f"{e.y_px:.2f}", "blank or place"),
-        Column("range_m", lambda _, e: f"{e.range_m:.4f}", "blank or place"),
-        Column("bearing_deg", lambda _, e: f"{e.bearing_deg:.3f}", "blank or place"),
-        Column("orientation_deg", lambda _, e: f"{e.orientation_deg:.1f}", "blank or number"),
-        Column("existence", lambda _, e: f"{e.existence:.4f}", "blank or number"),
-        *(_belief(name, k) for k, name in enumerate(belief_names(ids))),
-        Column("landmark", lambda _, e: e.landmark, "whole", needed=True),
-        Column("score", lambda _, e: f"{e.score:.6f}", "number", needed=True),
-        Column("declared", lambda _, e: int(e.declared), "flag", needed=True),
-        Column("range_sigma_m", lambda _, e: f"{e.range_sigma_m:.4f}", "blank or number"),
-        Column("bearing_sigma_deg", lambda _, e: f"{e.bearing_sigma_deg:.3f}", "blank or number"),
-        Column(
-            "orientation_sigma_deg",
-            lambda _, e: f"{e.orientation_sigma_deg:.1f}",
-            "blank or number",
-        ),
-        *(_corner(k, n) for k in range(4 * corners) for n in range(2)),
-    )
-
-
-def _motion_text(result: FrameResult, name: str, digits: int) -> str:
-    """A component of the motion since the previous frame; empty if there is none."""
-    return "" if result.motion is None else f"{getattr(result.motion, name):.{digits}f}"
-
-
-def _motion_sigma_text(result: FrameResult, name: str, digits: int) -> str:
-    """A standard error of the motion; empty if poses give the motion."""
-    motion = result.motion
-    return "" if motion is None or not motion.pan_sigma_deg else _motion_text(result, name, digits)
 
 
 def belief_names(ids: Sequence[int]) -> list[str]:
@@ -97,29 +80,80 @@ def belief_names(ids: Sequence[int]) -> list[str]:
     return [f"p_{i}" for i in ids] + ["p_none"]
 
 
-def _belief(name: str, k: int) -> Column[Estimate]:
-    return Column(name, lambda _, e: f"{e.probabilities[k]:.6f}", "share")
+def estimate_columns(ids: Sequence[int], corners: bool = False) -> tuple[Column, ...]:
+    """The columns of estimates.csv for a landmark set with these IDs; corners: of drawn plates."""
+    return (
+        *(*_NUMBER, *_BEFORE_BELIEFS),
+        *(Column(name, "%.6f", "share") for name in belief_names(ids)),
+        *_AFTER_BELIEFS,
+        *(
+            Column(name, "%.4f" if name[0] == "r" else "%.3f", "blank or number")
+            for name in CORNERS[: 8 * corners]
+        ),
+    )
 
 
-CORNERS = tuple(f"{axis}{k}" for k in range(1, 5) for axis in "rb")
-"""Columns of a plate's corners: slant range, m, and bearing, deg, of each."""
+def _line(columns: Sequence[Column], blank: int = 0) -> str:
+    """A template of a table's line; the last `blank` cells are empty."""
+    cells = [c.form for c in columns[: len(columns) - blank]] + [""] * blank
+    return ",".join(cells) + "\n"
 
 
-def _corner(k: int, n: int) -> Column[Estimate]:
-    digits = 3 + (n == 0)
-
-    def cell(_: FrameResult, e: Estimate) -> str:
-        return "" if e.corners is None else f"{e.corners[k, n]:.{digits}f}"
-
-    return Column(CORNERS[2 * k + n], cell, "blank or number")
+_STILL, _MOVED, _MEASURED = (_line(FRAME_COLUMNS, blank) for blank in (6, 3, 0))
 
 
-def kinds(columns: Iterable[Column[Part]]) -> dict[str, Kind]:
+def frame_line(result: FrameResult, stamps: Stamps) -> str:
+    """The line of frames.csv; the motion is empty if there is none, its errors if poses gave it."""
+    times = ("" if t is None else t for t in (stamps.log, stamps.publish, stamps.header))
+    cells = (result.index, result.timestamp_ns, result.candidates, result.tracks, *times)
+    motion = result.motion
+    if motion is None:
+        return _STILL % cells
+    moved = motion.right_m, motion.ahead_m, motion.pan_deg
+    if not motion.pan_sigma_deg:
+        return _MOVED % (*cells, *moved)
+    sigmas = motion.right_sigma_m, motion.ahead_sigma_m, motion.pan_sigma_deg
+    return _MEASURED % (*cells, *moved, *sigmas)
+
+
+class EstimateLines:
+    """Makes the lines of estimates.csv, each by one template: a call for every cell takes four
+    times as long."""
+
+    def __init__(self, columns: Sequence[Column]) -> None:
+        """columns: from `estimate_columns`."""
+        self._corners = columns[-1].name == CORNERS[-1]
+        self._seen, self._unseen = _line(columns), _line(columns, len(CORNERS) * self._corners)
+        self._before = attrgetter(*(c.name for c in _BEFORE_BELIEFS[1:]))
+        self._after = attrgetter(*(c.name for c in _AFTER_BELIEFS))
+
+    def __call__(self, result: FrameResult) -> str:
+        """The lines of a frame's estimates."""
+        lines, before, after = [], self._before, self._after
+        for e in result.estimates:
+            cells = (
+                *(result.index, result.timestamp_ns, text_cell(e.method), *before(e)),
+                *(*e.probabilities.tolist(), *after(e)),
+            )
+            if self._corners and e.corners is not None:
+                lines.append(self._seen % (*cells, *e.corners.ravel().tolist()))
+            else:
+                lines.append(self._unseen % cells)
+        return "".join(lines)
+
+
+@cache
+def text_cell(text: str) -> str:
+    """A text as a cell, quoted where it must be."""
+    return '"' + text.replace('"', '""') + '"' if set(text) & set(',"\r\n') else text
+
+
+def kinds(columns: Iterable[Column]) -> dict[str, Kind]:
     """The columns that are read back, with the kind of their cells."""
     return {c.name: c.kind for c in columns if c.kind is not None}
 
 
-def needed(columns: Iterable[Column[Part]]) -> tuple[str, ...]:
+def needed(columns: Iterable[Column]) -> tuple[str, ...]:
     """The columns without which a table cannot be used."""
     return tuple(c.name for c in columns if c.needed)
 

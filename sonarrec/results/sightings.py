@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import PoseTable, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, follows
+from sonarrec.results.columns import text_cell
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.sonar import Sonar
 
@@ -60,14 +60,14 @@ class Sighting:
     x_m: float
     y_m: float
 
-    def cells(self) -> Iterator[object]:
-        """The row of sightings.csv, by SIGHTING_COLUMNS."""
-        for name in SIGHTING_COLUMNS:
+    def line(self) -> str:
+        """The line of sightings.csv, by SIGHTING_COLUMNS."""
+        cells = [text_cell(self.method)]
+        for name in SIGHTING_COLUMNS[1:]:
             value = getattr(self, name)
-            if name not in _DIGITS:
-                yield value
-            else:
-                yield "" if math.isnan(value) else f"{value:.{_DIGITS[name]}f}"
+            known = value is not None and not math.isnan(value)
+            cells.append(f"{value:.{_DIGITS.get(name, 0)}f}" if known else "")
+        return ",".join(cells) + "\n"
 
 
 SIGHTING_COLUMNS = tuple(f.name for f in fields(Sighting))
@@ -102,8 +102,8 @@ class _Pass:
     """A pass that has not ended; fields as in `Sighting`.
 
     period_deg: the rotation after which the symbol looks the same. first_orientation_deg: the first
-    known one. total, count: (10,) sums over the known values, and how many these are, in the order
-    of `add`.
+    known one. total, count: sums over the known values, and how many these are, in the order of
+    `add`.
     """
 
     method: str
@@ -117,8 +117,8 @@ class _Pass:
     frames_declared: int = 0
     best_score: float = 0.0
     first_orientation_deg: float = math.nan
-    total: FloatArray = field(default_factory=lambda: np.zeros(10))
-    count: IntArray = field(default_factory=lambda: np.zeros(10, np.int64))
+    total: list[float] = field(default_factory=lambda: [0.0] * 10)
+    count: list[int] = field(default_factory=lambda: [0] * 10)
 
     def add(
         self, frame: int, timestamp_ns: int, estimate: Estimate, position: tuple[float, float]
@@ -131,21 +131,20 @@ class _Pass:
             self.first_orientation_deg = estimate.orientation_deg
         # Scaled so that rotations after which the symbol looks the same are equal.
         rotation = math.radians(estimate.orientation_deg * 360 / self.period_deg)
-        values = np.array(
-            [
-                *(estimate.score, estimate.range_m, estimate.bearing_deg),
-                *(math.cos(rotation), math.sin(rotation)),
-                *(estimate.range_sigma_m**2, estimate.bearing_sigma_deg**2),
-                *(estimate.orientation_sigma_deg**2, *position),
-            ]
+        values = (
+            *(estimate.score, estimate.range_m, estimate.bearing_deg),
+            *(math.cos(rotation), math.sin(rotation)),
+            *(estimate.range_sigma_m**2, estimate.bearing_sigma_deg**2),
+            *(estimate.orientation_sigma_deg**2, *position),
         )
-        known = ~np.isnan(values)
-        self.total += np.where(known, values, 0.0)
-        self.count += known
+        for k, value in enumerate(values):
+            if not math.isnan(value):
+                self.total[k] += value
+                self.count[k] += 1
 
     def as_sighting(self) -> Sighting:
         """The pass as a row of sightings.csv."""
-        means = np.where(self.count > 0, self.total / np.maximum(self.count, 1), np.nan).tolist()
+        means = [a / n if n else math.nan for a, n in zip(self.total, self.count, strict=True)]
         score, range_m, bearing, cos, sin, *squares, x, y = means
         # Of equivalent directions the one nearest to the first orientation.
         mean = math.degrees(math.atan2(sin, cos)) * self.period_deg / 360

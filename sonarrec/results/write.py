@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import shutil
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from time import monotonic
 from typing import Any, Self
 
 import tomli_w
@@ -16,36 +15,42 @@ import tomli_w
 from sonarrec.errors import SonarrecError, name_as_text, number_of
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import NO_STAMPS, FrameResult, Stamps
-from sonarrec.results.columns import FRAME_COLUMNS, estimate_columns
+from sonarrec.results.columns import FRAME_COLUMNS, EstimateLines, estimate_columns, frame_line
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.run_file import rows_written
-from sonarrec.results.sightings import SIGHTING_COLUMNS, Sighting, Sightings
+from sonarrec.results.sightings import SIGHTING_COLUMNS, Sightings
 from sonarrec.tables.outputs import replaced
+
+AT_ONCE = 16
+"""Frames that are written together: as many as stage 3 looks at together."""
+WAIT_S = 1.0
+"""A frame waits no longer for others."""
 
 
 class _Table:
-    """A CSV file that always holds complete frames, even if the process is killed."""
+    """A CSV file that always holds complete lines, even if the process is killed.
 
-    def __init__(self, path: Path, header: Sequence[str]) -> None:
+    Line ends and encoding are fixed, so that equal results have equal bytes everywhere.
+    """
+
+    def __init__(self, path: Path, header: Iterable[str]) -> None:
         new = path.with_name(f".{path.name}.new")
         self._file = new.open("wb", buffering=0)
         self.size = 0  # bytes written
-        self.append([header])
+        self.append(",".join(header) + "\n")
         new.rename(path)  # so the file always has a header
 
-    def append(self, rows: Iterable[Sequence[object]]) -> None:
-        """Add the rows of a frame, all or none. Raises OSError if the disk is full."""
-        text = io.StringIO()
-        # Line endings and encoding are fixed, so that equal results have equal bytes everywhere.
-        csv.writer(text, lineterminator="\n").writerows(rows)
-        data = memoryview(text.getvalue().encode())
+    def append(self, lines: str) -> None:
+        """Add lines, all or none. Raises OSError if the disk is full."""
+        data = memoryview(lines.encode())
+        size = self.size + len(data)
         try:
             while data:
                 data = data[self._file.write(data) :]
         except BaseException:  # the disk is full, or Ctrl-C
             self.cut(self.size)
             raise
-        self.size = self._file.tell()
+        self.size = size
 
     def cut(self, size: int) -> None:
         """Cut the file back to this size."""
@@ -92,7 +97,11 @@ class ResultsWriter:
         self._folder = folder
         self._part = part_of(folder)
         self._run = run
-        self._columns = estimate_columns(landmarks.ids, isinstance(landmarks, DrawnSet))
+        self._waiting: list[tuple[FrameResult, Stamps]] = []
+        self._passes = ""  # lines of sightings.csv that wait
+        self._written_s = monotonic()
+        columns = estimate_columns(landmarks.ids, isinstance(landmarks, DrawnSet))
+        self._lines = EstimateLines(columns)
         try:
             self._part.parent.mkdir(parents=True, exist_ok=True)
             self._lock = lock(folder)
@@ -107,8 +116,8 @@ class ResultsWriter:
                 shutil.rmtree(self._part)
             self._part.mkdir()
             self._write_run(finished=False)
-            self._estimates = _Table(self._part / "estimates.csv", [c.name for c in self._columns])
-            self._frames = _Table(self._part / "frames.csv", [c.name for c in FRAME_COLUMNS])
+            self._estimates = _Table(self._part / "estimates.csv", (c.name for c in columns))
+            self._frames = _Table(self._part / "frames.csv", (c.name for c in FRAME_COLUMNS))
             self._sightings = _Table(self._part / "sightings.csv", SIGHTING_COLUMNS)
         except OSError as error:
             release(folder, self._lock)
@@ -126,27 +135,49 @@ class ResultsWriter:
 
     def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
         """Append a frame. stamps: its times in the log. Raises SonarrecError: the disk is full."""
-        before = self.frames, self._estimates.size, self._frames.size
+        self._waiting.append((result, stamps))
+        if len(self._waiting) >= AT_ONCE or monotonic() > self._written_s + WAIT_S:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Write the frames that wait; on a full disk as many as there is room for, then raise."""
+        try:
+            self._append(len(self._waiting))
+        except OSError:
+            try:
+                while self._waiting or self._passes:
+                    self._append(1)
+            except OSError as error:
+                raise self._fault(error) from None
+
+    def _append(self, count: int) -> None:
+        """Write the first frames that wait, all or none. Raises OSError."""
+        block, rest = self._waiting[:count], self._waiting[count:]
+        frames = self.frames + len(block)
+        before = self._estimates.size, self._frames.size
         try:
             # Written first, so that a frame in frames.csv has all its estimates.
-            self._estimates.append(
-                [c.cell(result, e) for c in self._columns] for e in result.estimates
-            )
-            self._frames.append([[c.cell(result, stamps) for c in FRAME_COLUMNS]])
-            self.frames += 1
-            self.candidates += result.candidates
-            self._seen(self._gathered.add(result.index, result.timestamp_ns, result.estimates))
-        except BaseException as error:
-            if self.frames == before[0]:  # the frame is incomplete
-                self._estimates.cut(before[1])
-                self._frames.cut(before[2])
-            if isinstance(error, OSError):
-                raise self._fault(error) from None
+            self._estimates.append("".join([self._lines(result) for result, _ in block]))
+            self._frames.append("".join([frame_line(*each) for each in block]))
+            self._waiting, self.frames = rest, frames
+        except BaseException:
+            if self.frames < frames:
+                self._estimates.cut(before[0])
+                self._frames.cut(before[1])
             raise
+        self._written_s = monotonic()
+        for result, _ in block:
+            self.candidates += result.candidates
+            ended = self._gathered.add(result.index, result.timestamp_ns, result.estimates)
+            self._passes += "".join(s.line() for s in ended)
+        self._sightings.append(self._passes)
+        self._passes = ""
 
-    def _seen(self, ended: Sequence[Sighting]) -> None:
-        if ended:
-            self._sightings.append([*s.cells()] for s in ended)
+    def _end(self) -> None:
+        """Write all that waits."""
+        self._flush()
+        self._passes += "".join(s.line() for s in self._gathered.close_all())
+        self._flush()
 
     def finish(self, problems: Sequence[str], unusable: int = 0) -> list[str]:
         """End a complete run: replace older results. Returns the notes of `exchange`.
@@ -154,11 +185,11 @@ class ResultsWriter:
         problems: a line for each part of the log that could not be used. unusable: how many frames.
         Raises SonarrecError if the disk is full.
         """
+        self._end()
         self._run["input"]["frames_unusable"] = unusable
         self._run["input"]["candidates"] = self.candidates
         self._run["input"]["problems"] = [name_as_text(problem) for problem in problems]
         try:
-            self._seen(self._gathered.close_all())
             self._sightings.close(sync=True)
             self._estimates.close(sync=True)
             self._frames.close(sync=True)
@@ -182,8 +213,8 @@ class ResultsWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError, ValueError):  # the disk is full, or the files are closed already
-            self._seen(self._gathered.close_all())
+        with suppress(SonarrecError, ValueError):  # full disk, or the files are closed already
+            self._end()
         for table in (self._estimates, self._frames, self._sightings):
             table.close()
         if not self.frames and self._part.is_dir():

@@ -14,7 +14,7 @@ from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.nouns import Estimate, FrameResult, Motion, Stamps
 from sonarrec.results.columns import estimate_columns
 from sonarrec.results.run_file import read_run, run_table
-from sonarrec.results.write import ResultsWriter
+from sonarrec.results.write import AT_ONCE, ResultsWriter
 from sonarrec.sonar import Sonar, sonar_from_table
 from tests.support.drawn import make_fan
 
@@ -156,6 +156,23 @@ def test_a_fan_that_looks_aside_is_read_back_as_it_was(tmp_path):
     run = read_run(tmp_path / "run.toml")
     assert run.fan() == aside
     assert run.fan(Sonar(field_of_view_deg=20.0)).bearing_min_deg == -10
+
+
+def test_a_frame_waits_for_others_but_no_longer_than_a_second(tmp_path, monkeypatch):
+    def written() -> list[int]:
+        return [int(row[0]) for row in rows(tmp_path / "log_a.part/frames.csv")[1:]]
+
+    now = 0.0
+    monkeypatch.setattr("sonarrec.results.write.monotonic", lambda: now)
+    with ResultsWriter(tmp_path / "log_a", BASIN, tables()) as writer:
+        for i in range(AT_ONCE + 3):
+            writer.write(result(i, estimate()))
+        assert written() == [*range(AT_ONCE)]
+        now = 1.1
+        writer.write(result(AT_ONCE + 3))
+        assert written() == [*range(AT_ONCE + 4)]
+        writer.write(result(AT_ONCE + 4))
+    assert written() == [*range(AT_ONCE + 5)]
 
 
 @pytest.mark.parametrize("taken", ["file in the way", "no permission"])
