@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sonarrec.errors import Diagnostics, SonarrecError, local, number_of, printable
 from sonarrec.evaluation.count import Adder, Counts
 from sonarrec.evaluation.logs import (
@@ -23,8 +21,7 @@ from sonarrec.evaluation.match import DEFAULT, ScoringOptions, scoring_options
 from sonarrec.evaluation.pairs import Pair, find_truths_beside, read_pairs, truth_note, usable_pairs
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.tables import Evaluation
-from sonarrec.results.read import find_logs, read_frames
-from sonarrec.results.same_log import CountedOnce
+from sonarrec.results.read import CountedOnce, find_logs
 from sonarrec.sonar import Sonar
 from sonarrec.truth.check import tell_other_logs, tell_rows
 from sonarrec.truth.table import TruthTable, read_truth
@@ -106,7 +103,7 @@ def evaluate_logs(
     adder = Adder()
     read: list[LogScore] = []
     unread: list[UnreadableLog] = []
-    once = CountedOnce(lambda i: np.asarray(read_frames(read[i].folder)["frame"]), "scored", told)
+    once = CountedOnce("scored", told)
     kept: list[LogScore] = []
     work = partial(score_log, options=options, ids=first_ids(folders, options.landmarks))
     for log in map_logs(work, pairs, folders, jobs):

@@ -20,9 +20,8 @@ from sonarrec.evaluation.count import LogCounts, count_log
 from sonarrec.evaluation.match import Matched, ScoringOptions, match, nearest_truth
 from sonarrec.evaluation.pairs import Pair
 from sonarrec.results.folders import log_of
-from sonarrec.results.read import LogResults, not_whole, read_log
+from sonarrec.results.read import LogResults, Recording, TruthOf, not_whole, read_log, recording
 from sonarrec.results.run_file import read_run
-from sonarrec.results.same_log import Recording, TruthOf, recording
 from sonarrec.runs import cores
 from sonarrec.truth.check import FEWEST, misfit, tell_fit, without_rows
 from sonarrec.truth.match import Truth, match_truth
@@ -158,7 +157,7 @@ def score_log(
         folder=pair.results,
         ground_truth=(pair.ground_truth, table.digest_of(rows)) if len(rows) else None,
         name=log.name,
-        recording=recording(pair.results, log.run, len(log.frame_index)),
+        recording=recording(pair.results, log.run),
         check=check,
         not_whole=lost,
         counts=counts,

@@ -23,9 +23,18 @@ from sonarrec.evaluation.pairs import (
     truth_note,
 )
 from sonarrec.results.folders import is_file, log_of
-from sonarrec.results.read import LogResults, find_logs, not_whole, read_frames, read_log, rows_of
+from sonarrec.results.read import (
+    CountedOnce,
+    LogResults,
+    Recording,
+    check_one_log,
+    find_logs,
+    not_whole,
+    read_log,
+    recording,
+    rows_of,
+)
 from sonarrec.results.run_file import read_run
-from sonarrec.results.same_log import CountedOnce, Recording, check_one_log, recording
 from sonarrec.tables.read import read_header
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import HEADER
@@ -68,11 +77,7 @@ def pair_logs(
     for folders in candidates:
         try:
             remarks = _check_comparable(folders, options.landmarks)
-            run = read_run(folders[1] / "run.toml")
-            estimates = 0
-            if not run.input.recording:
-                estimates = len(read_log(folders[1], options.landmarks).frame_index)
-            recordings.append(recording(folders[1], run, estimates))
+            recordings.append(recording(folders[1], read_run(folders[1] / "run.toml")))
         except SonarrecError as fault:  # the other logs can be compared
             faults.append(fault)
             told.problem(f"{fault}; {log_of(folders[1])} is not compared")
@@ -82,13 +87,7 @@ def pair_logs(
     if not pairs:
         raise faults[0]
 
-    def frames(i: int) -> IntArray:
-        try:
-            return np.asarray(read_frames(pairs[i][1])["frame"])
-        except SonarrecError:  # reported when the log is counted
-            return np.empty(0, dtype=np.int64)
-
-    once = CountedOnce(frames, "compared", told)
+    once = CountedOnce("compared", told)
     counted = [pair for pair, of in zip(pairs, recordings, strict=True) if once.add(pair[1], of)]
     truths = _truths(counted, len(faults), ground_truth, told)
     return [

@@ -29,11 +29,9 @@ from sonarrec.mapping.path import (
     read_frames,
 )
 from sonarrec.readers.poses import read_poses
-from sonarrec.results.read import find_logs
+from sonarrec.results.read import CountedOnce, choose_method, find_logs, recording
 from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
-from sonarrec.results.same_log import CountedOnce, recording
 from sonarrec.results.sightings import check_follows
-from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar
 
 
@@ -94,11 +92,10 @@ def make_map(
     """
     told, copies = Diagnostics(), Diagnostics()
     found = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
-    read: list[MappedLog] = []
     logs: list[MappedLog] = []
     landmark_set: LandmarkSet | None = None
     tables_used: set[str | None] = set()
-    once = CountedOnce(lambda i: read[i].path.frame, "used", copies)
+    once = CountedOnce("used", copies)
     for folder in found:
         try:
             run = read_run(folder / "run.toml")
@@ -110,15 +107,14 @@ def make_map(
                     "others"
                 )
             poses = _poses_of_run(folder, run, odometry)
-            log, estimates = _read_log(folder, run, own_set, poses, drift, method, sonar)
+            log = _read_log(folder, run, own_set, poses, drift, method, sonar)
         except SonarrecError as error:
             if len(found) == 1:
                 raise
             told.problem(str(error))
             continue
         tables_used.add(None if poses is None else poses.source.get("sha256"))
-        read.append(log)
-        if once.add(folder, recording(folder, run, estimates)):
+        if once.add(folder, recording(folder, run)):
             logs.append(log)
     if landmark_set is None or not logs:
         raise SonarrecError("\n".join(["no log can be mapped", *told.problems]))
@@ -151,8 +147,8 @@ def _read_log(
     drift: Drift,
     method: str | None,
     sonar: Sonar | None,
-) -> tuple[MappedLog, int]:
-    """One log, and the number of its declared estimates. Raises SonarrecError if it is unusable."""
+) -> MappedLog:
+    """One log. Raises SonarrecError if it is unusable."""
     told, frames, ros_axes = Diagnostics(), read_frames(folder), False
     if poses is None:
         if drift != NO_DRIFT:
@@ -188,8 +184,7 @@ def _read_log(
         if count:
             whole = len(declared.row) + declared.strays
             told.problem(f"{folder}: {count} of {whole} declared estimates left out: {why}")
-    log = MappedLog(folder.resolve().name, path, passes, fan, ros_axes, told)
-    return log, len(declared.row)
+    return MappedLog(folder.resolve().name, path, passes, fan, ros_axes, told)
 
 
 def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTable | None:

@@ -24,9 +24,8 @@ from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
 from sonarrec.nouns import Fan
-from sonarrec.results.read import estimate_tables
-from sonarrec.results.sightings import PASS_GAP, ROWS
-from sonarrec.results.stream import SIGMAS, positions
+from sonarrec.results.read import ROWS, SIGMAS, estimate_tables, positions
+from sonarrec.results.sightings import PASS_GAP
 from sonarrec.tables.read import line_number
 
 # How errors are correlated within a pass, chosen on tuning seeds.

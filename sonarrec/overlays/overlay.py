@@ -24,10 +24,14 @@ from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.results.folders import part_of, possible_names
-from sonarrec.results.read import read_frames, read_log
+from sonarrec.results.read import (
+    check_same_log,
+    choose_method,
+    read_estimates,
+    read_frames,
+    read_log,
+)
 from sonarrec.results.run_file import LogOptions, frame_span, read_run, span_text
-from sonarrec.results.same_log import check_same_log, last_frame
-from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.tables.outputs import Kind, check_output, writing
 from sonarrec.truth.check import misfit, without_rows
@@ -92,14 +96,13 @@ def overlay(
         check_same_log(recording, folder, run)
         told = Diagnostics()
         if not run.finished:
-            last = last_frame(folder)
+            last = read_frames(folder)["frame"].max(initial=-1)
             told.problem(f"{folder}: the run was cut short; frames after {last} have no results")
         rest = iter(recording)
         first = next(rest)  # raises where there is no usable frame
         truth: dict[int, list[Mark]] = {}
         if truth_file is not None:
-            sonar = recording.sonar
-            truth = _truth_marks(truth_file, folder, landmarks, sonar, first.fan, told)
+            truth = _truth_marks(truth_file, folder, landmarks, recording.sonar, first.fan, told)
         rows = read_estimates(table, method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         output: Output | None = None

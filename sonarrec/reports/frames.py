@@ -18,8 +18,7 @@ from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Estimate, Frame
 from sonarrec.readers.log import Log
 from sonarrec.reports.logs import ReportedLog
-from sonarrec.results.same_log import check_same_log
-from sonarrec.results.stream import read_estimates
+from sonarrec.results.read import check_same_log, read_estimates
 
 PICTURE_PX = 640  # pixels of the longer side; draw_frame lays its text out for this
 PICTURE_QUALITY = 80

@@ -13,8 +13,8 @@ from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log, log_name, names_a_log, results_name
 from sonarrec.reports.logs import ReportedLog
+from sonarrec.results.read import check_same_log
 from sonarrec.results.run_file import LogOptions
-from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar
 
 

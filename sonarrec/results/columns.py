@@ -70,6 +70,27 @@ _AFTER_BELIEFS = (
 """Their names, and those of _BEFORE_BELIEFS, are those of an Estimate's fields."""
 CORNERS = tuple(f"{axis}{k}" for k in range(1, 5) for axis in "rb")
 """Columns of a plate's corners: slant range, m, and bearing, deg, of each."""
+SIGHTING_COLUMNS = (
+    Column("method", "%s"),
+    Column("landmark", "%d"),
+    Column("track", "%d"),
+    Column("first_frame", "%d"),
+    Column("last_frame", "%d"),
+    Column("start_ns", "%d"),
+    Column("end_ns", "%d"),
+    Column("frames_declared", "%d"),
+    Column("mean_score", "%.6f"),
+    Column("best_score", "%.6f"),
+    Column("range_m", "%.4f"),
+    Column("bearing_deg", "%.3f"),
+    Column("orientation_deg", "%.1f"),
+    Column("range_sigma_m", "%.4f"),
+    Column("bearing_sigma_deg", "%.3f"),
+    Column("orientation_sigma_deg", "%.1f"),
+    Column("x_m", "%.4f"),
+    Column("y_m", "%.4f"),
+)
+"""The fields of a Sighting."""
 FRAMES_HEADER = "frame,timestamp_ns"
 ESTIMATES_HEADER = "frame,method,range_m,bearing_deg,landmark,score,declared"
 """Headers for error messages: the fewest columns that can be scored."""

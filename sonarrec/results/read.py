@@ -1,36 +1,63 @@
-"""Reads results folders for scoring: ours, or those of other programs with the same tables."""
+"""Reads results folders: ours, or those of other programs with the same tables.
+
+`read_log` reads a log whole, for scoring; `read_estimates` frame by frame, in memory that does not
+grow with the log; `read_results` as pandas tables, for users.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import math
 import stat
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.errors import MissingError, SonarrecError, printable
-from sonarrec.geometry import plane_position
+from sonarrec.errors import Diagnostics, MissingError, SonarrecError, number_of, printable
+from sonarrec.geometry import pixel_from_polar, plane_position, polar_from_pixel
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.nouns import PART, Fan
+from sonarrec.nouns import PART, Estimate, Fan
 from sonarrec.results.columns import (
+    CORNERS,
     ESTIMATES_HEADER,
     FRAME_COLUMNS,
     FRAMES_HEADER,
     belief_names,
+    chosen,
     estimate_columns,
     in_order,
     kinds,
+    leading,
     needed,
 )
-from sonarrec.results.folders import aside_of, log_of, part_of
-from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
+from sonarrec.results.folders import log_of, part_of
+from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
 from sonarrec.tables.order import natural_order
-from sonarrec.tables.read import Table, cut, line_number, position_pair, read_table, read_tables
+from sonarrec.tables.read import (
+    POSITION_KINDS,
+    Table,
+    line_number,
+    position_pair,
+    read_table,
+    read_tables,
+)
+
+ROWS = 2_000
+"""Of estimates.csv, read at a time."""
+SIGMAS = ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg")
+Recording = tuple[str | None, Hashable]
+"""What identifies a recording: its SHA-256, None if not known, and a further key."""
+TruthOf = tuple[Path, str]
+"""The file of a log's truth, and a hash over the rows of the log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +99,8 @@ class LogResults:
 def find_logs(results: Path) -> list[Path]:
     """The results folders of single logs: `results` itself, or those in it, in natural order.
 
-    Raises SonarrecError if there are none.
+    The part of a stopped run counts where there are no finished results. Raises SonarrecError if
+    there are none.
     """
     if (results / "frames.csv").is_file():
         return [results]
@@ -83,21 +111,14 @@ def find_logs(results: Path) -> list[Path]:
         raise MissingError(
             f"{results}: no such results folder; `sonarrec run LOG` writes one{hint}"
         )
-    logs = {p for p in results.iterdir() if _holds_frames(p)}
-    # If a results folder is a link, the part of a stopped run lies beside its target.
-    linked = {part_of(p) for p in results.iterdir() if p.is_symlink() and p not in logs}
-    logs |= {part for part in linked if (part / "frames.csv").is_file()}
-    finished = {part_of(log) for log in logs}  # parts beside finished results are not needed
-    # A run that was killed, or failed, while it replaced results leaves them here and there.
-    named = logs | {log.with_name(log.name.removesuffix(PART)) for log in logs}
-    replaced = {aside_of(log) for log in named}
-    folders = sorted(logs - finished - replaced, key=natural_order)
-    if not folders:
+    logs = {path.name: path for path in results.iterdir() if _holds_frames(path)}
+    names = (n for n in logs if not (n.endswith(PART) and n.removesuffix(PART) in logs))
+    if not (found := sorted((logs[name] for name in names), key=natural_order)):
         raise SonarrecError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "
             "give the folder that `sonarrec run` wrote"
         )
-    return folders
+    return found
 
 
 def _holds_frames(folder: Path) -> bool:
@@ -105,6 +126,8 @@ def _holds_frames(folder: Path) -> bool:
 
     That is told where its tables are read: a log must not be missing from the figures unnoticed.
     """
+    if folder.name.startswith(".") and folder.name.endswith(".old"):
+        return False  # a run that was killed while it replaced results left it
     try:
         return stat.S_ISREG((folder / "frames.csv").stat().st_mode)
     except PermissionError:
@@ -185,14 +208,9 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
 
 def rows_of(log: LogResults, kept: BoolArray) -> LogResults:
     """The results with these estimates only. kept: (N,)."""
-    names = ("method", "frame_index", "landmark_index", "score", "declared", "orientation")
-    columns = {name: getattr(log, name)[kept] for name in (*names, "object")}
-    return replace(
-        log,
-        position=None if log.position is None else log.position[kept],
-        probability=None if log.probability is None else log.probability[kept],
-        **columns,
-    )
+    names = ["method", "frame_index", "landmark_index", "score", "declared", "orientation"]
+    names += ["object", *(n for n in ("position", "probability") if getattr(log, n) is not None)]
+    return replace(log, **{name: getattr(log, name)[kept] for name in names})
 
 
 def of_methods(log: LogResults, wanted: Sequence[str]) -> LogResults:
@@ -216,7 +234,7 @@ def estimate_tables(
 ) -> Iterator[tuple[int, Table]]:
     """estimates.csv in parts of at most `rows` rows, or whole: (index of the first row, columns).
 
-    Raises SonarrecError, with the line, for an invalid cell; the rows before it are given first.
+    Raises SonarrecError, with the line, for an invalid cell.
     """
     columns = estimate_columns(landmarks.ids, isinstance(landmarks, DrawnSet))
     ids = np.asarray(landmarks.ids)
@@ -225,13 +243,236 @@ def estimate_tables(
         known = np.isin(table["landmark"], ids)
         if not known.all():
             row = int(np.argmin(known))
-            yield first, cut(table, row)
             raise SonarrecError(
                 f"{path} line {line_number(path, first + row)}: "
                 f"landmark {table['landmark'][row]} is not in the set {landmarks.name!r} "
                 f"({', '.join(map(str, ids))}); name the set used with --landmarks"
             )
         yield first, table
+
+
+def choose_method(path: Path, choice: str | None) -> str:
+    """The method to show: the one wanted, else the leading one.
+
+    A table without rows counts as having every method. Raises UsageError if the method is missing,
+    SonarrecError if the table cannot be read.
+    """
+    usual, names = choice or leading(()), set[str]()
+    header = needed(estimate_columns(())), ESTIMATES_HEADER
+    for _, table in read_tables(path, {"method": "text"}, *header, ROWS):
+        names |= {str(name) for name in table["method"].unique()}
+        if usual in names:
+            return usual  # usually in the first rows
+    if not names:
+        return usual
+    return chosen(names, [choice], path)[0] if choice is not None else leading(names)
+
+
+def read_estimates(
+    path: Path, method: str, landmarks: LandmarkSet, fan: Fan
+) -> Iterator[tuple[int, tuple[Estimate, ...]]]:
+    """(frame, its estimates by the method) for every frame that has any, in order.
+
+    Values that other programs leave out are filled in: pixels from range and bearing or the other
+    way round, probabilities from the score, the object by -1.
+    Raises SonarrecError, with the line, for an invalid cell and for frames out of order.
+    """
+    yield from _by_frame(path, landmarks, fan, lambda table: table["method"] == method, True)
+
+
+def declared_by_frame(
+    folder: Path, landmarks: str | None, sonar: Sonar | None
+) -> Iterator[tuple[int, int, tuple[Estimate, ...]]]:
+    """(frame, its time in ns, declared estimates of all methods) of the frames that have any."""
+    run, frames = read_run(folder / "run.toml"), read_frames(folder)
+    times = frames.get("timestamp_ns", np.zeros_like(frames["frame"]))
+    time_of = dict(zip(frames["frame"].tolist(), times.tolist(), strict=True))
+    path, of = folder / "estimates.csv", (run.landmark_set(landmarks), run.fan(sonar))
+    for frame, estimates in _by_frame(path, *of, lambda table: table["declared"], False):
+        if frame in time_of:
+            yield frame, time_of[frame], estimates
+
+
+def _by_frame(
+    path: Path,
+    landmarks: LandmarkSet,
+    fan: Fan | None,
+    wanted: Callable[[Table], BoolArray],
+    placed: bool,
+) -> Iterator[tuple[int, tuple[Estimate, ...]]]:
+    """(frame, its estimates) of the rows wanted. placed: each must have a position."""
+    last, found = -1, list[Estimate]()
+    for first, table in estimate_tables(path, landmarks, ROWS):
+        rows = np.flatnonzero(np.asarray(wanted(table)))
+        for row, frame, estimate in _estimates_in(table, rows, landmarks, fan):
+            fault = ""
+            if placed and math.isnan(estimate.x_px):
+                fault = "no position: neither x_px,y_px nor range_m,bearing_deg"
+            elif frame < last:
+                fault = f"frame {frame} after frame {last}; sort the table by frame"
+            if fault:
+                raise SonarrecError(f"{path} line {line_number(path, first + row)}: {fault}")
+            if frame > last and found:
+                yield last, tuple(found)
+                found = []
+            last = frame
+            found.append(estimate)
+    if found:
+        yield last, tuple(found)
+
+
+def _estimates_in(
+    table: Table, rows: IntArray, landmarks: LandmarkSet, fan: Fan | None
+) -> Iterator[tuple[int, int, Estimate]]:
+    """(row, frame, estimate) of some rows of a table; missing values are computed or NaN."""
+    count, methods = len(table["frame"]), np.asarray(table["method"])
+    blank = np.full(count, np.nan)
+    # Where probabilities are missing they are the score and its complement.
+    score, columns = table["score"], belief_names(landmarks.ids)
+    beliefs = np.zeros((count, len(columns)))
+    beliefs[np.arange(count), landmarks.indices(table["landmark"])] = score
+    beliefs[:, -1] = 1 - score
+    if all(name in table for name in columns):
+        in_table = np.column_stack([table[name] for name in columns])
+        whole = np.isfinite(in_table).all(axis=1)
+        beliefs[whole] = in_table[whole]
+    corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
+    existence = np.nan_to_num(table.get("existence", blank), nan=1.0)
+    objects = table.get("object", np.full(count, -1))
+    measured = [table.get(name, blank) for name in ("orientation_deg", *SIGMAS)]
+    numbers = np.stack([*positions(table, fan), existence, score, *measured], axis=1)
+    for n in rows.tolist():
+        x_px, y_px, range_m, bearing_deg, exists, p, orientation, *sigmas = numbers[n].tolist()
+        estimate = Estimate(
+            *(str(methods[n]), int(objects[n]), x_px, y_px, range_m, bearing_deg),
+            *(orientation, exists, beliefs[n], int(table["landmark"][n]), p),
+            declared=bool(table["declared"][n]),
+            corners=None if np.isnan(corners[n]).any() else corners[n],
+            **dict(zip(SIGMAS, sigmas, strict=True)),
+        )
+        yield n, int(table["frame"][n]), estimate
+
+
+def positions(
+    table: Table, fan: Fan | None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """x_px, y_px, range_m and bearing_deg, (rows,) each; NaN if not known.
+
+    If the table has only one of the two pairs, the fan gives the other.
+    """
+    blank = np.full(len(table["frame"]), np.nan)
+    x_px, y_px, range_m, bearing_deg = (table.get(name, blank) for name in POSITION_KINDS)
+    if fan is None:
+        return x_px, y_px, range_m, bearing_deg
+    in_pixels = np.isfinite(x_px) & np.isfinite(y_px)
+    in_polar = np.isfinite(range_m) & np.isfinite(bearing_deg)
+    pixels = pixel_from_polar(fan, range_m, bearing_deg)
+    polar = polar_from_pixel(fan, x_px, y_px)
+    return (
+        np.where(in_pixels, x_px, pixels[0]),
+        np.where(in_pixels, y_px, pixels[1]),
+        np.where(in_polar, range_m, polar[0]),
+        np.where(in_polar, bearing_deg, polar[1]),
+    )
+
+
+class CountedOnce:
+    """Keeps the first results of each recording; copies would count as independent logs.
+
+    Results of different frames of one recording all count.
+
+    action: what a command does with the results, such as "scored". told: of copies.
+    """
+
+    def __init__(self, action: str, told: Diagnostics) -> None:
+        self._action, self._told = action, told
+        self._counted: dict[Recording, list[tuple[Path, TruthOf | None]]] = defaultdict(list)
+
+    def add(self, folder: Path, of: Recording, truth: TruthOf | None = None) -> bool:
+        """Whether these results count. of: from `recording`. truth: that of copies is not used."""
+        twins = (one for one in self._counted[of] if _share_frames(one[0], folder))
+        first, truth_of_first = next(twins, (None, None))
+        if first is None:
+            self._counted[of].append((folder, truth))
+            return True
+        by = f"SHA-256 {of[0][:12]}..." if of[0] else "by its tables"
+        line = f"{folder}: the same log as {first} ({by}), which counts once"
+        if _digest(folder) != _digest(first):
+            self._told.problem(f"{line}; these other results of it are not {self._action}")
+        elif truth is None or truth_of_first is None or truth[1] == truth_of_first[1]:
+            self._told.note(line)
+        else:
+            self._told.problem(f"{line}; its other truth, {truth[0]}, is not used")
+        return False
+
+
+def _share_frames(one: Path, other: Path) -> bool:
+    """Whether two results have a frame in common; not if they cannot be read, told elsewhere."""
+    with suppress(SonarrecError):
+        return bool(np.intersect1d(*(read_frames(f)["frame"] for f in (one, other))).size)
+    return False
+
+
+def recording(folder: Path, run: RunFile) -> Recording:
+    """What identifies a recording: SHA-256 and topic; without them the tables' contents."""
+    if run.input.recording:
+        return run.input.recording
+    # Tables without estimates may be equal by chance; then run.toml or the folder tells them apart.
+    told_apart = run.table or csv_rows(folder / "estimates.csv")
+    place = None if told_apart else folder.resolve()
+    return None, (_digest(folder), str(run.table), place)
+
+
+def _digest(folder: Path) -> str:
+    digest = hashlib.sha256()
+    for path in (folder / "frames.csv", folder / "estimates.csv"):
+        with path.open("rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()
+
+
+def check_same_log(log: Any, folder: Path, run: RunFile) -> None:
+    """Raise SonarrecError if the results in `folder` are of another log. log: a `readers.log.Log`.
+
+    Compared by size and SHA-256 or, if run.toml lacks them, by the number of frames.
+    """
+    made_from = run.input
+    if made_from.sha256 is not None:
+        size, digest = log.digest_source()
+        if (size, digest) != (made_from.bytes, made_from.sha256):
+            raise SonarrecError(
+                f"{folder}: results of another log, {made_from.name} (SHA-256 "
+                f"{made_from.sha256[:12]}...), not of {log.path} ({digest[:12]}...); give the log "
+                f"they were made from, or `sonarrec run {log.path}`"
+            )
+    elif log.frame_count is not None:
+        last = read_frames(folder)["frame"].max(initial=-1)
+        if last < log.frame_count:
+            return
+        raise SonarrecError(
+            f"{folder / 'frames.csv'}: results of another log: frame {last} is listed, but "
+            f"{log.path} has only {number_of(log.frame_count, 'frame')}"
+        )
+
+
+def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str | None:
+    """Raise SonarrecError if two results folders are of different logs or topics.
+
+    Returns a note if a run.toml lacks the SHA-256, so that frames are matched by number; else None.
+    """
+    a, b = before.input.recording, after.input.recording
+    if a is None or b is None:
+        without = " and ".join(str(f) for f, of in ((old, a), (new, b)) if of is None)
+        return f"{without}: no SHA-256 of the log in run.toml; frames are matched by number"
+    if a != b:
+        of = " and ".join(
+            f"{run.input.name} (SHA-256 {sha[:12]}...{f', topic {topic}' if topic else ''})"
+            for run, (sha, topic) in ((before, a), (after, b))
+        )
+        raise SonarrecError(
+            f"{old} and {new}: results of different logs, {of}; compare results of one log"
+        )
+    return None
 
 
 @dataclass(frozen=True, slots=True, repr=False)

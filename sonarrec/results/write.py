@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
@@ -15,10 +15,17 @@ import tomli_w
 from sonarrec.errors import SonarrecError, name_as_text, number_of
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import NO_STAMPS, FrameResult, Stamps
-from sonarrec.results.columns import FRAME_COLUMNS, EstimateLines, estimate_columns, frame_line
+from sonarrec.results.columns import (
+    FRAME_COLUMNS,
+    SIGHTING_COLUMNS,
+    Column,
+    EstimateLines,
+    estimate_columns,
+    frame_line,
+)
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.run_file import rows_written
-from sonarrec.results.sightings import SIGHTING_COLUMNS, Sightings
+from sonarrec.results.sightings import Sightings
 from sonarrec.tables.outputs import replaced
 
 AT_ONCE = 16
@@ -33,11 +40,11 @@ class _Table:
     Line ends and encoding are fixed, so that equal results have equal bytes everywhere.
     """
 
-    def __init__(self, path: Path, header: Iterable[str]) -> None:
+    def __init__(self, path: Path, columns: Sequence[Column]) -> None:
         new = path.with_name(f".{path.name}.new")
         self._file = new.open("wb", buffering=0)
         self.size = 0  # bytes written
-        self.append(",".join(header) + "\n")
+        self.append(",".join(c.name for c in columns) + "\n")
         new.rename(path)  # so the file always has a header
 
     def append(self, lines: str) -> None:
@@ -116,8 +123,8 @@ class ResultsWriter:
                 shutil.rmtree(self._part)
             self._part.mkdir()
             self._write_run(finished=False)
-            self._estimates = _Table(self._part / "estimates.csv", (c.name for c in columns))
-            self._frames = _Table(self._part / "frames.csv", (c.name for c in FRAME_COLUMNS))
+            self._estimates = _Table(self._part / "estimates.csv", columns)
+            self._frames = _Table(self._part / "frames.csv", FRAME_COLUMNS)
             self._sightings = _Table(self._part / "sightings.csv", SIGHTING_COLUMNS)
         except OSError as error:
             release(folder, self._lock)

@@ -1,21 +1,21 @@
-"""Reads and checks tables, as a whole or in parts; an error names file, line and column."""
+"""Reads and checks CSV tables, as a whole or in parts; an error names file, line and column."""
 
 from __future__ import annotations
 
 import csv
-import io
-import itertools
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import count, islice
 from pathlib import Path
-from typing import Any, Literal, TextIO
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from pandas.api.types import union_categoricals
+from pandas.api.types import is_integer_dtype, is_numeric_dtype, union_categoricals
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError, printable
 
 Kind = Literal[
@@ -32,52 +32,60 @@ Kind = Literal[
     "blank or text",
     "label",
 ]
+"""What the cells of a column must be. A share may be blank, a label is any text."""
 Table = dict[str, Any]
 """Column name to (rows,) array.
 
-int64, float64 (three kinds), float64 with NaN (three kinds), bool, str categories (two kinds); of a
-label, which may be any text, whole numbers as they are, else an int64 number per distinct one, -1
-where blank."""
+int64; float64, NaN where blank; bool; texts as pandas categories; of a label whole numbers as they
+are, else an int64 number per distinct one, -1 where blank."""
 
-POSITION_KINDS: dict[str, Kind] = {
-    "x_px": "blank or place",
-    "y_px": "blank or place",
-    "range_m": "blank or place",
-    "bearing_deg": "blank or place",
-}
 NONE = -(2**62)
 """The number that stands for the word none."""
 LARGEST = 10**9
 """Larger positions (pixels, m, deg) are invalid; their squares could not be used."""
+POSITION_KINDS: dict[str, Kind] = dict.fromkeys(
+    ("x_px", "y_px", "range_m", "bearing_deg"), "blank or place"
+)
 MOST_SHOWN = 300
-"""Characters of a header in a message."""
+"""Characters of a header, or of what pandas says, in a message."""
 _OPTIONS: dict[str, Any] = {
-    "encoding": "utf-8-sig",
     "skipinitialspace": True,
     "index_col": False,
-    "keep_default_na": False,
+    "keep_default_na": False,  # NA and null are names
     "na_values": ["", "nan"],
     "low_memory": False,
+    "compression": None,
 }
-_RAGGED = (pd.errors.ParserError, pd.errors.ParserWarning)
-_AT_ONCE = 256
-"""Lines handed to pandas at a time."""
 _ROWS_AT_ONCE = 2**16
 """A table as a whole is read in parts of so many rows: data frames take several times its size."""
-_BLANK = ", \t\r\n"
-"""A line of these alone is no row: spreadsheets end a table with lines such as ",,,"."""
-_PLACES: tuple[Kind, ...] = ("place", "blank or place")
-_TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
-_WORDS = {
-    "whole": "a whole number",
-    "whole or none": "a whole number, or none",
-    "time": "a finite number, or a time with its UTC offset such as 2024-05-01T12:00:00Z",
-    "share": "0 to 1",
-    "flag": "0 or 1",
-    "text": "a name",
+
+
+@dataclass(frozen=True, slots=True)
+class _Bounds:
+    """Of the numbers of a kind, inclusive. words: what a cell must be."""
+
+    words: str
+    least: float = -np.finfo(float).max
+    most: float = np.finfo(float).max
+    whole: bool = False
+
+
+_FINITE = _Bounds("a finite number")
+_PLACE = _Bounds("a finite number", -LARGEST, LARGEST)
+_BOUNDS: dict[Kind, _Bounds] = {
+    "whole": _Bounds("a whole number", whole=True),
+    "whole or none": _Bounds("a whole number, or none", whole=True),
+    "number": _FINITE,
+    "blank or number": _FINITE,
+    "time": _Bounds("a finite number, or a time with its UTC offset such as 2024-05-01T12:00:00Z"),
+    "place": _PLACE,
+    "blank or place": _PLACE,
+    "share": _Bounds("0 to 1", 0, 1),
+    "flag": _Bounds("0 or 1", 0, 1, whole=True),
 }
-"""What a cell must be; of other kinds a finite number."""
+_TEXTS: tuple[Kind, ...] = ("text", "blank or text")
+_MAY_BE_BLANK: tuple[Kind, ...] = ("blank or number", "blank or place", "share")
 
 
 def read_table(
@@ -101,38 +109,6 @@ def _joined(parts: Sequence[Any]) -> Any:
     return np.concatenate(parts)
 
 
-def read_header(path: Path, expected: str) -> list[str]:
-    """The names of all columns. Raises SonarrecError if the file is not a table."""
-    return [name.strip() for name in _names(path, expected)]
-
-
-def _names(path: Path, expected: str) -> list[str]:
-    """The names of all columns, as they are written. Raises SonarrecError as `read_tables` does."""
-    if path.exists() and not path.is_file():
-        raise SonarrecError(f"{path}: not a file that can be read as a table")
-    with suppress(OSError), path.open("rb") as file:  # reported when it is read
-        if file.read(4).startswith((b"PK\x03\x04", b"\x1f\x8b")):  # .xlsx and .ods; gzip
-            raise SonarrecError(
-                f"{path}: a workbook or an archive, not a CSV table; export or unpack it as CSV"
-            )
-
-    def read() -> list[str]:
-        with _opened(path) as file:
-            lines = (line for _, line in _lines(file))
-            for cells in csv.reader(lines, skipinitialspace=True):
-                return cells
-        raise pd.errors.EmptyDataError
-
-    names: list[str] = _parse(path, expected, read)
-    for mark, name in ((";", ";"), ("\t", "tabs")):  # as spreadsheets save them
-        if len(names) == 1 and mark in names[0]:
-            raise SonarrecError(
-                f"{path}: columns are separated by {name} and not by , as expected; a header is "
-                f"{expected}"
-            )
-    return names
-
-
 def read_tables(
     path: Path,
     kinds: Mapping[str, Kind],
@@ -140,222 +116,120 @@ def read_tables(
     expected: str,
     rows: int | None = None,
 ) -> Iterator[tuple[int, Table]]:
-    """As `read_table` in parts of at most `rows` rows: (index of the first row, table).
-
-    The rows before an invalid cell are given before SonarrecError is raised.
-    """
-    names = _names(path, expected)
-    header = {name.strip(): name for name in names}
-    for name in kinds:
-        if sum(other.strip() == name for other in names) > 1:
-            raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
-    missing = [name for name in required if name not in header]
-    if missing:
-        _parse(path, expected, lambda: [*_csv_parts(path, {}, None)])  # if it is one at all
-        found = printable(",".join(header))
-        found = found if len(found) <= MOST_SHOWN else f"{found[:MOST_SHOWN]}..."
-        raise SonarrecError(
-            f"{path}: wrong columns, no {', '.join(missing)}; found {found}; expected a header "
-            f"such as {expected}"
-        )
-    used = {name: header[name] for name in kinds if name in header}
-    text = [c for n, c in used.items() if kinds[n] in _TEXTS]
-    # Not as "category", which turns the name 007 into a number. Not with `usecols`, which accepts
-    # rows that are longer than the header.
-    parts = _csv_parts(path, dict.fromkeys(text, object), rows)
+    """As `read_table` in parts of at most `rows` rows: (index of the first row, table)."""
+    texts = {name: str for name, kind in kinds.items() if kind in _TEXTS}
     labels: dict[Any, int] = {}
     first = 0
-    while (part := _parse(path, expected, lambda: next(parts, None))) is not None:
-        columns = {
-            name: part[column].astype("category") if column in text else part[column]
-            for name, column in used.items()
-        }
-        table, fault = _table(path, first, columns, kinds, labels)
-        yield first, table
-        if fault is not None:
-            raise fault
+    for part in _parts(path, expected, texts, rows):
+        _check_header(path, [*part.columns], kinds, required, expected)
+        yield (
+            first,
+            {
+                name: _checked(path, first, part[name], kinds[name], labels)
+                for name in kinds
+                if name in part
+            },
+        )
         first += len(part)
 
 
-def _csv_parts(path: Path, dtype: Mapping[str, type], rows: int | None) -> Iterator[Any]:
-    """Data frames of at most `rows` rows; None: one of all rows."""
-    with _opened(path) as file:
-        text: Any = _Text(line for _, line in _lines(file))
-        if rows is None:
-            yield pd.read_csv(text, dtype=dtype, **_OPTIONS)
-        else:
-            yield from pd.read_csv(text, dtype=dtype, chunksize=rows, **_OPTIONS)
+def read_header(path: Path, expected: str) -> list[str]:
+    """The names of all columns. Raises SonarrecError if the file is not a table."""
+    return [str(name) for name in next(_parts(path, expected, {}, 1)).columns]
 
 
-def _opened(path: Path, errors: str = "strict") -> TextIO:
-    return path.open(encoding="utf-8-sig", errors=errors, newline="")
+def _parts(
+    path: Path, expected: str, dtype: Mapping[str, type], rows: int | None
+) -> Iterator[pd.DataFrame]:
+    """The file in data frames of at most `rows` rows. Raises SonarrecError if it is no table."""
+    options: Any = {"dtype": dtype, "chunksize": rows or 2**62, **_OPTIONS}
+    parts = _told(path, expected, lambda: pd.read_csv(path, **options))
+    with parts:
+        while (part := _told(path, expected, lambda: next(parts, None))) is not None:
+            yield part
 
 
-def _lines(file: TextIO) -> Iterator[tuple[int, str]]:
-    """The lines of a CSV file that are not blank, by their 1-based number."""
-    return ((number, line) for number, line in enumerate(file, 1) if line.strip(_BLANK))
-
-
-class _Text(io.TextIOBase):
-    """Lines as an open file, for pandas."""
-
-    def __init__(self, lines: Iterator[str]) -> None:
-        self._lines = lines
-
-    def read(self, _size: int | None = -1, /) -> str:
-        """Some whole lines; "" at the end."""
-        return "".join(itertools.islice(self._lines, _AT_ONCE))
-
-
-def _parse(path: Path, expected: str, read: Callable[[], Any]) -> Any:
-    """The result of `read`. Raises SonarrecError if the file is not a table."""
+def _told(path: Path, expected: str, read: Callable[[], Any]) -> Any:
+    """The result of `read`. Raises SonarrecError, in one line, where pandas finds no table."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             return read()
     except FileNotFoundError:
         raise SonarrecError(f"{path}: no such file") from None
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
     except pd.errors.EmptyDataError:
-        raise SonarrecError(f"{path}: empty; expected a header such as {expected}") from None
-    except (OSError, UnicodeDecodeError, csv.Error, *_RAGGED) as error:
-        ragged = isinstance(error, _RAGGED)
-        why = (_longer_row(path) if ragged else None) or str(error).strip()
-        if "EOF inside string" in why:
-            why = 'a quotation mark (") is never closed'
-        if isinstance(error, UnicodeDecodeError):
-            why = "not in UTF-8; save it as that"
+        why = "it is empty"
+    except UnicodeDecodeError:
+        why = "not in UTF-8; save it as that"
+    except pd.errors.ParserWarning:
+        why = "rows are longer than the header"
+    except ValueError as error:  # as pandas' ParserError is
+        why = " ".join(str(error).split())[:MOST_SHOWN]
+    raise SonarrecError(
+        f"{path}: not a readable CSV table ({why}); expected a header such as {expected}"
+    )
+
+
+def _check_header(
+    path: Path, names: Sequence[str], kinds: Mapping[str, Kind], required: Sequence[str], like: str
+) -> None:
+    """Raise SonarrecError if a column is missing, or there twice."""
+    for name in kinds:
+        if f"{name}.1" in names:  # as pandas calls the second one
+            raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
+    if missing := [name for name in required if name not in names]:
+        found = printable(",".join(map(str, names)))
+        found = found if len(found) <= MOST_SHOWN else f"{found[:MOST_SHOWN]}..."
         raise SonarrecError(
-            f"{path}: not a readable CSV table ({why}); expected a header such as {expected}"
-        ) from None
+            f"{path}: wrong columns, no {', '.join(missing)}; found {found}; expected a header "
+            f"such as {like}"
+        )
 
 
-def _longer_row(path: Path) -> str | None:
-    """A message on the first row that is longer than the header; None if there is none."""
-    columns = 0
-    with suppress(csv.Error, SonarrecError):
-        for line, cells in _rows(path):
-            columns = columns or len(cells)  # of the header
-            if len(cells) > columns:
-                return f"line {line}: {len(cells)} cells, the header has {columns}"
-    return None
+def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, int]) -> Any:
+    """A column as an array of its kind; see Table.
 
-
-def _table(
-    path: Path,
-    first: int,
-    columns: Mapping[str, Any],
-    kinds: Mapping[str, Kind],
-    labels: dict[Any, int],
-) -> tuple[Table, SonarrecError | None]:
-    """The rows before the first invalid cell, and the error for that cell.
-
-    first: index of the first row in the file. labels: those found so far; new ones are added.
+    first: index of its first row in the file. labels: those found so far; new ones are added.
+    Raises SonarrecError for the first invalid cell.
     """
-    values = {name: _values(column, kinds[name], labels) for name, column in columns.items()}
-    first_bad = {name: int(np.argmax(bad)) for name, (_, bad) in values.items() if bad.any()}
-    end, fault = None, None
-    if first_bad:
-        name = min(first_bad, key=lambda name: first_bad[name])
-        end = first_bad[name]
-        wrong = _wrong_cell(columns[name].iloc[end], values[name][0][end], kinds[name])
-        fault = SonarrecError(f"{path} line {line_number(path, first + end)}: {name} {wrong}")
-    types = {"whole": np.int64, "whole or none": np.int64, "flag": np.bool_, "label": np.int64}
-    table = {
-        name: array[:end]
-        if kinds[name] in _TEXTS
-        else np.asarray(array[:end], dtype=types.get(kinds[name], np.float64))
-        for name, (array, _) in values.items()
-    }
-    return table, fault
-
-
-def _wrong_cell(cell: object, value: Any, kind: Kind) -> str:
-    """What an invalid cell must be, and what it is. value: the cell as a number, else NaN."""
-    found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell)[:40])
-    size, bounds = np.abs(value), ""
-    if kind.startswith("whole") and size >= 2.0**63:
-        bounds = " below 2^63"
-    elif kind in _PLACES and np.isfinite(size):
-        bounds = " from -1e9 to 1e9"
-    return f"must be {_WORDS.get(kind, 'a finite number')}{bounds}, not {found}"
-
-
-def cut(table: Table, rows: int) -> Table:
-    """The first `rows` rows of a table."""
-    return {name: column[:rows] for name, column in table.items()}
-
-
-def line_number(path: Path, row: int) -> int:
-    """1-based line of a CSV file at which a table's 0-based row begins."""
-    return next(itertools.islice(line_numbers(path), row, None))
-
-
-def line_numbers(path: Path) -> Iterator[int]:
-    """The 1-based lines of a CSV file at which its rows begin; after the last row it counts on.
-
-    Blank lines are not rows, and a quoted cell may span several lines.
-    """
-    line = 0
-    with suppress(csv.Error, SonarrecError):  # a cell or line that is too long
-        for n, (line, _) in enumerate(_rows(path)):
-            if n:  # not the header
-                yield line
-    yield from itertools.count(line + 1)
-
-
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """The header and the rows of a CSV file: (1-based line at which it begins, cells).
-
-    Raises csv.Error and SonarrecError at a cell or line that is too long.
-    """
-    numbers: list[int] = []  # of the lines of one row
-    with _opened(path, errors="replace") as file:
-
-        def lines() -> Iterator[str]:
-            for number, line in _lines(file):
-                numbers.append(number)
-                yield line
-
-        for cells in csv.reader(lines(), skipinitialspace=True):
-            yield numbers[0], cells
-            numbers.clear()
-
-
-def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolArray]:
-    """(the values of a column, which of its cells are invalid)."""
     blank = column.isna().to_numpy()
-    none = np.zeros(len(column), dtype=bool)
-    if kind in _TEXTS:
-        return column.array, blank if kind == "text" else none
     if kind == "label":
-        return _numbered(column, blank, labels), none
-    if column.dtype.kind == "b" and kind == "flag":
-        return column.to_numpy(), none
-    if column.dtype.kind in "iu" and column.dtype != np.uint64:
-        values = column.to_numpy(dtype=np.int64)
-    elif column.dtype.kind in "mM" or (column.dtype.kind == "O" and kind == "time"):
-        values = _nanoseconds(column) if kind == "time" else np.full(len(column), np.nan)
+        return _numbered(column, labels)
+    if kind in _TEXTS:
+        values, bad, must = column.astype("category").array, blank & (kind == "text"), "a name"
     else:
-        try:
-            values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
-        except OverflowError:  # a number of hundreds of digits
-            values = pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float)
-    bad = ~np.isfinite(values)
-    if kind in ("blank or number", "blank or place", "share"):
-        bad &= ~blank
-    if kind in _PLACES:
-        bad |= np.abs(values) > LARGEST
-    if kind == "share":
-        bad |= (values < 0) | (values > 1)
-    elif kind.startswith("whole") and values.dtype.kind == "f":
-        # Larger floats would overflow without an error.
-        bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
+        bounds = _BOUNDS[kind]
+        values = _nanoseconds(column) if kind == "time" else _numbers(column)
         if kind == "whole or none":
-            is_none = (column == "none").to_numpy(dtype=bool, na_value=False)
-            values, bad = np.where(is_none, NONE, values), bad & ~is_none
-    elif kind == "flag":
-        bad |= (values != 0) & (values != 1)
-    return values, bad
+            values = np.where(np.asarray(column.astype(object) == "none"), NONE, values)
+        bad, must = ~((values >= bounds.least) & (values <= bounds.most)), bounds.words
+        if bounds.whole and values.dtype.kind == "f":
+            bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
+        if kind in _MAY_BE_BLANK:
+            bad &= ~blank
+    if bad.any():
+        row = int(np.argmax(bad))
+        found = "an empty cell or nan" if blank[row] else repr(str(column.iloc[row])[:40])
+        if kind in ("place", "blank or place") and np.isfinite(values[row]):
+            must += " from -1e9 to 1e9"
+        line = line_number(path, first + row)
+        raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {found}")
+    if kind in _TEXTS:
+        return values
+    if kind == "flag":
+        return values.astype(bool)
+    return values.astype(np.int64) if _BOUNDS[kind].whole else values.astype(float)
+
+
+def _numbers(column: Any) -> Any:
+    """A column's numbers, int64 where all are whole; NaN for other cells."""
+    if is_integer_dtype(column) and column.dtype != np.uint64:
+        return column.to_numpy(dtype=np.int64)
+    # As texts, for numbers of hundreds of digits are too large for any type.
+    column = column if is_numeric_dtype(column) else column.astype(str)
+    return pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
 
 
 def _nanoseconds(column: Any) -> FloatArray:
@@ -364,25 +238,41 @@ def _nanoseconds(column: Any) -> FloatArray:
     A time without its UTC offset may be that of any zone.
     """
     text = column.astype(str)
-    offset_stated = text.where(text.str.fullmatch(_WITH_OFFSET))
-    times = pd.to_datetime(offset_stated, format="ISO8601", utc=True, errors="coerce")
+    stated = text.where(text.str.fullmatch(_WITH_OFFSET))
+    times = pd.to_datetime(stated, format="ISO8601", utc=True, errors="coerce")
     # By seconds, for times beyond the year 2262 are more ns than 64 bits hold.
     start, second = pd.Timestamp(0, tz="UTC").as_unit("s"), pd.Timedelta(seconds=1).as_unit("s")
     ns = (times - start) / second * 1e9
     return np.asarray(ns.fillna(pd.to_numeric(text, errors="coerce")), dtype=float)
 
 
-def _numbered(column: Any, blank: BoolArray, labels: dict[Any, int]) -> IntArray:
+def _numbered(column: Any, labels: dict[Any, int]) -> IntArray:
     """Labels as numbers; see Table."""
-    if column.dtype.kind == "i":
-        return np.asarray(column.to_numpy(dtype=np.int64))
-    if column.dtype.kind == "f":
-        values = np.where(blank, -1.0, column.to_numpy(dtype=float))
-        if ((values == np.floor(values)) & (np.abs(values) < 2.0**63)).all():
-            return values.astype(np.int64)
+    numbers = _numbers(column.fillna(-1) if is_numeric_dtype(column) else column)
+    if (np.floor(numbers) == numbers).all():
+        return np.asarray(numbers.astype(np.int64))
     codes, names = pd.factorize(column)
-    numbers = [labels.setdefault(name, len(labels)) for name in names]
-    return np.asarray(np.array([*numbers, -1], dtype=np.int64)[codes])
+    known = [labels.setdefault(name, len(labels)) for name in names]
+    return np.asarray(np.array([*known, -1], dtype=np.int64)[codes])
+
+
+def line_number(path: Path, row: int) -> int:
+    """1-based line of a CSV file at which a table's 0-based row ends."""
+    return next(islice(line_numbers(path), row, None))
+
+
+def line_numbers(path: Path) -> Iterator[int]:
+    """The 1-based lines of a CSV file at which its rows end; after the last row it counts on.
+
+    Blank lines are not rows, and a quoted cell may span several lines.
+    """
+    line = 0
+    with suppress(csv.Error), path.open(encoding="utf-8", errors="replace", newline="") as file:
+        rows = csv.reader(file, skipinitialspace=True)
+        filled = (rows.line_num for cells in rows if len(cells) > 1 or "".join(cells).strip())
+        for line in islice(filled, 1, None):
+            yield line
+    yield from count(line + 1)
 
 
 def position_pair(path: Path, table: Table) -> tuple[str, FloatArray, FloatArray] | None:

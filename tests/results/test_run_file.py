@@ -10,8 +10,8 @@ import pytest
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import in_image, pixel_from_polar
+from sonarrec.results.read import check_same_log
 from sonarrec.results.run_file import LogOptions, read_run
-from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.logs import frames, image_folder

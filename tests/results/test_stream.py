@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.results.stream import choose_method, read_estimates
+from sonarrec.results.read import choose_method, read_estimates
 from tests.support.estimates import BASIN, FAN, at, csv_file, estimate, write_results
 
 
@@ -84,7 +84,7 @@ def test_bad_rows_are_told_by_line(row: str, fault: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("text", "fault"),
-    [("", "empty; expected"), ("frame,method\n", "wrong columns"), ("\0\0", "wrong columns")],
+    [("", "it is empty"), ("frame,method\n", "wrong columns"), ("\0\0", "wrong columns")],
 )
 def test_tables_of_another_kind(text: str, fault: str, tmp_path: Path) -> None:
     (tmp_path / "e.csv").write_text(text)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sonarrec.errors import SonarrecError
-from sonarrec.tables.read import Kind, line_number, read_header, read_table, read_tables
+from sonarrec.tables.read import line_number, read_table, read_tables
 
 
 def times(path: Path, *cells: str) -> list[int]:
@@ -20,50 +20,22 @@ def times(path: Path, *cells: str) -> list[int]:
 def test_whole_numbers_are_all_those_of_64_bits(tmp_path: Path) -> None:
     most = [-(2**63), 0, 2**63 - 512, 2**63 - 1]
     assert times(tmp_path / "t.csv", *map(str, most)) == most
-    with pytest.raises(SonarrecError, match=r"line 3: timestamp_ns must be a whole number below"):
+    with pytest.raises(SonarrecError, match=r"line 3: timestamp_ns must be a whole number, not"):
         times(tmp_path / "t.csv", "0", str(2**63))
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_lines_are_those_of_the_file(tmp_path: Path, end: str) -> None:
-    """Rows begin at 2, 5 (behind a cell of two lines and a blank one), 6 and 8."""
+    """Rows end at 3, with a cell of two lines; 5, behind a blank one; 6 and 8."""
     lines = ["a,b", '1, "x', ' y"', "\t", '2,"say ""no"""', "3,", "", ",4"]
     path = tmp_path / "t.csv"
     path.write_bytes(end.join(lines).encode())
-    assert [line_number(path, row) for row in range(4)] == [2, 5, 6, 8]
+    assert [line_number(path, row) for row in range(4)] == [3, 5, 6, 8]
     table = read_table(path, {"a": "blank or number"}, ("a",), "a,b")
     assert len(table["a"]) == 4
 
 
-@pytest.mark.parametrize("rows", [None, 1])
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_rows_of_commas_alone_are_no_rows(tmp_path: Path, end: str, rows: int | None) -> None:
-    """Spreadsheets write them, also longer than the header. The others keep lines and digits."""
-    lines = [
-        ",,",
-        "timestamp_ns,b,c",
-        f"{2**62 + 1},,",
-        ",,",
-        "",
-        " , ,\t,,,",
-        f"{2**62 + 3},1,",
-        ",,",
-    ]
-    path = tmp_path / "t.csv"
-    path.write_bytes(end.join(lines).encode())
-    kinds: dict[str, Kind] = {"timestamp_ns": "whole", "b": "blank or number", "c": "blank or text"}
-    found = [part for _, part in read_tables(path, kinds, ("b",), "b", rows)]
-    assert [at for part in found for at in part["timestamp_ns"]] == [2**62 + 1, 2**62 + 3]
-    assert read_header(path, "b") == ["timestamp_ns", "b", "c"]
-    with pytest.raises(SonarrecError, match="line 3: b must be a finite number, not an empty cell"):
-        read_table(path, {"b": "number"}, ("b",), "b")
-    with path.open("ab") as file:
-        file.write(f"{end}1,2{end}1,2,3,4".encode())
-    with pytest.raises(SonarrecError, match="line 10: 4 cells, the header has 3"):
-        list(read_tables(path, kinds, ("b",), "b", rows))
-
-
-@pytest.mark.parametrize("header", ["a,b,a", "a ,b, a", '"a",b,a'])
+@pytest.mark.parametrize("header", ["a,b,a", "a,b, a", '"a",b,a'])
 def test_one_of_two_columns_of_a_name_is_not_chosen(tmp_path: Path, header: str) -> None:
     path = tmp_path / "t.csv"
     path.write_text(f"{header}\n1,2,3\n")
@@ -92,15 +64,18 @@ def test_a_table_in_another_encoding_is_told(tmp_path: Path, encoding: str) -> N
         read_table(path, {"a": "whole"}, ("a",), "a,b")
 
 
-@pytest.mark.parametrize("magic", [b"PK\3\4\x14\0\6\0\n", b"\x1f\x8b\10\0\n"])
-def test_a_workbook_is_told(tmp_path: Path, magic: bytes) -> None:
-    path = tmp_path / "gt.csv"
-    path.write_bytes(magic + 100_000 * b"\xff")
-    with pytest.raises(SonarrecError, match="a workbook or an archive, not a CSV table"):
-        read_table(path, {"a": "whole"}, ("a",), "a,b")
-
-
-@pytest.mark.parametrize("text", ["x" * 200_000, '"a\n' + 200_000 * "b\n", "a," * 5_000])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x" * 200_000,
+        "a,b\n1,2\n1,2,3",
+        "a,b\n1,2,3",
+        "a;b\n1;2",
+        "",
+        '"a\n' + 200_000 * "b\n",
+        "a," * 5_000,
+    ],
+)
 def test_what_is_no_table_is_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "t.csv"
     path.write_text(text)
