@@ -60,15 +60,11 @@ RATE_GOALS = (
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """One random scene. folder: of its results and its truth, or of several."""
+    """One random scene. folder: of its results and its truth."""
 
     kind: str
     seed: int
     folder: Path
-
-    def place(self, part: str) -> Path:
-        """The folder for one of several."""
-        return self.folder / part.replace(" ", "_") / f"{self.kind}_{self.seed}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +99,6 @@ def pooled(rows: Sequence[Row], name: str, protocol: str = "strict") -> Count:
     return Count(*np.sum(counts, axis=0).tolist())
 
 
-def methods(rows: Sequence[Row]) -> list[str]:
-    """The short names of the methods that scored these recordings."""
-    return [name for name in METHODS if ("strict", name) in rows[0].counts]
-
-
 def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], ...]:
     """95 % intervals of a method's TPR and FPR, strict, over recordings (bootstrap)."""
     counts = np.array([astuple(r.counts["strict", name]) for r in rows])
@@ -117,9 +108,7 @@ def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], ...]
 
 
 def told(value: float, form: str) -> str:
-    """A number; a dash where there is none, "never" where it is infinite."""
-    if math.isinf(value):
-        return "never"
+    """A number; a dash where there is none."""
     return "-" if math.isnan(value) else format(value, form)
 
 
@@ -139,8 +128,8 @@ def show_rates(rows: Sequence[Row], keep: bool) -> None:
     for label, some, protocol in parts:
         if some:
             line = {"scene": label, "passes": str(sum(r.passes for r in some))}
-            for name in methods(some):
-                line[name] = rates(pooled(some, name, protocol))
+            names = [name for name in METHODS if (protocol, name) in some[0].counts]
+            line |= {name: rates(pooled(some, name, protocol)) for name in names}
             lines.append(line)
     show("TPR / FPR at the operating point, protocol strict", lines, keep=keep)
 
@@ -151,19 +140,19 @@ def show_intervals(rows: Sequence[Row], keep: bool) -> None:
     parts += [("POOLED", [r for r in rows if r.kind in KINDS_OF_SCENE])]
     lines = []
     for label, some in parts:
+        if len(some) < 2:
+            continue
         line = {"scene": label}
         for name in ("default", "offline"):
-            if len(some) > 1:
-                count, (tpr, fpr) = pooled(some, name), intervals(some, name)
-                told_tpr, told_fpr = (
-                    f"{told(rate, form)} ({'-'.join(told(v, form) for v in ends)})"
-                    for rate, ends, form in ((count.tpr, tpr, ".3f"), (count.fpr, fpr, ".4f"))
-                )
-                false = sorted(r.counts["strict", name].fp for r in some)
-                line[name] = f"{told_tpr} / {told_fpr}"
-                line[f"{name}, false"] = f"{sum(false)}, {sum(false[-WORST:])}"
-        if len(line) > 1:
-            lines.append(line)
+            count = pooled(some, name)
+            both = zip((count.tpr, count.fpr), intervals(some, name), (".3f", ".4f"), strict=True)
+            line[name] = " / ".join(
+                f"{told(rate, form)} ({told(low, form)}-{told(high, form)})"
+                for rate, (low, high), form in both
+            )
+            false = sorted(r.counts["strict", name].fp for r in some)
+            line[f"{name}, false"] = f"{sum(false)}, {sum(false[-WORST:])}"
+        lines.append(line)
     if lines:
         show(
             "TPR / FPR strict with 95 % intervals over recordings; false claims, and how many of\n"
@@ -204,14 +193,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for seed in asked.seeds
     ]
     configs = [preset(name) for name in PRESETS if name in OURS or not asked.ours]
+    scenes = [random_scene(r.seed, r.kind, frames=asked.frames) for r in recordings]
     rivals = () if asked.ours else (HoughRival,)
-    in_processes(
-        recognise,
-        [
-            Job(random_scene(r.seed, r.kind, frames=asked.frames), r.folder, configs, rivals)
-            for r in recordings
-        ],
-    )
+    jobs = [Job(s, r.folder, configs, rivals) for s, r in zip(scenes, recordings, strict=True)]
+    in_processes(recognise, jobs)
     rows = scored_rows(recordings)
     print(
         f"{len(recordings)} recordings of {asked.frames} frames: seeds {asked.seeds.start} to "

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.description import FEATURES
-from tests.studies.learning.matrices import gather, read
+from tests.studies.learning.built_in import samples_of
 from tests.studies.learning.random_scenes import ALL_KINDS
 from tests.studies.learning.second_renderer import MAP_KINDS
 from tests.studies.transfer import FOLDS, figures, folds
@@ -36,11 +34,9 @@ def test_figures_by_hand() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "map_plain"])
-def test_landmarks_of_both_renderers_look_like_what_they_are(kind: str, tmp_path: Path) -> None:
-    kept = read(gather(kind, 2000, tmp_path))
-    samples, ids = kept.samples(), len(kept.landmarks.ids)
-    on = samples.label < ids
+def test_landmarks_of_both_renderers_look_like_what_they_are(kind: str) -> None:
+    samples = samples_of((kind, 2000), every=3)
+    on = samples.label < samples.features.shape[1]
     assert np.count_nonzero(on) > 20
     best = samples.features[on][..., FEATURES.index("rival_misfit")].argmin(axis=1)
     assert (best == samples.label[on]).mean() > 0.9
-    assert kept.kind == kind

@@ -1,14 +1,14 @@
 """`make transfer`: what a choice of features is worth in kinds of world it was not learned from.
 
 Whole kinds of the simulator's scenes are left out in turn; the kinds of the second renderer are
-left out together. Single frames are judged, without pooling along tracks. Shape matrices are kept
-in build/transfer, so that another description of them is tried in a minute.
+left out together. Single frames are judged, without pooling along tracks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,34 +16,30 @@ from sonarrec.arrays import FloatArray
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.description import FEATURES
-from tests.studies.learning.matrices import gathered
+from tests.studies.learning.built_in import samples_of
 from tests.studies.learning.random_scenes import ALL_KINDS
 from tests.studies.learning.second_renderer import MAP_KINDS
 from tests.studies.results.record import options, save, show
+from tests.support.simulated import in_processes
 
 SEEDS = range(2000, 2004)
 """Of the simulator's kinds; twice as many of the second renderer's."""
+EVERY = 3  # so many frames apart are those that are judged: neighbours are much the same
 FOLDS = 5
 DECLARE = 0.75
 BOLD = (0.75, 0.9)
 LEAST_LIKELY = 0.01  # a probability that is lower costs no more: else few samples decide
 FALSE_RATES = (0.001, 0.002, 0.004)  # false claims to a track in a frame
-_WITHOUT = {
-    "texture": ("texture", "texture_share"),
-    "edges": ("edge", "weakest_edge"),
-    "halves of sectors": ("weakest_bright_half_share", "strongest_dark_half_share"),
-    "rivals": ("rival_misfit",),
-    "structure": ("structure",),
-    "the ring over the floor": ("ring_over_floor",),
+WITHOUT: dict[str, tuple[str, ...]] = {
+    "all": (),
+    "without texture": ("texture", "texture_share"),
+    "without edges": ("edge", "weakest_edge"),
+    "without halves of sectors": ("weakest_bright_half_share", "strongest_dark_half_share"),
+    "without rivals": ("rival_misfit",),
+    "without structure": ("structure",),
+    "without the ring over the floor": ("ring_over_floor",),
 }
-CANDIDATES: dict[str, tuple[str, ...]] = {
-    "all": FEATURES,
-    **{
-        f"without {what}": tuple(f for f in FEATURES if f not in names)
-        for what, names in _WITHOUT.items()
-    },
-}
-"""Names of the features of each."""
+"""Candidates, by the features that they lack."""
 
 
 def folds(kinds: Iterable[str]) -> list[list[str]]:
@@ -54,8 +50,9 @@ def folds(kinds: Iterable[str]) -> list[list[str]]:
 
 
 def left_out(samples: Sequence[tuple[str, Samples]], names: Sequence[str]) -> list[FloatArray]:
-    """Probabilities of every recording by a model that was learned from other kinds."""
-    columns = [FEATURES.index(name) for name in names]
+    """Probabilities of every recording by a model that was learned from other kinds, without some
+    features."""
+    columns = [i for i, name in enumerate(FEATURES) if name not in names]
     few = [(kind, replace(s, features=s.features[..., columns])) for kind, s in samples]
     found: list[FloatArray] = [np.empty(0)] * len(few)
     for fold in folds(kind for kind, _ in few):
@@ -100,22 +97,24 @@ def figures(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Gather what is not on disk yet, and print a table of all candidates."""
+    """Recognise as far as stage 2, and print a table of all candidates."""
     parser = options("transfer", __doc__, SEEDS)
-    parser.add_argument("--only", nargs="*", choices=CANDIDATES, default=list(CANDIDATES))
+    parser.add_argument("--only", nargs="*", choices=WITHOUT, default=list(WITHOUT))
     asked = parser.parse_args(arguments)
     numbers = [*asked.seeds]
     twice = [*numbers, *(n + len(numbers) for n in numbers)]
     wanted = [(kind, n) for kind in ALL_KINDS for n in numbers]
     wanted += [(kind, n) for kind in MAP_KINDS for n in twice]
-    samples = gathered(wanted, asked.out)
+    made = in_processes(partial(samples_of, every=EVERY), wanted)
+    samples = [(kind, one) for (kind, _), one in zip(wanted, made, strict=True)]
     tables: dict[bool, list[dict[str, str]]] = {False: [], True: []}
     for name in asked.only:
-        found = left_out(samples, CANDIDATES[name])
+        found = left_out(samples, WITHOUT[name])
         for by_map, table in tables.items():
             of = [i for i, (kind, _) in enumerate(samples) if (kind in MAP_KINDS) == by_map]
             some = figures([samples[i] for i in of], [found[i] for i in of])
-            table.append({"features": name, "number": str(len(CANDIDATES[name]))} | some)
+            number = str(len(FEATURES) - len(WITHOUT[name]))
+            table.append({"features": name, "number": number} | some)
     show("Kinds of the simulator, each left out of learning", tables[False])
     show("Kinds of a second renderer, all left out of learning", tables[True])
     save(asked.record)

@@ -5,18 +5,26 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
 
 from sonarrec.config import preset
+from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.fit import fit
-from sonarrec.learning.samples import Samples, describe
+from sonarrec.learning.samples import Samples, describe, label
+from sonarrec.nouns import Frame
 from sonarrec.recogniser.stage3.model import BUILT_IN
-from sonarrec.simulation.scene import Scene
+from sonarrec.simulation.render import render
+from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.simulation.truth import Truth
-from tests.studies.learning.matrices import FRAMES, labelled, scene_frames
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
+from tests.studies.learning.second_renderer import MAP_KINDS, map_frames, map_scene
+from tests.support.simulated import in_processes
 
+FRAMES = 64  # of each recording: more recordings teach more than longer ones
 # Seeds of the built-in model. Those from 2000 on are for choosing settings (tuning seeds), those
 # from 3000 on for figures that are reported: no recording serves two purposes.
 MODEL_SEEDS = range(1000, 1060)
@@ -29,31 +37,47 @@ RECORDINGS = {
     # These change only the geometry or the floor, so they are near the basin's.
     **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12),
 }
+Shown = list[tuple[int, Truth]]
+"""Frames, and landmarks that they show."""
 
 
-def lessons() -> list[tuple[str, Samples]]:
-    """Kind of scene and samples of every recording that the model learns from; on all cores."""
-    recordings = [(kind, seed) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
-    with ProcessPoolExecutor() as workers:
-        samples = workers.map(simulated, *zip(*recordings, strict=True))
-        return [(kind, sample) for (kind, _), sample in zip(recordings, samples, strict=True)]
+def samples_of(recording: tuple[str, int], every: int = 1) -> Samples:
+    """Samples from a random recording of a kind and seed. every: so many frames apart."""
+    kind, seed = recording
+    truth: Shown = []
+    if kind in MAP_KINDS:
+        scene = map_scene(seed, kind, FRAMES)
+        frames = map_frames(scene, kind, truth)
+    else:
+        scene = random_scene(seed, kind, wide=True, frames=FRAMES)
+        frames = scene_frames(scene, truth)
+    tracks = describe(frames, preset("default"), scene.landmark_set)
+    chosen = np.flatnonzero(tracks.row % every == 0)
+    columns = ("row", "number", "position", "features", "smear")
+    tracks = replace(tracks, **{name: getattr(tracks, name)[chosen] for name in columns})
+    polar = np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)
+    return label(
+        tracks,
+        np.array([row for row, _ in truth], np.int64),
+        np.array([tracks.landmarks.ids.index(t.landmark) for _, t in truth], np.int64),
+        plane_from_polar(*polar.T),
+    )
 
 
-def simulated(kind: str, seed: int) -> Samples:
-    """Samples from one random simulated recording."""
-    return samples_of(random_scene(seed, kind, wide=True, frames=FRAMES))
-
-
-def samples_of(scene: Scene) -> Samples:
-    """Samples from a simulated recording."""
-    truth: list[tuple[int, Truth]] = []
-    tracks = describe(scene_frames(scene, truth), preset("default"), scene.landmark_set)
-    return labelled(tracks, truth)
+def scene_frames(scene: Scene, truth: Shown) -> Iterator[Frame]:
+    """A scene's frames as a reader would give them; their truth is added to `truth`."""
+    polar = None
+    for frame in render(scene):
+        truth += [(frame.index, landmark) for landmark in frame.truth]
+        if scene.sonar.layout == "polar" and polar is None:
+            polar = PolarToFan(scene_sonar(scene).complete(scene.name), *frame.image.shape)
+        yield Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan, polar=polar)
 
 
 def make_model() -> None:
     """Learn and write the built-in model, from every kind of scene that may be learned from."""
-    parts = [samples for _, samples in lessons()]
+    recordings = [(kind, seed) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
+    parts = in_processes(samples_of, recordings)
     count = sum(len(p.label) for p in parts)
     head = (
         "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"

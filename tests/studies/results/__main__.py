@@ -22,8 +22,8 @@ HEAD = """# Measured results
 `make results` puts this page together from the files in `tests/studies/results`, each written by
 the command that its section names (`--record NAME`). TPR / FPR are over all IDs at the operating
 point. `smi` is the paper's single-frame method; `hough` is a plain `cv2.HoughCircles` loop with a
-majority vote along tracks (`tests/studies/baseline.py`); `paper`, `default` and `offline` are the
-framework with these presets. Simulated figures come from seeds on which nothing was learned or chosen.
+majority vote (`tests/studies/baseline.py`); `paper`, `default` and `offline` are the framework with
+these presets. Simulated figures come from seeds on which nothing was learned or chosen.
 
 A row marked † was measured when the program gave other results on the sample logs than now.
 """
