@@ -10,7 +10,6 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass
 from functools import cache
 
 import cv2
@@ -73,21 +72,9 @@ def sixteen() -> tuple[DrawnSet, DrawnSet]:
     return set_of(taken[:IDS], "no"), set_of(taken[IDS:], "no")
 
 
-@dataclass(frozen=True, slots=True)
-class Counted:
-    """One recording, as protocol strict counts."""
-
-    seed: int
-    right: int
-    whole: int
-    """IDs whole in view, frame by frame."""
-    false: int
-    absent: int
-    """IDs that are not there."""
-
-
-def count(seed: int) -> Counted:
-    """Render, recognise and count one recording."""
+def count(seed: int) -> np.ndarray:
+    """Render, recognise and count one recording, frame by frame, as protocol strict does: IDs that
+    are whole in view and claimed, whole in view, claimed falsely, not there."""
     scene = random_scene(seed, sixteen(), LEAST_DB, FRAMES, TILT_DEG)
     counted = np.zeros(4, int)
     stages, frames = stages_of(scene)
@@ -99,7 +86,7 @@ def count(seed: int) -> Counted:
             near = [e for e in said if any(off_m(e, t) <= SIDE_M / 2 for t in true)]
             whole = any(t.visible >= WHOLE for t in true)
             counted += whole and bool(near), whole, len(near) < len(said), not true
-    return Counted(seed, *counted.tolist())
+    return counted
 
 
 def off_m(one: Estimate | Truth, other: Estimate | Truth) -> float:
@@ -110,13 +97,12 @@ def off_m(one: Estimate | Truth, other: Estimate | Truth) -> float:
 
 def main() -> None:
     """Count, and tell."""
-    rows = in_processes(count, REPORTED)
-    sums = np.array([astuple(row)[1:] for row in rows])
-    drawn = bootstrap_weights(len(rows), np.random.default_rng(0), RESAMPLED) @ sums
-    print(f"{len(rows)} recordings of {FRAMES} frames; strict, 95 % intervals over recordings")
+    sums = np.array(in_processes(count, REPORTED))
+    drawn = bootstrap_weights(len(sums), np.random.default_rng(0), RESAMPLED) @ sums
+    print(f"{len(sums)} recordings of {FRAMES} frames; strict, 95 % intervals over recordings")
     for name, i, bound in (("TPR", 0, LEAST_TPR), ("FPR", 2, MOST_FPR)):
         rate = sums[:, i].sum() / sums[:, i + 1].sum()
-        low, high = interval(drawn[:, i] / drawn[:, i + 1], len(rows))
+        low, high = interval(drawn[:, i] / drawn[:, i + 1], len(sums))
         print(f"{name} {rate:.4f} ({low:.4f} to {high:.4f}) of {sums[:, i + 1].sum()}; aim {bound}")
 
 

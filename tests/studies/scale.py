@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,18 +27,14 @@ FRAMES = 60
 MOST_CALIBRATED = 10_000
 """Frames of the longest log that is learned from: it takes 6 ms a frame."""
 SEEDS = range(8000, 8004)
-# Runs a command and prints its own peak in KiB (bytes on macOS).
-_RUN = """
-import resource, sys
-from sonarrec.cli import main
-try:
-    main(sys.argv[1:])
-except SystemExit as end:
-    assert end.code in (0, None, 3), end.code
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+# Runs a command and prints its peak in KiB (bytes on macOS), by a small process: a new one is
+# charged with the peak of that which it was forked from.
+_LAUNCH = """
+import resource, subprocess, sys
+code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+sys.exit(code not in (0, 3))
 """
-# A new process is charged with the peak of the one it was forked from.
-_LAUNCH = "import subprocess, sys; sys.exit(subprocess.run(sys.argv[1:]).returncode)"
 
 
 def recordings(folder: Path) -> list[Path]:
@@ -63,25 +60,17 @@ def logs(folder: Path, source: list[Path], count: int) -> list[Path]:
 
 def broken(paths: list[Path]) -> list[str]:
     """Break five logs, each in another way; let one hang and one kill its process. Their names."""
-    step = len(paths) // 7
-    chosen = [paths[k * step + step // 2] for k in range(7)]
-    empty, cut, torn, foreign, gone, hangs, dies = chosen
-    for path in chosen[:5]:
-        data = path.read_bytes()
+    chosen = paths[len(paths) // 14 :: len(paths) // 7][:7]
+    whole = chosen[0].read_bytes()
+    torn, foreign = whole[:8] + bytes(len(whole) - 8), (SAMPLE / "000000.png").read_bytes()
+    for path, content in zip(chosen[:4], (b"", whole[:200], torn, foreign), strict=True):
         path.unlink()
-        if path is empty:
-            path.write_bytes(b"")
-        elif path is cut:
-            path.write_bytes(data[:200])
-        elif path is torn:
-            path.write_bytes(data[:8] + bytes(len(data) - 8))
-        elif path is foreign:
-            path.write_bytes((SAMPLE / "000000.png").read_bytes())
-        elif path is gone:
-            path.symlink_to("nowhere.mcap")
-    for path, name in ((hangs, "hangs"), (dies, "dies")):
-        path.rename(path.with_name(f"{name}.mcap"))
-    return [*(path.stem for path in chosen[:5]), "hangs", "dies"]
+        path.write_bytes(content)
+    chosen[4].unlink()
+    chosen[4].symlink_to("nowhere.mcap")
+    for k, name in ((5, "hangs"), (6, "dies")):
+        chosen[k] = chosen[k].rename(chosen[k].with_name(f"{name}.mcap"))
+    return [path.stem for path in chosen]
 
 
 def call(out: Path, folder: Path, *words: str | int | Path, stop_after: int = 0) -> float:
@@ -100,11 +89,6 @@ def call(out: Path, folder: Path, *words: str | int | Path, stop_after: int = 0)
     return time.monotonic() - begun
 
 
-def counts(out: Path) -> str:
-    states = [row["status"] for row in rows(out).values()]
-    return ", ".join(f"{states.count(s)} {s}" for s in sorted(set(states)))
-
-
 def same(one: Path, other: Path) -> int:
     """How many logs have the same bytes in both; exits where one differs."""
     names = [path.parent.name for path in one.glob("*/run.toml")]
@@ -118,8 +102,9 @@ def thousand(home: Path, source: list[Path], count: int) -> None:
     folder, out = home / "thousand", home / "all"
     names = broken(logs(folder, source, count))
     took = call(out, folder, "-j", 2, "--timeout", 20)
+    states = Counter(row["status"] for row in rows(out).values())
     failed = [name for name, row in rows(out).items() if row["status"] == "failed"]
-    print(f"{count} logs of {FRAMES} frames, 2 jobs: {took:.0f} s; {counts(out)}")
+    print(f"{count} logs of {FRAMES} frames, 2 jobs: {took:.0f} s; {dict(states)}")
     if set(failed) != set(names):
         sys.exit(f"failed: {failed}; expected {names}")
     for name in failed:
@@ -140,9 +125,9 @@ def thousand(home: Path, source: list[Path], count: int) -> None:
 
 def peak_of(*words: object) -> float:
     """Peak resident memory, MB, of a process that runs a command, which must not fail."""
-    command = [sys.executable, "-c", _LAUNCH, sys.executable, "-c", _RUN, *map(str, words)]
-    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-    return int(told.split()[-1]) / (1024**2 if sys.platform == "darwin" else 1024)
+    run = [sys.executable, "-c", _LAUNCH, *command(*words)]
+    told = subprocess.run(run, check=True, capture_output=True, text=True).stdout
+    return int(told) / (1024**2 if sys.platform == "darwin" else 1024)
 
 
 def long(home: Path, largest: int) -> None:
@@ -175,11 +160,9 @@ def long(home: Path, largest: int) -> None:
             if count <= MOST_CALIBRATED or words[0] != "calibrate":
                 begun = time.monotonic()
                 peak = peak_of(*words)
-                took = time.monotonic() - begun
+                took = f"{time.monotonic() - begun:.1f}"
                 name = " ".join(map(str, words[: 2 if words[0] == "truth" else 1]))
-                lines.append(
-                    {"command": name, "frames": count, "MB": f"{peak:.0f}", "s": f"{took:.1f}"}
-                )
+                lines.append({"command": name, "frames": count, "MB": f"{peak:.0f}", "s": took})
         count *= 10
     show("One log, the sample again and again: peak memory and time", lines)
 

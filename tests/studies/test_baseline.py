@@ -9,25 +9,11 @@ import pytest
 
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
-from tests.studies.baseline import (
-    HoughSmi,
-    MajorityTracks,
-    Settings,
-    Sight,
-)
-from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
+from tests.studies.baseline import HoughSmi, MajorityTracks, Settings, Sight
+from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
 
 FAN = make_fan(rows=256)
 RANGE_M, BEARING_DEG = 2.1, 2.0
-
-
-def drawn_landmark(landmark: int, turn_deg: float, rng: np.random.Generator) -> np.ndarray:
-    pattern = disc_pattern(SECTORS[landmark], math.radians(turn_deg))
-    brightness, seen = draw_on_floor(FAN, RANGE_M, BEARING_DEG, 0.15, pattern)
-    plate, _ = draw_on_floor(
-        FAN, RANGE_M, BEARING_DEG, 0.15, lambda x, y: (np.hypot(x, y) < 1).astype(float)
-    )
-    return speckled(brightness, seen, rng, dark=plate)
 
 
 @pytest.mark.parametrize("landmark", [1, 2, 3, 4])
@@ -37,7 +23,8 @@ def test_finds_and_names_a_drawn_landmark(landmark: int) -> None:
     x, y = (float(v) for v in pixel_from_polar(FAN, RANGE_M, BEARING_DEG))
     right = 0
     for turn in (0, 100, 215, 320):
-        sights = loop(drawn_landmark(landmark, turn, rng))
+        pattern = disc_pattern(SECTORS[landmark], math.radians(turn))
+        sights = loop(speckled_disc(rng, FAN, RANGE_M, BEARING_DEG, 0.15, pattern))
         near = [s for s in sights if math.hypot(s.x - x, s.y - y) < 0.5 * loop.radius]
         right += any(load_landmarks("basin").ids[s.best] == landmark for s in near)
     assert right >= 3
@@ -52,13 +39,3 @@ def test_majority_outvotes_single_frames() -> None:
     assert [claim for *_, claim in told] == [False, False, False, True, True, True]
     assert told[-1][2] == 0
     assert told[-1][3] == pytest.approx(4 / 6 * 0.81)
-
-
-def test_tracks_end_and_begin() -> None:
-    tracks = MajorityTracks(Settings(), radius_px=30)
-    near, far = Sight(100.0, 50.0, 0, 0.9, 0.9), Sight(300.0, 50.0, 1, 0.9, 0.9)
-    assert [t[0] for t in tracks.step([near, far])] == [0, 1]
-    assert [t[0] for t in tracks.step([far])] == [1]
-    for _ in range(MajorityTracks.PATIENCE):
-        tracks.step([])
-    assert [t[0] for t in tracks.step([near])] == [2]

@@ -51,22 +51,16 @@ def recognise(log: Path, out: Path, *more: str) -> Path:
     return out / log.stem
 
 
-def counted(log: Path, results: Path) -> tuple[int, dict[str, Count]]:
-    """Frames of a log, and each preset's counts by protocol strict."""
-    found = evaluate(results, log / "gt.csv")
-    counts = {s.method: s.count() for s in found.scored if s.protocol == "strict"}
-    frames = len(pd.read_csv(results / "frames.csv"))
-    return frames, {name: counts[f"{FRAMEWORK}:{name}"] for name in PRESETS}
-
-
 def world(name: str, logs: Sequence[Path], out: Path) -> dict[str, str]:
-    """A line of the table: the recordings of one world, pooled."""
-    frames = 0
-    total = dict.fromkeys(PRESETS, np.zeros(5, np.int64))
+    """A line of the table: the recordings of one world, pooled, by protocol strict."""
+    frames, total = 0, dict.fromkeys(PRESETS, np.zeros(5, np.int64))
     for log in logs:
-        more, counts = counted(log, recognise(log, out / log.parent.name))
-        frames += more
-        total = {preset: total[preset] + np.array(astuple(counts[preset])) for preset in PRESETS}
+        results = recognise(log, out / log.parent.name)
+        frames += len(pd.read_csv(results / "frames.csv"))
+        found = evaluate(results, log / "gt.csv")
+        counts = {s.method: s.count() for s in found.scored if s.protocol == "strict"}
+        for preset in PRESETS:
+            total[preset] = total[preset] + astuple(counts[f"{FRAMEWORK}:{preset}"])
     line = {"recordings": name, "frames": str(frames)}
     for preset, numbers in total.items():
         count = Count(*numbers.tolist())
