@@ -83,9 +83,8 @@ def check(
     """Run the logs that FILE names, and compare the results with those on record.
 
     FILE (default: sonarrec.check.toml) is a small TOML file: the logs, their truth, the settings
-    and what the rates must keep. `sonarrec help ci` explains it, and what to commit. The exit code
-    is 4 if a rate is worse, over all IDs in one log or of one ID or all IDs in all logs, or beyond
-    an absolute limit.
+    and what the rates must keep; `sonarrec help check` explains it. The exit code is 4 if a rate
+    is worse, over all IDs in one log or of one ID or all IDs in all logs, or beyond a limit.
 
     \b
     Examples:

@@ -178,7 +178,7 @@ def odometry_options(group: Callable[..., Decorator]) -> dict[str, Decorator]:
         "odometry": group(
             "--odometry",
             type=FILE,
-            help="CSV of the sonar's poses (sonarrec help poses).  [default: NAME.poses.csv or "
+            help="CSV of the sonar's poses (sonarrec help geometry).  [default: NAME.poses.csv or "
             "poses.csv beside the log; else the motion is measured between the images]",
         ),
         "odometry_topic": group(

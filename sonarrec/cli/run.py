@@ -66,9 +66,7 @@ class _FolderOrUrl(click.Path):
     metavar="SECONDS",
     help="Stop a log that takes longer.",
 )
-@in_batch(
-    "--shard", metavar="I/N", help="Run only every N-th log, from the I-th: see help cluster."
-)
+@in_batch("--shard", metavar="I/N", help="Run only every N-th log, from the I-th: see help remote.")
 @in_batch(
     "--scheduler",
     metavar="ADDRESS",

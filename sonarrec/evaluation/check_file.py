@@ -162,7 +162,7 @@ def read_check(path: Path) -> Check:
     """Read a check file. Raises UsageError if it is not there or invalid."""
     if not path.is_file():
         raise UsageError(
-            f"{path}: no such file; it names the logs to run, as in `sonarrec help ci`"
+            f"{path}: no such file; it names the logs to run, as in `sonarrec help check`"
         )
     table = read_toml(path, UsageError)
     file = from_table(CheckFile, table, str(path), error=UsageError)

@@ -69,7 +69,7 @@ def read_poses(path: Path) -> PoseTable:
     if "x" not in table and similar:
         raise SonarrecError(
             f"{path}: no position can be read from the columns {', '.join(similar)}: expected x,y "
-            "in metres (sonarrec help poses); rename them, or drop them if the sonar only turns"
+            "in metres (sonarrec help geometry); rename them, or drop them if the sonar only turns"
         )
     times_ns = _times_ns(path, table)
     still = np.zeros(len(times_ns))

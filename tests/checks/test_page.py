@@ -1,4 +1,4 @@
-"""`sonarrec help ci` as written: its file for GitHub Actions."""
+"""`sonarrec help check` as written: its file for GitHub Actions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from tests.checks.test_check import FILE, log
 
-PAGE = Path(__file__).parents[2] / "sonarrec" / "help" / "ci.md"
+PAGE = Path(__file__).parents[2] / "sonarrec" / "help" / "check.md"
 
 
 def workflow() -> str:

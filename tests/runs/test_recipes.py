@@ -1,4 +1,4 @@
-"""The recipes of help/cluster.md, run as they stand there, as far as one machine goes.
+"""The recipes of help/remote.md, run as they stand there, as far as one machine goes.
 
 srun and GNU parallel are scripts that do here what these do elsewhere: srun runs its words,
 parallel puts each line of its input for {} and gives that to a shell.
@@ -43,7 +43,7 @@ done
 
 def recipe(beginning: str) -> str:
     """The block of the page that has a line beginning so, as it would be in a file."""
-    text = "\n".join(code_lines(PAGES["cluster"]))
+    text = "\n".join(code_lines(PAGES["remote"]))
     (found,) = [b for b in re.split(r"\n\n+", text) if re.search(f"(?m)^{beginning}", b)]
     return found + "\n"
 
