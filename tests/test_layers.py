@@ -35,8 +35,8 @@ PARTS = (
 MOST_LINES = {
     **{"cli": 3300, "drawing": 820, "evaluation": 5360, "geometry": 450},
     **{"learning": 640, "mapping": 1259, "overlays": 470, "readers": 5927},
-    **{"recogniser": 6510, "reports": 1830, "results": 1784, "runs": 1750},
-    **{"simulation": 2540, "tables": 836, "truth": 1195},
+    **{"recogniser": 6510, "reports": 1830, "results": 1757, "runs": 1750},
+    **{"simulation": 2540, "tables": 812, "truth": 1195},
 }
 """Of a room; set to what stands after an issue, and it only falls."""
 SMALL = 400  # lines of a room of one module

@@ -12,7 +12,7 @@ from typing import Any
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers.named_logs import logs_named
 from sonarrec.readers.open import find_log
-from sonarrec.results.folders import exchange, lock, part_of, release, restore
+from sonarrec.results.folders import alone, exchange, part_of
 from sonarrec.results.run_file import LogOptions
 from sonarrec.results.write import write_run
 from sonarrec.runs.one import result_names
@@ -190,8 +190,7 @@ def save(results: Path, record: Path, logs: Sequence[LogToRun]) -> list[str]:
         record.mkdir(parents=True, exist_ok=True)
         for log in logs:
             folder = record / log.name
-            stack.callback(release, folder, lock(folder))
-            restore(folder)
+            stack.enter_context(alone(folder))
             part = part_of(folder)
             shutil.rmtree(part, ignore_errors=True)
             part.mkdir()

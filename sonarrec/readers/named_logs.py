@@ -12,7 +12,7 @@ from sonarrec.errors import UsageError
 from sonarrec.readers.containers.bag_folder import is_bag_folder
 from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.open import is_log_file, matches
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 
 RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
 """A folder with one of these holds results, so its images are no log."""

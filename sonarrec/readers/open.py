@@ -30,7 +30,7 @@ from sonarrec.readers.containers.oculus import OculusPings
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.readers.raw import RawLog, Recording
 from sonarrec.sonar import Sonar, load_sonar
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 
 SONAR_FILE = "sonar.toml"
 LANDMARKS_FILE = "landmarks.toml"

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import errno
 import os
-from collections import defaultdict
-from collections.abc import Container, Sequence
+from collections import Counter
+from collections.abc import Container, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -43,20 +44,17 @@ def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
     depth = [0] * len(logs)
     while True:
         names = [_name_at_depth(*log, n) for log, n in zip(logs, depth, strict=True)]
-        alike: dict[str, list[int]] = defaultdict(list)
-        for i, name in enumerate(names):
-            alike[name].append(i)
-        clashing = [i for same in alike.values() if len(same) > 1 for i in same]
-        if not clashing:
+        count = Counter(names)
+        if max(count.values(), default=1) == 1:
             return names
-        for i in clashing:
-            depth[i] += 1
-            if depth[i] > len(logs[i][1].parts):
-                places = [str(logs[k][1]) for k in alike[names[i]]]
+        for i, (name, place) in enumerate(logs):
+            depth[i] += count[names[i]] > 1
+            if depth[i] > len(place.parts):
+                places = [str(logs[k][1]) for k, other in enumerate(names) if other == names[i]]
                 if len(set(places)) == 1:
                     raise UsageError(f"{places[0]}: given {len(places)} times; name it once")
                 raise UsageError(
-                    f"{', '.join(places)}: their results would all go to {logs[i][0]}; run each "
+                    f"{', '.join(places)}: their results would all go to {name}; run each "
                     "with its own --out"
                 )
 
@@ -93,35 +91,31 @@ def part_of(folder: Path) -> Path:
     return folder.with_name(folder.name + PART)
 
 
-def lock(folder: Path) -> IO[bytes]:
-    """Lock `folder` for this run; see `release`.
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """No other run writes `folder` until the end; what a killed run left is put right before.
 
-    Raises LockedError if another run has locked it.
+    Raises LockedError if another run writes it, OSError, and SonarrecError if a file of the user
+    is in both places.
     """
-    path = _lock_file(folder)
+    path = folder.with_name(f".{folder.name}.lock")
     while True:
-        file = path.open("wb")
-        if not locked(file, alone=True):
-            file.close()
-            raise LockedError(
-                f"{folder}: another run writes here now; wait for it, or choose another --out"
-            )
-        if is_there(file, path):
-            return file
-        file.close()  # its holder ended and deleted it at this moment
+        with path.open("wb") as file:
+            if not locked(file):
+                raise LockedError(
+                    f"{folder}: another run writes here now; wait for it, or choose another --out"
+                )
+            if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                continue  # its holder ended and deleted it at this moment
+            try:
+                restore(folder)
+                yield
+            finally:
+                path.unlink(missing_ok=True)
+            return
 
 
-def release(folder: Path, lock_file: IO[bytes]) -> None:
-    """Unlock `folder`."""
-    _lock_file(folder).unlink(missing_ok=True)
-    lock_file.close()
-
-
-def _lock_file(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name}.lock")
-
-
-def aside_of(folder: Path) -> Path:
+def _aside(folder: Path) -> Path:
     """Where a run lays old results while it replaces them; one that fails there leaves them."""
     return folder.with_name(f".{folder.name}.old")
 
@@ -133,17 +127,16 @@ def restore(folder: Path) -> None:
     all of the user's files in them were moved.
     Raises OSError if that fails, SonarrecError if a file is in both places.
     """
-    old = aside_of(folder)
-    if old.is_dir():
-        if folder.exists():
-            try:
-                _clear(old, folder)
-            except FileExistsError as error:
-                raise SonarrecError(
-                    f"{error.filename}: also in {old}, left by an earlier run; move one of the two"
-                ) from None
-        else:
+    old = _aside(folder)
+    try:
+        if old.is_dir() and folder.exists():
+            _clear(old, folder)
+        elif old.is_dir():
             old.rename(folder)
+    except FileExistsError as error:
+        raise SonarrecError(
+            f"{error.filename}: also in {old}, left by an earlier run; move one of the two"
+        ) from None
 
 
 def exchange(folder: Path) -> list[str]:
@@ -151,7 +144,7 @@ def exchange(folder: Path) -> list[str]:
 
     Returns a note if these could not be moved. Raises OSError if the part could not be moved.
     """
-    old = aside_of(folder)
+    old = _aside(folder)
     if folder.exists():
         folder.rename(old)
     part_of(folder).rename(folder)
@@ -207,23 +200,12 @@ except ImportError:  # no such locks on this system
     fcntl = None  # type: ignore[assignment]
 
 
-def locked(file: IO[bytes] | int, *, alone: bool, wait: bool = False) -> bool:
-    """Lock an open file or folder; False if another process has locked it, unless it waits.
-
-    alone: exclusively. If holders of the lock may delete the file, check `is_there` next.
-    """
+def locked(file: IO[bytes] | int, *, wait: bool = False) -> bool:
+    """Lock an open file or folder; False if another process has locked it, unless it waits."""
     if fcntl is None:
         return True
     try:
-        fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB * (not wait))
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB * (not wait))
     except OSError:  # locked, or the file system has no locks
         return False
     return True
-
-
-def is_there(file: IO[bytes], path: Path) -> bool:
-    """Whether an open file is still the one at `path`, not a deleted one."""
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except OSError:
-        return False

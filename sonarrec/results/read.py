@@ -41,7 +41,7 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import log_of, part_of
 from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 from sonarrec.tables.read import (
     POSITION_KINDS,
     Table,

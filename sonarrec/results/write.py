@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from time import monotonic
 from typing import Any, Self
@@ -23,7 +23,7 @@ from sonarrec.results.columns import (
     estimate_columns,
     frame_line,
 )
-from sonarrec.results.folders import exchange, lock, part_of, release, restore
+from sonarrec.results.folders import alone, exchange, part_of
 from sonarrec.results.run_file import rows_written
 from sonarrec.results.sightings import Sightings
 from sonarrec.tables.outputs import replaced
@@ -107,15 +107,12 @@ class ResultsWriter:
         self._waiting: list[tuple[FrameResult, Stamps]] = []
         self._passes = ""  # lines of sightings.csv that wait
         self._written_s = monotonic()
+        self._lock = ExitStack()
         columns = estimate_columns(landmarks.ids, isinstance(landmarks, DrawnSet))
         self._lines = EstimateLines(columns)
         try:
             self._part.parent.mkdir(parents=True, exist_ok=True)
-            self._lock = lock(folder)
-        except OSError as error:
-            raise self._unwritable(error) from None
-        try:
-            restore(folder)
+            self._lock.enter_context(alone(folder))
             if self._part.exists():
                 # A stopped run left it. The file created last is deleted first: a part that has
                 # it is complete, even if this run is stopped right here.
@@ -127,18 +124,12 @@ class ResultsWriter:
             self._frames = _Table(self._part / "frames.csv", FRAME_COLUMNS)
             self._sightings = _Table(self._part / "sightings.csv", SIGHTING_COLUMNS)
         except OSError as error:
-            release(folder, self._lock)
-            raise self._unwritable(error) from None
-        except SonarrecError:
-            release(folder, self._lock)
-            raise
-
-    def _unwritable(self, error: OSError) -> SonarrecError:
-        where = f": {name_as_text(error.filename)}" if error.filename else ""
-        return SonarrecError(
-            f"{name_as_text(self._folder)}: cannot write results here ({error.strerror}{where}); "
-            "choose another --out"
-        )
+            self._lock.close()
+            where = f": {name_as_text(error.filename)}" if error.filename else ""
+            raise SonarrecError(
+                f"{name_as_text(folder)}: cannot write results here ({error.strerror}{where}); "
+                "choose another --out"
+            ) from None
 
     def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
         """Append a frame. stamps: its times in the log. Raises SonarrecError: the disk is full."""
@@ -226,4 +217,4 @@ class ResultsWriter:
             table.close()
         if not self.frames and self._part.is_dir():
             shutil.rmtree(self._part, ignore_errors=True)  # it is empty
-        release(self._folder, self._lock)
+        self._lock.close()

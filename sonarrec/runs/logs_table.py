@@ -163,7 +163,7 @@ def _turn(folder: Path) -> Iterator[None]:
         with suppress(OSError):
             handle = os.open(folder, os.O_RDONLY)
             stack.callback(os.close, handle)
-            locked(handle, alone=True, wait=True)
+            locked(handle, wait=True)
         yield
 
 

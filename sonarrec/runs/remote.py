@@ -14,7 +14,7 @@ from sonarrec.readers.containers.bag_folder import METADATA
 from sonarrec.readers.containers.images import names_an_image
 from sonarrec.readers.named_logs import RESULTS
 from sonarrec.readers.open import log_name, names_a_log
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
 COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv")

@@ -17,21 +17,12 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal, TextIO
+from typing import Any, Literal
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import IMAGE_SUFFIXES
 
-Kind = Literal[
-    "report",
-    "manual",
-    "picture",
-    "overlay",
-    "video",
-    "model",
-    "table",
-    "JSON",
-]
+Kind = Literal["report", "manual", "picture", "overlay", "video", "model", "table", "JSON"]
 OVERLAY_LIBRARY = "sonarrec overlay"
 """Library name in the header of an overlay's MCAP."""
 PICTURE_MARK = {"Software": "sonarrec"}
@@ -41,8 +32,8 @@ VIDEO_MARK = struct.pack(">I4s", 24, b"free") + b"sonarrec overlay"
 """The last box of a video; players ignore it."""
 _STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
 """Prefixes of names that may refer to open files of this process."""
-_numbers = itertools.count()
 _PNG_HEADER = 33
+_numbers = itertools.count()
 _HEAD = 4096
 _MARKS: dict[Kind, bytes] = {
     "report": b"sonarrec report</title>",
@@ -160,21 +151,17 @@ def replaced(path: Path) -> Iterator[Path]:
         return
     target = path.resolve()
     new = target.with_name(f".{os.getpid()}-{next(_numbers)}.new")
-    new_folders = [folder for folder in target.parents if not folder.exists()][::-1]
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         if target.exists():
             target.open("r+b").close()  # a file that is read-only must not be replaced either
             new.touch()
             shutil.copymode(target, new)
-        for folder in new_folders:
-            folder.mkdir(exist_ok=True)
         yield new
         new.replace(target)
     except BaseException as error:
         with suppress(OSError):
             new.unlink(missing_ok=True)
-            for folder in reversed(new_folders):
-                folder.rmdir()
         if isinstance(error, OSError) and error.filename in (None, str(new), str(target)):
             error.filename = str(path)
         raise
@@ -204,19 +191,9 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]
         replaced(path) as new,
         new.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,
     ):
-        table = csv.writer(_Lines(file), lineterminator="\r\n")
+        table = csv.writer(file, lineterminator="\n")
         table.writerow(header)
         table.writerows(rows)
-
-
-class _Lines:
-    """For csv.writer, which quotes a carriage return in a cell only where one ends its lines."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-
-    def write(self, line: str) -> None:
-        self._file.write(f"{line.removesuffix(chr(13) + chr(10))}\n")
 
 
 def write_page(path: Path, page: str) -> None:

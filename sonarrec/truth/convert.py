@@ -20,7 +20,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
 

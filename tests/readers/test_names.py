@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sonarrec.cli import main
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.images import ImagePaths, times_in_names
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 from tests.support.logs import frames, image_folder
 
 MOMENT = datetime(2026, 11, 20, 10, 0, 0, 250_000, UTC)

@@ -20,7 +20,7 @@ from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from sonarrec.sonar import Sonar, load_sonar
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 from tests.support.bags import bag, messages, ros1_bag, split_bag
 from tests.support.logs import (
     PERIOD_NS,

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
 from sonarrec.readers.raw import Channel, Message, Recording
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 
 METADATA = "metadata.yaml"
 MOST_NAMED = 3  # parts named in a message

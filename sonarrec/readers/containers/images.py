@@ -16,7 +16,7 @@ from sonarrec.errors import Diagnostics
 from sonarrec.nouns import IMAGE_SUFFIXES, Frame, date_text
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import RawLog, UnusableError, stored
-from sonarrec.tables.order import natural_order
+from sonarrec.tables import natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
 # No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
