@@ -3,7 +3,7 @@
 import gc
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from unittest.mock import patch
 
@@ -38,33 +38,32 @@ def _one_core() -> Iterator[None]:
         yield
 
 
-PICTURES = ("draw_roc",)
+DRAWN: dict[str, Callable[..., None]] = {}
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _no_pictures() -> Iterator[None]:
     """In the tests' own processes `evaluate` and `map` write empty files in place of pictures: to
     draw them takes longest, and what most tests look at is in the tables."""
-    from sonarrec.evaluation import write
+    from sonarrec.evaluation import plots
     from sonarrec.mapping import write as write_map
 
     def empty(path: Path, *_: object) -> None:
         path.write_bytes(b"")
 
-    drawn = patch.multiple(write, **dict.fromkeys(PICTURES, empty))
-    with drawn, patch.object(write_map, "draw_map", empty):
+    DRAWN["draw_roc"] = plots.draw_roc
+    with patch.object(plots, "draw_roc", empty), patch.object(write_map, "draw_map", empty):
         yield
 
 
 @pytest.fixture
 def pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """`evaluate` and `map` draw, as users have it."""
-    from sonarrec.evaluation import plots, write
+    from sonarrec.evaluation import plots
     from sonarrec.mapping import picture
     from sonarrec.mapping import write as write_map
 
-    for name in PICTURES:
-        monkeypatch.setattr(write, name, getattr(plots, name))
+    monkeypatch.setattr(plots, "draw_roc", DRAWN["draw_roc"])
     monkeypatch.setattr(write_map, "draw_map", picture.draw_map)
 
 

@@ -286,7 +286,7 @@ def test_the_columns_listed_are_the_columns_written(
     (folder,) = (path for path in (tmp_path / "short").iterdir() if path.is_dir())
     written |= {path.name: path for path in folder.glob("*.csv")}
     written["logs.csv"] = tmp_path / "short" / "logs.csv"
-    assert {"frames.csv", "estimates.csv", "confusion.csv", "changes.csv"} <= set(written)
+    assert {"frames.csv", "estimates.csv", "confusion.csv", "compare.csv"} <= set(written)
     for name, path in written.items():
         with path.open(newline="", encoding="utf-8") as file:
             header = next(csv.reader(file))

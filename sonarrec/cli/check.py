@@ -26,8 +26,7 @@ from sonarrec.errors import SonarrecError, UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.check_file import Check, LogToRun
-    from sonarrec.evaluation.comparison import Comparison
-    from sonarrec.evaluation.limits import Judgement, Limits
+    from sonarrec.evaluation.compare import Comparison, Judgement, Limits
     from sonarrec.runs.task import Task
 
 
@@ -214,7 +213,7 @@ def _compare(one: Check, logs: Sequence[LogToRun], old: Path, folder: Path) -> C
 
 def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None) -> Judgement:
     """Judge by the limits of the command line, which replace those of the file."""
-    from sonarrec.evaluation.limits import EACH, judge_by
+    from sonarrec.evaluation.compare import EACH, judge
 
     file = one.file
     least, most = (
@@ -228,25 +227,20 @@ def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None)
         most_fpr=most,
         methods=limits.methods or file.method,
     )
-    return judge_by(compared, chosen)
+    return judge(compared, chosen)
 
 
 def _print(judged: Judgement, compared: Comparison, out: Path | None, quiet: bool) -> None:
     """Print the judgement and, if the results are kept, write the comparison's files."""
-    from sonarrec.evaluation.compare_output import (
-        judgement_screen,
-        settings_lines,
-        write_comparison,
-    )
+    from sonarrec.evaluation.compare import screen, write_comparison
 
     tell(compared.unused)
     files = () if out is None else write_comparison(out / "evaluation", compared)
-    changed = [*settings_lines(compared)] if compared.settings else []
     if quiet:
         tell([judged.sentence] if judged.faults else [])
         return
-    click.echo(judgement_screen(judged))
-    lines = [*changed, *(f"note: {note}" for note in compared.notes)]
+    click.echo(screen(compared, judged))
+    lines = [f"note: {note}" for note in compared.notes]
     lines += [] if out is None else [f"{out / 'evaluation'}: {', '.join(files)}"]
     if lines:
         say(*lines)

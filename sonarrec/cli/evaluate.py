@@ -11,13 +11,13 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, WORSE, leave, say, tell
 from sonarrec.cli.groups import ANY, command, in_batch, in_output
-from sonarrec.errors import UsageError
+from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from sonarrec.evaluation.limits import Limits
+    from sonarrec.evaluation.compare import Limits
     from sonarrec.evaluation.match import ScoringOptions
+
+MOST_NOTES = 5
 
 
 @command(short_help="Score results against ground truth, or compare them.")
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 @in_output(
     "--json as_json",
     is_flag=True,
-    help="Print evaluation.json (compare.json with --compare), and nothing else, on stdout.",
+    help="Print evaluation.json, and nothing else, on stdout.",
 )
 @options.out(ANY, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]")
 @options.quiet
@@ -72,6 +72,8 @@ def evaluate(
       sonarrec evaluate --compare before after
       sonarrec evaluate sonarrec_out/pan --least-tpr 0.95 --most-fpr 0.01
     """
+    if as_json and compare is not None:
+        raise UsageError("--json is not available with --compare; compare.csv has the rates")
     if pairs is not None and (ground_truth or (results and compare is None)):
         raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
     if compare is None and results[1:]:
@@ -86,26 +88,26 @@ def evaluate(
     truth = ground_truth if pairs is None else read_pairs(pairs)
     worse: list[str] = []
     if compare is not None:
-        from sonarrec.evaluation.compare import compare as compare_results
-        from sonarrec.evaluation.compare_output import comparison_json, screen, write_comparison
-        from sonarrec.evaluation.limits import judge_by
+        from sonarrec.evaluation import compare as comparing
 
         old, *news = (*compare, *results)
-        found, written = [], []
+        found, written, screens = [], [], []
         for n, new in enumerate(news, 1):
-            one = compare_results(old, new, truth, scoring, jobs=jobs)
+            one = comparing.compare(old, new, truth, scoring, jobs=jobs)
             place = out / f"{n}-{new.name}" if out and news[1:] else out
             folder = place or new / "evaluation"
-            written.append((folder, write_comparison(folder, one)))
-            worse += judge_by(one, limits).faults if limits.are_given else ()
+            written.append((folder, comparing.write_comparison(folder, one)))
+            judged = comparing.judge(one, limits)
+            worse += judged.faults if limits.are_given else ()
             found.append(one)
+            screens.append(f"{new} against {old}: {comparing.screen(one, judged)}")
         notes = tuple(dict.fromkeys(note for one in found for note in one.notes))
         unused = tuple(dict.fromkeys(line for one in found for line in one.unused))
-        document: Iterable[str] = comparison_json(*found)
-        screens = [] if quiet or as_json else [screen(found)]
+        document = ""
     else:
-        from sonarrec.evaluation import tabulate, write
         from sonarrec.evaluation.evaluate import evaluate_logs
+        from sonarrec.evaluation.screen import screen
+        from sonarrec.evaluation.write import json_text, write_evaluation
 
         scored = evaluate_logs(  # pairs name the results too
             truth if isinstance(truth, list) else folder_of_logs,
@@ -115,16 +117,18 @@ def evaluate(
         )
         notes, unused = tuple(scored.notes), tuple(scored.unused)
         folder = out or beside / "evaluation"
-        written = [(folder, write.write_evaluation(folder, scored))]
+        written = [(folder, write_evaluation(folder, scored))]
         worse += limits.broken(scored.counts.scored) if limits.are_given else []
-        document = [write.json_text(write.as_json(scored))] if as_json else []
-        screens = [tabulate.screen(scored.counts), tabulate.summary_screen(scored, details)]
+        document = json_text(scored) if as_json else ""
+        screens = [screen(scored, details), ""]
     tell(unused, notes if quiet and not as_json else ())
     if as_json:
-        for piece in document:
-            click.echo(piece, nl=False)
+        click.echo(document, nl=False)
     elif not quiet:
         click.echo("\n".join(screens))
+        more = len(notes) - MOST_NOTES
+        if more > 0 and compare is None and not details:
+            notes = (*notes[:MOST_NOTES], f"and {number_of(more, 'more note')}; see --details")
         lines = (f"note: {note}" for note in notes)
         say(*lines, *(f"{folder}: {', '.join(files)}" for folder, files in written))
     tell(worse)

@@ -27,7 +27,7 @@ from sonarrec.errors import UsageError
 
 if TYPE_CHECKING:
     from sonarrec.config import Config
-    from sonarrec.evaluation.limits import Limits
+    from sonarrec.evaluation.compare import Limits
     from sonarrec.evaluation.match import ScoringOptions
 
 
@@ -170,7 +170,7 @@ _LIMITS = {
 
 
 def _limits(values: dict[str, Any]) -> Limits:
-    from sonarrec.evaluation.limits import Limits
+    from sonarrec.evaluation.compare import Limits
 
     least, most = (dict(values[key]) for key in ("least_tpr", "most_fpr"))
     return Limits(least_tpr=least, most_fpr=most)

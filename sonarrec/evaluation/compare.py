@@ -1,38 +1,248 @@
-"""Two sets of results scored against one truth: what got better or worse, and in which frames."""
+"""Whether results are good enough: against those before, and against absolute limits.
+
+`compare` joins the counts of two sets of results; `judge` says in one sentence and one table what
+that means. `evaluate --compare`, `check` and limits rest on both.
+"""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from sonarrec.arrays import FloatArray
-from sonarrec.errors import Diagnostics, SonarrecError, printable
-from sonarrec.evaluation import metrics, unit_sums
-from sonarrec.evaluation.changes import ByMethod, FrameChanges
-from sonarrec.evaluation.comparison import Comparison, PassChanges, RateChange, changed_settings
-from sonarrec.evaluation.count import Adder, Counts
-from sonarrec.evaluation.intervals import (
-    Difference,
-    Tally,
-    bootstrap_weights,
-    coin_tosses,
-    differences,
-)
-from sonarrec.evaluation.logs import UnreadableLog, check_logs, first_ids, map_logs
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
+from sonarrec.evaluation.count import Counts, Scored
+from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.evaluate import LogToScore, score_logs
+from sonarrec.evaluation.figures import BY_NAME, MAIN, draws, rates_of, units_text
 from sonarrec.evaluation.match import ScoringOptions, scoring_options
-from sonarrec.evaluation.metrics import MAIN
-from sonarrec.evaluation.pairing import CountedPair, LogPair, count_pair, pair_logs
-from sonarrec.evaluation.pairs import Pair, read_pairs
-from sonarrec.evaluation.summary import SEED, units_text
+from sonarrec.evaluation.pairs import Pair, find_truths_beside, pair_up, read_pairs, truths_of
+from sonarrec.evaluation.uncertainty import MIN_UNITS, differences
+from sonarrec.evaluation.write import write_table
 from sonarrec.nouns import follows
 from sonarrec.results.columns import chosen
-from sonarrec.results.run_file import read_run
-from sonarrec.truth.check import tell_rows
+from sonarrec.results.folders import log_of
+from sonarrec.results.run_file import RunFile, flat, read_run
+from sonarrec.tables.outputs import check_no_recording, check_tables, writing
+
+FRAMES_FREE = 2
+"""So many frames may get worse, whatever the band: 2 of 24 are no trend, though they are .083."""
+RATES = ("tpr", "fpr")
+"""Those that a judgement rests on."""
+SAME = 5e-5
+"""Without a band: a smaller change of a rate does not show in its digits."""
+SLIGHT = 0.1
+"""A smaller share of the change of one rate, as the other changes, decides nothing."""
+SIGNIFICANT = 0.05
+"""The largest p that is not told as possibly due to chance."""
+EACH = ""
+"""Stands for every method that is looked at, in the limits."""
+TOTAL = "total"
+MOST_NAMED = 3
+"""Logs that a sentence names."""
+MOST_ROWS = 24
+"""Of the table; if there are more, those of logs that are not worse are left out."""
+MOST_LINES = 12
+"""Settings that are listed."""
+MOST_PASSES = 6
+"""Changed passes that are listed."""
+NOT_STATED = "not stated"
+_LONGEST = 60
+# Keys that differ between equal runs, or that are reported elsewhere.
+_PASSED_OVER = {
+    *("finished", "program.name", "program.methods", "input.name", "input.path", "input.place"),
+    *("input.bytes", "input.sha256", "input.frames_processed", "input.frames_unusable"),
+    *("input.candidates", "input.estimates", "input.sightings", "input.problems"),
+    *("ran_on.processor", "ran_on.numpy", "ran_on.opencv"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What results must keep."""
+
+    band: float | None = None
+    """By how much a rate may be worse than before, if by more than two frames; None: not asked."""
+    least_tpr: Mapping[str, float] = field(default_factory=dict)
+    most_fpr: Mapping[str, float] = field(default_factory=dict)
+    """By method, or EACH. They hold for the rates over all IDs and logs under protocol strict,
+    under protocol paper where strict cannot be scored."""
+    methods: tuple[str, ...] = ()
+    """Those looked at; empty: all that follow objects, or all if none does."""
+
+    @property
+    def are_given(self) -> bool:
+        """Whether anything is to be kept."""
+        return self.band is not None or bool(self.least_tpr or self.most_fpr)
+
+    def looked_at(self, methods: Iterable[str]) -> tuple[str, ...]:
+        """The methods looked at, of those in the results. Raises UsageError for one not there."""
+        there = tuple(dict.fromkeys(methods))
+        if unknown := sorted({*self.methods, *self.least_tpr, *self.most_fpr} - {EACH, *there}):
+            has = ", ".join(there)
+            raise UsageError(f"method {unknown[0]}: the results have no such method, but {has}")
+        return self.methods or tuple(filter(follows, there)) or there
+
+    def broken(self, scored: Sequence[Scored]) -> list[str]:
+        """A line for each absolute limit that the results do not keep.
+
+        Raises UsageError for a limit of a method that they lack.
+        """
+        looked_at = self.looked_at(s.method for s in scored)
+        protocol = max(s.protocol for s in scored)  # strict, if it is scored
+        lines = []
+        for s in scored:
+            for name, limits in (("TPR", self.least_tpr), ("FPR", self.most_fpr)):
+                limit = limits.get(s.method, limits.get(EACH) if s.method in looked_at else None)
+                if limit is None or s.protocol != protocol:
+                    continue
+                rate = getattr(s.count(), name.lower())
+                # A TPR of 0/0 shows nothing, so it keeps no limit.
+                if not rate >= limit if name == "TPR" else rate > limit:
+                    beyond = f"{'below' if name == 'TPR' else 'above'} {limit:g}"
+                    told = f"{name} {rate_text(rate)} ({s.method}, {protocol}) is {beyond}"
+                    lines.append(f"limit not kept: {told}")
+        return lines
+
+
+class Change(NamedTuple):
+    """A rate of one method, before and now; low, high and p are of the difference."""
+
+    protocol: str
+    method: str
+    landmark: str
+    """An ID or "total"."""
+    rate: str
+    """Name of a metric of MAIN."""
+    old: float
+    new: float
+    """NaN where 0/0."""
+    of: int
+    """The denominator: how many cases the rate is over."""
+    log: str = ""
+    """"": over all logs."""
+    low: float = math.nan
+    high: float = math.nan
+    p: float = math.nan
+    units: int = 0
+    note: str = ""
+    """Why there is no interval or no test."""
+
+    @property
+    def worse(self) -> float:
+        """By how much it got worse; negative if it got better. 0/0 counts as 0."""
+        up = float(np.nan_to_num(self.new) - np.nan_to_num(self.old))
+        return up if self.rate == "fpr" else -up
+
+    def sign(self, band: float | None) -> int:
+        """1 if it got worse by more than `band` and than FRAMES_FREE frames, -1 if better, or 0."""
+        least = SAME if band is None else max(band, FRAMES_FREE / max(self.of, 1)) + 1e-9
+        return int(np.sign(self.worse)) * (abs(self.worse) >= least)
+
+    @property
+    def text(self) -> str:
+        """The rate before and now; once if its digits are the same."""
+        old, new = rate_text(self.old), rate_text(self.new)
+        return old if old == new else f"{old} -> {new}"
+
+
+def rate_text(rate: float) -> str:
+    """A rate to four digits, or "0/0"."""
+    return "0/0" if math.isnan(rate) else f"{rate:.4f}"
+
+
+class Row(NamedTuple):
+    """The rates of one method under one protocol: of a log, or of all."""
+
+    log: str
+    """Its name, or TOTAL."""
+    method: str
+    protocol: str
+    tpr: Change
+    fpr: Change
+
+    def mark(self, band: float | None) -> str:
+        """ "worse", "better" or "mixed", or "" if no rate changed by more than the band.
+
+        With a band "worse" if either rate is; without, if the other one is not better by more than
+        SLIGHT of that.
+        """
+        signs = {rate.sign(band) for rate in (self.tpr, self.fpr)} - {0}
+        if signs == {1, -1} and band is None:
+            less, more = sorted((self.tpr, self.fpr), key=lambda rate: abs(rate.worse))
+            if abs(less.worse) > SLIGHT * abs(more.worse):
+                return "mixed"
+            signs = {more.sign(band)}
+        return "worse" if 1 in signs else "better" if signs else ""
+
+    @property
+    def text(self) -> str:
+        """Such as "TPR 0.9861 -> 0.6903 (framework, strict)": what changed, or both rates."""
+        rates = {"TPR": self.tpr.text, "FPR": self.fpr.text}
+        changed = {name: text for name, text in rates.items() if "->" in text}
+        told = ", ".join(f"{name} {text}" for name, text in (changed or rates).items())
+        return f"{told} ({self.method}, {self.protocol})"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Comparison:
+    """What `compare` found."""
+
+    old: str
+    new: str
+    """The results folders as given."""
+    before: Counts
+    after: Counts
+    """Of the same logs, frames and passes."""
+    methods: tuple[tuple[str, str], ...]
+    """(protocol, method) of those in both results, the leading method first."""
+    rates: tuple[Change, ...]
+    """Per ID and in total; of several logs also of each."""
+    settings: tuple[tuple[str, str, str, tuple[str, ...]], ...]
+    """Keys of run.toml that differ, their values as text, and the logs in which they differ."""
+    lost: tuple[str, ...]
+    """Methods that only the old results have."""
+    gained: tuple[str, ...]
+    """Methods that only the new results have."""
+    notes: tuple[str, ...]
+    unused: tuple[str, ...]
+    """Input that could not be used, one line each."""
+
+    @property
+    def logs(self) -> tuple[str, ...]:
+        return self.after.logs
+
+    @property
+    def verdict(self) -> str:
+        """Whether the new results are better or worse, in one sentence."""
+        return judge(
+            self, Limits(methods=tuple(dict.fromkeys(m for _, m in self.methods)))
+        ).sentence
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row per method: TPR and FPR over all IDs under each protocol, before and now."""
+        of_method: dict[str, dict[str, float]] = defaultdict(dict)
+        for r in self.rates:
+            if (r.landmark, r.log) == (TOTAL, "") and r.rate in RATES:
+                name = f"{r.protocol} {r.rate.upper()}"
+                of_method[r.method] |= {f"{name} old": r.old, f"{name} new": r.new}
+        return pd.DataFrame.from_dict(of_method, orient="index").rename_axis("method")
+
+    @property
+    def figures(self) -> pd.DataFrame:
+        """The rates as in compare.csv, with interval and p of the difference."""
+        return pd.DataFrame(_rows_of(self), columns=list(COMPARE))
+
+    def __repr__(self) -> str:
+        return f"<{self.verdict}>"
 
 
 def compare(
@@ -46,12 +256,10 @@ def compare(
     jobs: int | None = 1,
     **scoring: Any,
 ) -> Comparison:
-    """What got better or worse from old to new results, each of one log or of several.
+    """What got better or worse from old to new results, on their common frames.
 
     `verdict` of the result says it in a sentence; `table` has a row per method, `figures` all rates
-    with their tests, `changes` every frame and ID that is counted otherwise. Nothing is written.
-    Common frames are compared.
-
+    with their tests. Nothing is written.
     Logs are read one at a time, so memory does not grow with their number. A log that cannot be
     compared is left out if there are others.
 
@@ -67,131 +275,341 @@ def compare(
     options = options or scoring_options(**scoring)
     options.check()
     told, old, new = Diagnostics(), Path(old), Path(new)
-    truth = Path(ground_truth) if isinstance(ground_truth, str) else ground_truth
-    truth = read_pairs(Path(pairs)) if pairs else truth
-    logs = pair_logs(old, new, truth, options, told)
-    used, before, after, changed = _count_pairs(logs, options, jobs, told)
-    methods = _compared_methods(before, after, options.methods, baseline)
-    told.note(*_incomplete(used, before, after, methods))
-    # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.
-    runs = (
-        (name, read_run(pair.old / "run.toml"), read_run(pair.new / "run.toml"))
-        for name, pair in zip(after.logs, used, strict=True)
-    )
-    units = after.units()
-    scored = {(s.protocol, s.method): s for s in before.scored}
-    both = [
-        s
-        for method in methods
-        for s in after.scored
-        if s.method == method and (s.protocol, s.method) in scored
+    ground_truth = Path(ground_truth) if isinstance(ground_truth, str) else ground_truth
+    ground_truth = read_pairs(Path(pairs)) if pairs else ground_truth
+    folders = pair_up(old, new, told)
+    truths: Sequence[Pair | None]
+    if ground_truth is None:
+        beside = {p.results: p for p in find_truths_beside([now for _, now in folders], told)}
+        truths = [beside.get(now) for _, now in folders]
+    elif isinstance(ground_truth, Path):
+        truths = [Pair(now, ground_truth) for _, now in folders]
+    else:
+        truths = truths_of(folders, ground_truth, told)
+    logs = [
+        LogToScore(pair, truth.ground_truth, truth.log or log_of(pair[1]))
+        for pair, truth in zip(folders, truths, strict=True)
+        if truth is not None
     ]
-    if not both:
+    scores = score_logs(logs, options, jobs, "compared", isinstance(ground_truth, Path) and new)
+    before, after = scores.sides
+    told.problem(*(line for log in scores.logs for line in log.unused))
+    told.problem(*scores.unused, *scores.copies)
+    told.note(*scores.notes)
+    both = [m for m in after.methods if m in before.methods]
+    methods = chosen({*before.methods, *after.methods}, options.methods, ", ".join(after.logs))
+    if not options.methods and not baseline and any(map(follows, both)):
+        methods = tuple(filter(follows, methods))
+    for log, *parts in zip(scores.logs, before.parts, after.parts, strict=True):
+        for folder, part, side in zip(log.log.results, parts, scores.sides, strict=True):
+            if lacks := [m for m in methods if m in side.methods and m not in part.methods]:
+                names = ", ".join(lacks)
+                told.note(f"{folder}: has no estimates of {names}; this counts as no claim")
+    if before.placed != after.placed:
+        without = new if before.placed else old
+        told.note(f"protocol strict is not compared: {without} has no positions that can be used")
+    compared = tuple(
+        (protocol, method)
+        for method in methods
+        for protocol in after.protocols
+        if method in both and protocol in before.protocols
+    )
+    if not compared:
         has = (f"{side} has {', '.join(p.methods)}" for side, p in ((old, before), (new, after)))
         raise SonarrecError(
             printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
         )
-    if before.placed != after.placed:
-        without = new if before.placed else old
-        told.note(f"protocol strict is not compared: {without} has no positions that can be used")
-    rng = np.random.default_rng(SEED)
-    weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
-    rates: list[RateChange] = []
-    tests: list[Difference] = []
-    for s in both:
-        # One ID at a time, since the curves of many logs are long.
-        olds = unit_sums.rates_of(before, units, scored[s.protocol, s.method])
-        for was, now in zip(olds, unit_sums.rates_of(after, units, s), strict=True):
-            a, b = (metrics.tally(unit_sums.rates, rate) for rate in (was, now))
-            rates += _rate_changes(a, b, now.exact.counts[0])
-            tests += differences(a, b, weights, tosses)
-    compared = tuple((s.protocol, s.method) for s in both)
+    # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.
+    runs = (
+        (name, [read_run(folder / "run.toml") for folder in log.log.results])
+        for name, log in zip(after.logs, scores.logs, strict=True)
+    )
     return Comparison(
         old=str(old),
         new=str(new),
-        logs=after.logs,
-        frames_compared=after.frames,
-        units=units_text(units),
-        landmarks=after.ids,
-        settings=tuple(changed_settings(runs)),
-        rates=tuple(rates),
-        frames=FrameChanges(tuple(zip(after.logs, changed, strict=True)), compared),
-        passes=PassChanges(before, after, compared),
-        differences=tuple(tests),
+        before=before,
+        after=after,
+        methods=compared,
+        rates=tuple(_changes(before, after, compared)),
+        settings=tuple(_changed_settings(runs)),
         lost=tuple(m for m in methods if m not in after.methods),
         gained=tuple(m for m in methods if m not in before.methods),
-        unplaced=before.placed and not after.placed,
         notes=tuple(told.notes),
         unused=tuple(told.problems),
     )
 
 
-def _compared_methods(
-    before: Counts, after: Counts, wanted: Sequence[str], baseline: bool
-) -> tuple[str, ...]:
-    """The methods to compare, also those of one side only; the arguments are those of `compare`."""
-    there = chosen({*before.methods, *after.methods}, wanted, ", ".join(after.logs))
-    tracking = tuple(filter(follows, there))
-    if wanted or baseline or not {*tracking} & {*before.methods} & {*after.methods}:
-        return there
-    return tracking
+def _changes(
+    before: Counts, after: Counts, compared: Sequence[tuple[str, str]]
+) -> Iterator[Change]:
+    """The rates of MAIN per ID and in total, with tests; then of each of several logs."""
+    weights, tosses = draws(after.units)
+    for protocol, method in compared:
+        was, now = (side.scored_by(method, protocol) for side in (before, after))
+        # One ID at a time, since the curves of many logs are long.
+        for a, b in zip(rates_of(before, was), rates_of(after, now), strict=True):
+            for d in differences(a, b, weights, tosses):
+                if d.name in MAIN:
+                    of = _cases(now.named_counts()[d.landmark], d.name)
+                    name = (protocol, method, d.landmark, d.name)
+                    values, test = (d.value_a, d.value_b), (d.low, d.high, d.p)
+                    yield Change(*name, *values, of, "", *test, d.units, d.note)
+        for n, log in enumerate(after.logs if len(after.logs) > 1 else ()):
+            for rate in RATES:
+                old, new = was.count(log=n), now.count(log=n)
+                values = getattr(old, rate), getattr(new, rate)
+                yield Change(protocol, method, TOTAL, rate, *values, _cases(new, rate), log)
 
 
-def _incomplete(
-    pairs: Sequence[LogPair], before: Counts, after: Counts, methods: Sequence[str]
-) -> Iterator[str]:
-    """A note on each log that lacks one of the methods of its side."""
-    for pair, *parts in zip(pairs, before.parts, after.parts, strict=True):
-        for folder, part, side in zip(pair.folders, parts, (before, after), strict=True):
-            lacks = [m for m in methods if m in side.methods and m not in part.methods]
-            if lacks:
-                yield f"{folder}: has no estimates of {', '.join(lacks)}; this counts as no claim"
+def _cases(count: Count, rate: str) -> int:
+    """The denominator of a rate."""
+    return count.fp + count.tn if rate == "fpr" else count.tp + count.fn
 
 
-def _rate_changes(old: Tally, new: Tally, counts: FloatArray) -> Iterator[RateChange]:
-    """The rates of MAIN that are known in the old or the new results. counts: (4,) of the new."""
-    tp, tn, fp, fn = counts.tolist()
-    for name in MAIN:
-        was, now = (side.values[side.names.index(name)] for side in (old, new))
-        if not (math.isnan(was) and math.isnan(now)):
-            of = fp + tn if name == "fpr" else tp + fn
-            yield RateChange(new.protocol, new.method, new.landmark_text, name, was, now, of)
+def _changed_settings(
+    runs: Iterable[tuple[str, Sequence[RunFile]]],
+) -> Iterator[tuple[str, str, str, tuple[str, ...]]]:
+    """The differences between the old and the new run.toml of each log, by name.
 
-
-def _count_pairs(
-    pairs: Sequence[LogPair], options: ScoringOptions, jobs: int | None, told: Diagnostics
-) -> tuple[list[LogPair], Counts, Counts, list[ByMethod]]:
-    """Read and count all pairs: those that can be compared, what was before, after and changed.
-
-    Both counts are of the same logs, frames and passes.
-    Raises SonarrecError if none can be compared, or if they have different IDs or no method.
+    Logs without a run.toml on one side are left out.
     """
-    before, after = Adder(), Adder()
-    changes: list[ByMethod] = []
-    logs: list[CountedPair] = []
-    used: list[tuple[LogPair, CountedPair]] = []
-    unread: list[UnreadableLog] = []
-    folders = (folder for pair in pairs for folder in pair.folders)
-    ids = first_ids((pair.new for pair in pairs), options.landmarks)
-    work = partial(count_pair, options=options, ids=ids)
-    for pair, log in zip(pairs, map_logs(work, pairs, folders, jobs), strict=True):
-        if isinstance(log, UnreadableLog):
-            unread.append(log)
+    presets: dict[tuple[str, str, str], list[str]] = defaultdict(list)
+    for name, both in runs:
+        if not all(run.table for run in both):
             continue
-        logs.append(log)
-        if log.counts is not None:
-            for side, counts in zip((before, after), log.counts, strict=True):
-                side.add(counts)
-            changes.append(log.changes)
-            used.append((pair, log))
-            log.counts, log.changes = None, {}
-    if not logs:
-        raise unread[0].error
-    fit_notes, misfits = check_logs([log.check for log in logs])
-    old, new = (side.counts([pair.new for pair, _ in used]) for side in (before, after))
-    told.note(*fit_notes)
-    for (_, log), part in zip(used, old.parts, strict=True):
-        tell_rows(told, part.name, log.check.rows, log.check.between)
-    told.problem(*(line for log in logs for line in log.unused))
-    told.problem(*(log.message("compared") for log in unread), *misfits)
-    return [pair for pair, _ in used], old, new, changes
+        old, new = (
+            {key: value for key, value in flat(run.table) if key not in _PASSED_OVER}
+            for run in both
+        )
+        for key in dict.fromkeys((*old, *new)):
+            # A key of [fan] that follows one of [sonar] is told as that one alone.
+            stated = key.replace("fan.", "sonar.", 1)
+            follows_it = key.startswith("fan.") and old.get(stated) != new.get(stated)
+            if old.get(key) != new.get(key) and not follows_it:
+                was, now = (_text(side[key]) if key in side else NOT_STATED for side in (old, new))
+                presets[key, was, now if was != now else "other values"].append(name)
+    for change, logs in presets.items():
+        yield *change, tuple(logs)
+
+
+def _text(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, default=str)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What `judge` found."""
+
+    sentence: str
+    """Begins with worse, limit not kept, better, neither, as good, or unchanged."""
+    rows: tuple[Row, ...]
+    """Of every log, then of all if there are several."""
+    faults: tuple[str, ...]
+    """A line for each rate that is worse, and for each limit that is not kept."""
+    band: float | None
+    """As in Limits."""
+
+
+def judge(found: Comparison, limits: Limits) -> Judgement:
+    """Judge new results by the old ones and by the limits.
+
+    Worse, with a band, is a rate over all IDs in one log, or of one ID or of all IDs in all logs.
+    Raises UsageError if a method that the limits name is in neither.
+    """
+    named = (*(method for _, method in found.methods), *found.gained, *found.lost)
+    looked_at = limits.looked_at(named)
+    faults = [f"worse: {m}: no longer in the results" for m in found.lost if m in looked_at]
+    if found.before.placed and not found.after.placed:
+        faults.append("worse: protocol strict: no longer scored")
+    rates = {(r.log, r.method, r.protocol, r.rate): r for r in found.rates if r.landmark == TOTAL}
+    several = len(found.logs) > 1
+    logs = [
+        *((log, log) for log in found.logs if several),
+        (TOTAL if several else found.logs[0], ""),
+    ]
+    rows = tuple(
+        Row(name, method, protocol, *(rates[log, method, protocol, rate] for rate in RATES))
+        for name, log in logs
+        for protocol, method in sorted(found.methods, key=lambda of: of[0], reverse=True)
+        if method in looked_at
+    )
+    for r in found.rates if limits.band is not None else ():
+        if r.method in looked_at and r.sign(limits.band) > 0:
+            log = f"{r.log}: " if r.log else ""
+            of = "" if r.log else f", {'ID.' * r.landmark.isdigit()}{r.landmark}"
+            faults.append(
+                f"worse: {log}{r.method}, {r.protocol}{of}: {BY_NAME[r.rate].label} was "
+                f"{rate_text(r.old)}, is {rate_text(r.new)}"
+            )
+    there = {EACH, *found.after.methods}
+    least, most = (
+        {m: rate for m, rate in of.items() if m in there}
+        for of in (limits.least_tpr, limits.most_fpr)
+    )
+    still = tuple(m for m in looked_at if m in there)
+    broken = Limits(None, least, most, still).broken(found.after.scored)
+    sentence = _sentence(found, rows, faults, broken, limits.band)
+    return Judgement(sentence, rows, (*faults, *broken), limits.band)
+
+
+def _sentence(
+    found: Comparison,
+    rows: Sequence[Row],
+    worse: Sequence[str],
+    broken: Sequence[str],
+    band: float | None,
+) -> str:
+    many = len(found.logs)
+    totals = [row for row in rows if row.log == TOTAL or many == 1]
+    # Without a band the leading method, in all logs, under the stricter protocol decides.
+    deciding = [*totals, *rows] if band is not None else totals[:1]
+    marked = {mark: [r for r in deciding if r.mark(band) == mark] for mark in ("worse", "better")}
+    head, word = next(iter(totals), None), "unchanged"
+    if worse and not marked["worse"]:  # a curve, one ID, or a method that is gone
+        more = f" (and {len(worse) - 1} more)" if len(worse) > 1 else ""
+        return "; ".join([worse[0] + more, *broken])
+    if broken and not worse:
+        return f"{'; '.join(broken)}; otherwise no worse"
+    if head is None:
+        return f"as good: {_over(found.logs)}"
+    if marked["worse"]:
+        word = "worse"
+        head = max(
+            marked["worse"],
+            key=lambda r: (r in totals, r.protocol, max(r.tpr.worse, r.fpr.worse)),
+        )
+    elif marked["better"]:
+        word, head = "better", marked["better"][0]
+    elif head.mark(band) == "mixed":
+        word = "neither better nor worse"
+    elif any("->" in rate.text for row in rows for rate in (row.tpr, row.fpr)):
+        word = "as good"
+    parts = [f"{word}: {head.text} {_over(found.logs) if head in totals else f'in {head.log}'}"]
+    names = [r.log for r in rows if r not in totals and r.mark(band) == "worse"]
+    if word == "worse" and (names := list(dict.fromkeys(names))):
+        more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+        parts.append(f"worse on {len(names)} of {many} logs: {', '.join(names[:MOST_NAMED])}{more}")
+    if head in totals:
+        parts += [*_passes(found, head), *_test(found, head)]
+    return "; ".join([*parts, *broken])
+
+
+def _over(logs: Sequence[str]) -> str:
+    return f"in {logs[0]}" if len(logs) == 1 else f"over {number_of(len(logs), 'log')}"
+
+
+def _passes(found: Comparison, row: Row) -> list[str]:
+    """What became of the passes, if anything did."""
+    old, new = (side.outcomes(row.protocol, row.method) for side in (found.before, found.after))
+    seen, was, now = new["frames"] > 0, old["right"], new["right"]
+    many = f"of {number_of(int(seen.sum()), 'pass', 'es')}"
+    kinds = (
+        ((was > 0) & (now == 0), "lost"),
+        ((was == 0) & (now > 0), "gained"),
+        ((now < was) & (now > 0), "with fewer frames right"),
+        ((now > was) & (was > 0), "with more frames right"),
+    )
+    told = [(np.count_nonzero(seen & which), text) for which, text in kinds]
+    return [f"{count} {many} {text}" for count, text in told if count]
+
+
+def _test(found: Comparison, row: Row) -> list[str]:
+    """p of the larger change of a rate, and what it means; nothing if none shows."""
+    d = max((row.tpr, row.fpr), key=lambda rate: abs(rate.worse))
+    if not d.sign(None):
+        return []
+    if d.units < MIN_UNITS:
+        noun, ending = {"log": ("log", "s"), "pass": ("pass", "es")}[found.after.units.kind]
+        return [f"{number_of(d.units, noun, ending)}: too few to test"]
+    if math.isnan(d.p):
+        return [d.note]
+    chance = "" if d.p <= SIGNIFICANT else ", so it may be chance"
+    return [f"p = {d.p:.2g} over {units_text(found.after.units)}{chance}"]
+
+
+HEADING: tuple[str, ...] = (
+    "log",
+    "method",
+    "protocol",
+    "TPR before",
+    "now",
+    "FPR before",
+    "now",
+    "",
+)
+
+
+def screen(found: Comparison, judged: Judgement) -> str:
+    """The sentence, the table, then the settings and the passes that changed."""
+    rows, left_out = judged.rows, []
+    if len(rows) > MOST_ROWS:
+        totals = [row for row in rows if row.log == TOTAL]
+        worse = [row for row in rows if row not in totals and row.mark(judged.band) == "worse"]
+        worse.sort(key=lambda row: -max(row.tpr.worse, row.fpr.worse))
+        rows = (*worse[:MOST_ROWS], *totals)
+        more = len(worse[MOST_ROWS:])
+        others = f"{more} of them worse" if more else "none of them worse"
+        left_out = [f"{number_of(len(judged.rows) - len(rows), 'more row')}, {others}"]
+    cells = [HEADING]
+    for row in rows:
+        texts = (rate_text(value) for rate in (row.tpr, row.fpr) for value in (rate.old, rate.new))
+        cells.append((row.log, row.method, row.protocol, *texts, row.mark(judged.band)))
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    table = [
+        "  ".join(
+            cell.ljust(width) if n in (0, 1, 2, 7) else cell.rjust(width)
+            for n, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in cells
+    ]
+    lines = [judged.sentence, *(table if rows else []), *left_out]
+    return "\n".join(map(printable, [*lines, *_changed_passes(found), *_settings(found)]))
+
+
+def _settings(found: Comparison) -> Iterator[str]:
+    """A line per setting that differs, with the names of the logs if it differs in some only."""
+    for key, old, new, logs in found.settings[:MOST_LINES]:
+        where = f" ({', '.join(logs)})" if len(logs) < len(found.logs) else ""
+        yield f"{key}: {old} -> {new}{where}"
+    if found.settings[MOST_LINES:]:
+        yield f"and {number_of(len(found.settings) - MOST_LINES, 'more setting')}"
+
+
+def _changed_passes(found: Comparison) -> Iterator[str]:
+    """The passes in which the leading method, under the stricter protocol, changed most."""
+    method = found.methods[0][1]
+    protocol = max(protocol for protocol, of in found.methods if of == method)
+    old, new = (side.outcomes(protocol, method)["right"] for side in (found.before, found.after))
+    frames = found.after.outcomes(protocol, method)["frames"]
+    order = np.argsort(-np.abs(new - old), kind="stable")
+    changed = [i for i in order.tolist() if new[i] != old[i]]
+    for i in changed[:MOST_PASSES]:
+        log, k, first, last, _ = found.after.passes[i].tolist()
+        yield (
+            f"{found.logs[log]} frames {first}-{last}, ID.{found.after.ids[k]}: right in {old[i]} "
+            f"-> {new[i]} of {frames[i]} ({method}, {protocol})"
+        )
+    if changed[MOST_PASSES:]:
+        yield f"and {number_of(len(changed) - MOST_PASSES, 'more pass', 'es')}"
+
+
+COMPARE = (
+    *("protocol", "method", "landmark", "rate", "old", "new", "worse_by", "of"),
+    *("log", "low", "high", "p", "units", "note"),
+)
+
+
+def _rows_of(found: Comparison) -> list[tuple[Any, ...]]:
+    """The rows of COMPARE: rates that are known in the old or the new results."""
+    known = [r for r in found.rates if not (math.isnan(r.old) and math.isnan(r.new))]
+    return [(*r[:6], r.worse, *r[6:]) for r in known]
+
+
+def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
+    """Write compare.csv; returns its name. Raises as `write_evaluation`."""
+    check_tables(folder, {"compare.csv": COMPARE})
+    check_no_recording(folder, ["evaluation.json", "compare.csv"])
+    with writing(folder):
+        write_table(folder / "compare.csv", COMPARE, _rows_of(found))
+    return ("compare.csv",)

@@ -1,34 +1,33 @@
-"""The counts of one log, and those of all logs together."""
+"""Counts: what a log adds to each method, protocol, ID and independent unit; logs add up.
+
+Scores have six digits, so the histogram of the scores holds every point of a ROC exactly.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.behaviour import (
-    PassOutcomes,
-    Switches,
-    calibration,
-    errors,
-    pass_outcomes,
-    switches,
-)
 from sonarrec.evaluation.curves import Count, Curve, counted, curve_of
-from sonarrec.evaluation.histogram import Key, Rows, Values, sum_by_unit, sum_by_value
-from sonarrec.evaluation.judge import PROTOCOLS, judge
-from sonarrec.evaluation.match import Matched, truth_beneath
-from sonarrec.evaluation.passes import UnitKind, find_passes
+from sonarrec.evaluation.match import PROTOCOLS, Judged, Matched, distance, judge, truth_beneath
+from sonarrec.evaluation.passes import Passes, UnitKind, find_passes
 from sonarrec.evaluation.tracking import tracking
 from sonarrec.results.columns import chosen
 
+Key = tuple[str | int, ...]
+Table = tuple[FloatArray, IntArray]
+"""(n,) distinct values, rising, and (n, C) the sums of what belongs to each."""
+Rows = tuple[FloatArray, IntArray, IntArray]
+"""(n,) values, (n,) the unit of each, and (n, C) the sums of what belongs to it there."""
 NOBODY = "\0"
 """A method that claims nothing: its counts hold for those that a log lacks. No method that is read
 has such a name."""
@@ -36,19 +35,102 @@ LOGS_ENOUGH = 10
 """With so many logs the unit is a log, since the passes of one log have much in common."""
 MOST_UNITS = 400
 """If there are more, neighbours in time are merged; this makes intervals no wider."""
+BINS = 10
+"""Of the probability that an estimate states."""
+PASS = np.dtype(
+    [("log", "i8"), ("landmark", "i8"), ("first", "i8"), ("last", "i8"), ("unit", "i8")]
+)
+"""A pass: index of its log and of its ID, numbers of its first and last frame, its unit."""
+OUTCOME = np.dtype([("frames", "i8"), ("right", "i8"), ("wait", "f8")])
+"""How a method did in a pass: frames with the whole landmark in view; those in which it was
+claimed; frames from the first of these to the first one from which on it is claimed in all,
+infinite if it is not claimed in the last, NaN without a frame."""
+MOST_ROWS = 4_000_000
+"""With more of them values by unit are rounded; see Values."""
+STEPS = {"position": 1e-5, "orientation": 0.01}
+"""m and deg to which errors are then rounded down: an edge of a histogram stays in its step."""
+SCORES = np.unique(np.round([0, *1 / (1 + np.exp(-np.linspace(-14, 14, 1868))), 1], 6))
+"""Those to which scores are then rounded down, so that no FPR of a curve rises: dense near 0 and 1,
+where curves are steep."""
 
 
-@dataclass(frozen=True, slots=True)
-class PassTable:
-    """P passes of landmarks, by log and time; see `passes.Passes`."""
+def sum_by_value(chunks: Iterable[Table]) -> Table:
+    """The distinct values of chunks of (m,) values and (m, C) whole numbers, with their sums."""
+    some = [chunk for chunk in chunks if len(chunk[0])]
+    if not some:
+        return np.empty(0), np.empty((0, 1), dtype=np.int64)
+    value, of_value = np.unique(np.concatenate([v for v, _ in some]), return_inverse=True)
+    number = np.concatenate([n for _, n in some])
+    sums = [np.bincount(of_value, column, minlength=len(value)) for column in number.T]
+    return value, np.stack(sums, axis=1).astype(np.int64)
 
-    log_index: IntArray
-    landmark_index: IntArray
-    first_frame: IntArray
-    last_frame: IntArray
-    """(P,) frame numbers in the log."""
-    unit: IntArray
-    """(P,) pass unit."""
+
+def values_at_ranks(table: Table, ranks: IntArray) -> FloatArray:
+    """(r,) the values of these ranks, counted from 0, as sorting all values would give.
+
+    table: counts (n, 1).
+    """
+    value, count = table
+    return np.asarray(value[np.searchsorted(np.cumsum(count[:, 0]), ranks, side="right")])
+
+
+def sum_by_unit(value: FloatArray, unit: IntArray, number: npt.NDArray[Any]) -> Rows:
+    """One row for each value in each unit, in order. value, unit: (n,); number: (n, C)."""
+    order = np.lexsort((value, unit))
+    value, unit = value[order], unit[order]
+    new = np.ones(len(value), dtype=bool)
+    new[1:] = (np.diff(value) != 0) | (np.diff(unit) != 0)
+    start = np.flatnonzero(new)
+    if not len(start):
+        return value, unit.astype(np.int32), np.empty((0, number.shape[1]), dtype=np.int32)
+    sums = np.add.reduceat(number[order], start, axis=0, dtype=np.int32)
+    return value[start], unit[start].astype(np.int32), sums
+
+
+class Values:
+    """The scores of claims and the errors of all logs, by key: ("claims", ...) or an error's name.
+
+    Each log's are added by unit. With more than MOST_ROWS they stay exact in all, but by unit are
+    rounded, so that memory does not grow with the number of claims.
+    """
+
+    def __init__(self) -> None:
+        self._rows: dict[Key, list[Rows]] = defaultdict(list)
+        self._rounded: dict[Key, list[Rows]] = defaultdict(list)
+        self._exact: dict[Key, Table] = {}  # of those that are rounded
+        self._tables: dict[Key, Table] = {}  # of all
+        self._count = 0
+
+    def add(self, key: Key, rows: Rows) -> None:
+        """Add those of one log."""
+        self._rows[key].append(rows)
+        self._tables.pop(key, None)
+        self._count += len(rows[0])
+        if self._count > MOST_ROWS:
+            for of in list(self._rows):
+                self._round(of)
+            self._count = 0
+
+    def _round(self, key: Key) -> None:
+        self._exact[key] = self.table(key)
+        for value, unit, number in self._rows.pop(key):
+            if step := STEPS.get(str(key[0])):
+                coarse = np.floor(value / step) * step
+            else:
+                coarse = SCORES[np.searchsorted(SCORES, value, side="right") - 1]
+            self._rounded[key].append(sum_by_unit(coarse, unit, number))
+
+    def rows(self, key: Key) -> list[Rows]:
+        """By unit, one for each log that has the key."""
+        return [*self._rounded.get(key, ()), *self._rows.get(key, ())]
+
+    def table(self, key: Key) -> Table:
+        """In all."""
+        if key not in self._tables:
+            exact = [self._exact[key]] if key in self._exact else []
+            fresh = ((value, number) for value, _, number in self._rows.get(key, ()))
+            self._tables[key] = sum_by_value([*exact, *fresh])
+        return self._tables[key]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +144,6 @@ class LogCounts:
     """Whether positions are known wherever the strict protocol needs them."""
     rounded: bool
     """Whether its scores had more than six digits."""
-    """Whether the duration of its frames is known."""
     frames: int
     positives: int
     """How many truths count as positives under protocol strict."""
@@ -70,36 +151,34 @@ class LogCounts:
     """How many truths protocol strict ignores, since less of them is in view."""
     gates: tuple[float, ...]
     """m, the distance within which a claim is right; empty without a truth."""
-    estimates: dict[str, int]
-    """How many each method has."""
+    silent: tuple[str, ...]
+    """Methods without an estimate."""
     units: int
-    passes: PassTable
-    sums: dict[Key, FloatArray | IntArray]
+    passes: npt.NDArray[Any]
+    """(P,) PASS."""
+    outcomes: dict[Key, npt.NDArray[Any]]
+    """(P,) OUTCOME, by protocol and method."""
+    sums: dict[Key, npt.NDArray[Any]]
     """(U, ...) by pass unit. ("declared", protocol, method): (K, 4) TP, TN, FP, FN at the operating
-    point. "minutes" and, with the method, "false_claims", "claimed" and "calibration": as the
-    functions of these names in `behaviour` give them. ("tracking", method): as of
+    point. ("calibration", method): as of `calibration`. ("tracking", method): as of
     `tracking.tracking`, all in the first unit, since tracks go on from pass to pass."""
-    outcomes: dict[Key, PassOutcomes]
-    """By protocol and method."""
-    switches: dict[str, Switches]
-    """By method."""
     values: dict[Key, Rows]
     """("claims", protocol, method, k): scores with the effects of claims of the k-th ID.
     ("position" or "orientation", method, k): errors."""
 
 
 def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
-    """Count one log. rates_only: leave out what needs `truth_beneath`, and errors."""
+    """Count one log. rates_only: leave out errors, tracking and calibration."""
     passes = find_passes(log)
     groups = passes.unit_of_frame, passes.unit_of_truth
-    sums: dict[Key, FloatArray | IntArray] = {}
-    outcomes: dict[Key, PassOutcomes] = {}
+    sums: dict[Key, npt.NDArray[Any]] = {}
+    outcomes: dict[Key, npt.NDArray[Any]] = {}
     values: dict[Key, Rows] = {}
     for protocol in PROTOCOLS if log.placed else PROTOCOLS[:1]:
         for method in (NOBODY, *log.methods):
             judged = judge(log, method, protocol)
             sums["declared", protocol, method] = judged.declared(*groups, passes.units)
-            outcomes[protocol, method] = pass_outcomes(judged, log, passes)
+            outcomes[protocol, method] = _outcomes(judged, log, passes)
             if method == NOBODY:
                 continue
             group = judged.group(*groups)
@@ -108,17 +187,19 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
                 rows = sum_by_unit(judged.score[of_id], group[of_id], judged.effect[of_id])
                 values["claims", protocol, method, k] = rows
             if protocol == "strict" and not rates_only:
-                for (name, k), found in errors(judged, log, passes.unit_of_truth).items():
+                for (name, k), found in _errors(judged, log, passes.unit_of_truth).items():
                     values[name, method, k] = found
-    switched: dict[str, Switches] = {}
     if log.placed and not rates_only:
         beneath = truth_beneath(log)
-        switched = switches(log, beneath, passes)
         for m, method in enumerate(log.methods):
             if (stated := calibration(log, beneath, passes, m)) is not None:
                 sums["calibration", method] = stated
             if (followed := tracking(log, beneath, m)) is not None:
                 sums["tracking", method] = followed[None]
+    table = np.zeros(len(passes.unit), dtype=PASS)
+    table["landmark"], table["unit"] = passes.landmark_index, passes.unit
+    table["first"] = log.frame[passes.first_frame_index]
+    table["last"] = log.frame[passes.last_frame_index]
     return LogCounts(
         name=log.name,
         ids=log.ids,
@@ -129,20 +210,92 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         positives=int(log.truth_positive.sum()),
         ignored=int((~log.truth_positive).sum()),
         gates=(float(log.gate_m),) if len(log.truth_positive) else (),
-        estimates={name: int((log.method_index == m).sum()) for m, name in enumerate(log.methods)},
+        silent=tuple(m for n, m in enumerate(log.methods) if not (log.method_index == n).any()),
         units=passes.units,
-        passes=PassTable(
-            np.zeros(len(passes.unit), dtype=np.int64),
-            passes.landmark_index,
-            log.frame[passes.first_frame_index],
-            log.frame[passes.last_frame_index],
-            passes.unit,
-        ),
-        sums=sums,
+        passes=table,
         outcomes=outcomes,
-        switches=switched,
+        sums=sums,
         values=values,
     )
+
+
+def _outcomes(judged: Judged, log: Matched, passes: Passes) -> npt.NDArray[Any]:
+    """(P,) OUTCOME of one method in each pass."""
+    truth, right = judged.positive, judged.positive_is_claimed
+    of_pass = passes.of_truth[truth] >= 0  # not so for one that is half in view, in protocol paper
+    truth, right = truth[of_pass], right[of_pass]
+    number, frame = passes.of_truth[truth], log.truth_frame_index[truth]
+    found = np.zeros(len(passes.unit), dtype=OUTCOME)
+    wrong_last = passes.first_frame_index - 1
+    np.maximum.at(wrong_last, number[~right], frame[~right])
+    lasting = frame > wrong_last[number]
+    settled = np.full(len(found), np.inf)
+    np.minimum.at(settled, number[lasting], frame[lasting])
+    found["frames"] = np.bincount(number, minlength=len(found))
+    found["right"] = np.bincount(number[right], minlength=len(found))
+    found["wait"] = np.where(found["frames"] > 0, settled - passes.first_frame_index, np.nan)
+    return found
+
+
+def _errors(strict: Judged, log: Matched, unit_of_truth: IntArray) -> dict[tuple[str, int], Rows]:
+    """("position", k) and ("orientation", k): how often each error of right claims of the k-th ID.
+
+    Positions in m, at most the gate, since claims beyond it are not right; orientations in deg: a
+    rotation after which the ID looks the same is no error. Unknown ones are left out.
+    """
+    right = strict.right
+    claim, truth, landmark = strict.claim[right], strict.truth[right], strict.landmark_index[right]
+    period = log.turn_deg[landmark]
+    off = log.claim_orientation[claim] - log.truth_orientation[truth]
+    kinds: dict[str, FloatArray] = {
+        "position": distance(log, claim, truth),
+        "orientation": np.asarray(np.abs((off + period / 2) % period - period / 2)),
+    }
+    found = {}
+    for name, error in kinds.items():
+        for k in range(len(log.ids)):
+            of_id = (landmark == k) & ~np.isnan(error)
+            one = np.ones((int(of_id.sum()), 1), dtype=np.int64)
+            found[name, k] = sum_by_unit(error[of_id], unit_of_truth[truth[of_id]], one)
+    return found
+
+
+def calibration(log: Matched, beneath: IntArray, passes: Passes, method: int) -> FloatArray | None:
+    """(U, K + 2, 1 + 3 * BINS) sums for the Brier score and the expected calibration error.
+
+    For one method: per ID, for "none" and in total; None if it states no probabilities. An
+    estimate's true class is the landmark that it lies on, else "none". Estimates on a landmark
+    partly in view, and those without probabilities, are left out. Each row holds squares, then
+    per bin the number, the sum of p and how many are right. Per ID and for "none" the squares are
+    (p - y)^2; in total they are the sum of these (Brier's own form, 0 to 2), and the bins are those
+    of the most probable class.
+    """
+    k = len(log.ids)
+    used = np.asarray(~np.isnan(log.probability).any(axis=1)) & (log.method_index == method)
+    on_one = beneath >= 0
+    outcome = np.full(len(beneath), k)
+    unit = passes.unit_of_frame[log.claim_frame_index]
+    if len(log.truth_landmark_index):
+        outcome[on_one] = log.truth_landmark_index[beneath[on_one]]
+        used[on_one] &= log.truth_positive[beneath[on_one]]
+        unit = np.where(on_one, passes.unit_of_truth[beneath], unit)
+    if not used.any():
+        return None
+    p, y, unit = log.probability[used], outcome[used], unit[used]
+    sums = np.zeros((passes.units, k + 2, 1 + 3 * BINS))
+    for c in range(k + 1):
+        sums[:, c, 0] = np.bincount(unit, (p[:, c] - (y == c)) ** 2, minlength=passes.units)
+        sums[:, c, 1:] = _in_bins(p[:, c], y == c, unit, passes.units)
+        sums[:, -1, 0] += sums[:, c, 0]
+    sums[:, -1, 1:] = _in_bins(p.max(axis=1), p.argmax(axis=1) == y, unit, passes.units)
+    return sums
+
+
+def _in_bins(p: FloatArray, right: BoolArray, unit: IntArray, units: int) -> FloatArray:
+    """(U, 3 * BINS) per bin the number, the sum of p and how many are right."""
+    cell = unit * BINS + np.minimum((p * BINS).astype(np.int64), BINS - 1)
+    columns = (np.bincount(cell, w, minlength=units * BINS) for w in (None, p, right))
+    return np.hstack([column.reshape(units, BINS) for column in columns])
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -162,20 +315,16 @@ class Scored:
         count = self.count()
         return f"<{self.method}, {self.protocol}: TPR {count.tpr:.4f}, FPR {count.fpr:.4f}>"
 
-    def count(self, k: int | None = None) -> Count:
-        """The counts at the operating point: of the k-th ID, or the sum over all."""
-        base, declared = self.base.sum(axis=0), self.declared.sum(axis=0)
-        if k is None:
-            return counted(base.sum(axis=0), declared.sum(axis=0))
-        return counted(base[k], declared[k])
+    def count(self, k: int | None = None, log: int | None = None) -> Count:
+        """The counts at the operating point, of the k-th ID or over all, in one log or in all."""
+        logs = slice(None) if log is None else [log]
+        ids = slice(None) if k is None else [k]
+        return counted(*(of[logs][:, ids].sum(axis=(0, 1)) for of in (self.base, self.declared)))
 
-    def counts_per_log(self) -> list[list[Count]]:
-        """For each log the counts at the operating point: of each ID, then of all."""
-        base, declared = (
-            np.concatenate([counts, counts.sum(axis=1, keepdims=True)], axis=1)
-            for counts in (self.base, self.declared)
-        )
-        return [list(map(counted, *log)) for log in zip(base, declared, strict=True)]
+    def named_counts(self, log: int | None = None) -> dict[str, Count]:
+        """The counts of each ID, then "total"."""
+        of = {str(i): self.count(k, log) for k, i in enumerate(self.ids)}
+        return {**of, "total": self.count(None, log)}
 
     def curve(self, k: int | None = None) -> Curve:
         """The ROC of the k-th ID, or the micro average over all."""
@@ -200,28 +349,54 @@ class Units:
 
 
 class Counts:
-    """The sums over all logs, which have the same IDs in the same order.
+    """The sums over all logs, which have the same IDs: `add` each, then `finish`.
 
-    parts: of each log. values: those of their scores and errors that the parts no longer hold.
-    methods: those wanted; all if none is named.
+    parts: of each log, without the `values` that are added up.
     """
 
-    def __init__(
-        self, parts: Sequence[LogCounts], values: Values, methods: Sequence[str] = ()
-    ) -> None:
-        self.parts = tuple(parts)
-        self.values = values
-        self.logs = tuple(part.name for part in parts)
-        self.ids = parts[0].ids
-        there = {method for part in parts for method in part.methods}
+    def __init__(self) -> None:
+        self.parts: list[LogCounts] = []
+        self.values = Values()
+        self._first_unit = [0]
+
+    def add(self, log: LogCounts) -> None:
+        """Add the counts of a log."""
+        first = self._first_unit[-1]
+        for key, (value, unit, number) in log.values.items():
+            self.values.add(key, (value, unit + first, number))
+        self.parts.append(replace(log, values={}))
+        self._first_unit.append(first + log.units)
+
+    def finish(self, folders: Sequence[Path], methods: Sequence[str] = ()) -> Counts:
+        """The sums. folders: of the logs; where several have one name it is their names.
+
+        methods: those wanted; all if none is named.
+        Raises SonarrecError if IDs differ, or if none has a method.
+        """
+        for part in self.parts:
+            if set(part.ids) != set(self.parts[0].ids):
+                raise SonarrecError(
+                    f"logs {self.parts[0].name} and {part.name} were run with different landmark "
+                    "IDs and cannot be pooled; evaluate them one by one, or give --landmarks"
+                )
+        many = Counter(part.name for part in self.parts)
+        self.logs = tuple(
+            part.name if many[part.name] == 1 else str(folder)
+            for part, folder in zip(self.parts, folders, strict=True)
+        )
+        self.ids = self.parts[0].ids
+        there = {method for part in self.parts for method in part.methods}
         self.methods = chosen(there, methods, ", ".join(self.logs))
-        self.placed = all(part.placed for part in parts)
+        if not self.methods:
+            raise SonarrecError(f"{', '.join(self.logs)}: estimates.csv names no method to score")
+        self.placed = all(part.placed for part in self.parts)
         self.protocols = PROTOCOLS if self.placed else PROTOCOLS[:1]
-        self.frames = sum(part.frames for part in parts)
-        self.positives = sum(part.positives for part in parts)
-        self.ignored = sum(part.ignored for part in parts)
-        self.gates = tuple(sorted({gate for part in parts for gate in part.gates}))
-        self._first_unit = np.cumsum([0, *(part.units for part in parts)]).tolist()
+        self.frames, self.positives, self.ignored = (
+            sum(getattr(part, name) for part in self.parts)
+            for name in ("frames", "positives", "ignored")
+        )
+        self.gates = tuple(sorted({gate for part in self.parts for gate in part.gates}))
+        return self
 
     @cached_property
     def scored(self) -> tuple[Scored, ...]:
@@ -237,56 +412,47 @@ class Counts:
             for p in self.protocols
         )
 
+    def scored_by(self, method: str, protocol: str) -> Scored:
+        """One method under one protocol."""
+        return next(s for s in self.scored if (s.method, s.protocol) == (method, protocol))
+
     @cached_property
-    def passes(self) -> PassTable:
-        """The passes of all logs."""
-        tables = [
-            replace(p.passes, log_index=p.passes.log_index + n, unit=p.passes.unit + first)
-            for n, (p, first) in enumerate(zip(self.parts, self._first_unit, strict=False))
-        ]
-        names = PassTable.__dataclass_fields__
-        return PassTable(*(np.concatenate([getattr(t, n) for t in tables]) for n in names))
+    def passes(self) -> npt.NDArray[Any]:
+        """(P,) PASS of all logs."""
+        found = np.concatenate([part.passes for part in self.parts])
+        lengths = [len(part.passes) for part in self.parts]
+        found["log"] = np.repeat(np.arange(len(self.parts)), lengths)
+        found["unit"] += np.repeat(self._first_unit[:-1], lengths)
+        return found
 
-    def outcomes(self, protocol: str, method: str) -> PassOutcomes:
-        """How a method did in each pass of `passes`."""
+    def outcomes(self, protocol: str, method: str) -> npt.NDArray[Any]:
+        """(P,) OUTCOME of a method in each pass of `passes`."""
         found = [_of(part.outcomes, protocol, method) for part in self.parts]
-        names = PassOutcomes.__dataclass_fields__
-        return PassOutcomes(*(np.concatenate([getattr(o, n) for o in found]) for n in names))
+        return np.concatenate([of for of in found if of is not None])
 
-    def switches(self, method: str) -> Switches:
-        """The Switches of one method in each pass of `passes`; 0 in logs that lack it."""
-        none = [Switches(np.zeros(len(p.passes.unit), dtype=np.int64), None) for p in self.parts]
-        found = [p.switches.get(method, n) for p, n in zip(self.parts, none, strict=True)]
-        tracks = [n.ids if s.tracks is None else s.tracks for s, n in zip(found, none, strict=True)]
-        tracked = any(s.tracks is not None for s in found)
-        return Switches(
-            np.concatenate([s.ids for s in found]), np.concatenate(tracks) if tracked else None
-        )
-
+    @cached_property
     def units(self) -> Units:
         """The independent units: passes, or logs if there are LOGS_ENOUGH."""
-        kind: UnitKind = "log" if len(self.logs) >= LOGS_ENOUGH else "pass"
-        if kind == "log":
+        if len(self.parts) >= LOGS_ENOUGH:
             of_log = np.repeat(np.arange(len(self.parts)), [part.units for part in self.parts])
-            return Units(kind, len(self.parts), of_log)
+            return Units("log", len(self.parts), of_log)
         count = self._first_unit[-1]
         number = np.arange(count)
         number = number * MOST_UNITS // count if count > MOST_UNITS else number
-        return Units(kind, min(count, MOST_UNITS), number)
+        return Units("pass", min(count, MOST_UNITS), number)
 
-    def sums(self, units: Units, *key: str) -> FloatArray | IntArray | None:
-        """(U, ...) what the LogCounts have in `sums` under this key; None if none has any."""
-        sums: FloatArray | IntArray | None = None
+    def sums(self, *key: str) -> npt.NDArray[Any] | None:
+        """(U, ...) by unit what the LogCounts have in `sums` under this key; None if none has any.
+
+        Of a log that lacks a method, which is the last of the key, those of NOBODY.
+        """
+        sums: npt.NDArray[Any] | None = None
         for part, first in zip(self.parts, self._first_unit, strict=False):
             if (rows := _of(part.sums, *key)) is not None:
                 if sums is None:
-                    sums = np.zeros((units.count, *rows.shape[1:]), dtype=rows.dtype)
-                np.add.at(sums, units.of_pass_unit[first : first + len(rows)], rows)
+                    sums = np.zeros((self.units.count, *rows.shape[1:]), dtype=rows.dtype)
+                np.add.at(sums, self.units.of_pass_unit[first : first + len(rows)], rows)
         return sums
-
-    def declared(self, units: Units, protocol: str, method: str) -> IntArray:
-        """(U, K, 4) TP, TN, FP, FN at the operating point; of NOBODY: without any claim."""
-        return np.asarray(self.sums(units, "declared", protocol, method), dtype=np.int64)
 
 
 T = TypeVar("T")
@@ -295,40 +461,3 @@ T = TypeVar("T")
 def _of(found: dict[Key, T], *key: str) -> T | None:
     """What a log has of a method, which is the last of the key, else what it has of NOBODY."""
     return found.get(key, found.get((*key[:-1], NOBODY)))
-
-
-class Adder:
-    """Adds logs one at a time."""
-
-    def __init__(self) -> None:
-        self.parts: list[LogCounts] = []
-        self._values = Values()
-        self._units = 0
-
-    def add(self, log: LogCounts) -> None:
-        """Add the counts of a log."""
-        for key, (value, unit, number) in log.values.items():
-            self._values.add(key, (value, unit + self._units, number))
-        self.parts.append(replace(log, values={}))
-        self._units += log.units
-
-    def counts(self, folders: Sequence[Path], methods: Sequence[str] = ()) -> Counts:
-        """The sums. folders: of the logs; where several have one name it is their names.
-
-        methods: as in `Counts`. Raises SonarrecError if IDs differ, or if none has a method.
-        """
-        for part in self.parts:
-            if set(part.ids) != set(self.parts[0].ids):
-                raise SonarrecError(
-                    f"logs {self.parts[0].name} and {part.name} were run with different landmark "
-                    "IDs and cannot be pooled; evaluate them one by one, or give --landmarks"
-                )
-        many = Counter(part.name for part in self.parts)
-        parts = [
-            part if many[part.name] == 1 else replace(part, name=str(folder))
-            for part, folder in zip(self.parts, folders, strict=True)
-        ]
-        counts = Counts(parts, self._values, methods)
-        if not counts.methods:
-            raise SonarrecError(f"{', '.join(counts.logs)}: estimates.csv names no method to score")
-        return counts

@@ -1,30 +1,348 @@
-"""Scores results against truth: one folder, several, or a table of pairs."""
+"""Scores results against truth: one folder, several, or a table of pairs.
+
+Each log is read, matched and counted by itself, in parallel if wanted, so that memory does not grow
+with the logs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+import multiprocessing
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, local, number_of, printable
-from sonarrec.evaluation.count import Adder, Counts
-from sonarrec.evaluation.logs import (
-    LogScore,
-    UnreadableLog,
-    check_logs,
-    first_ids,
-    map_logs,
-    score_log,
+from sonarrec.evaluation.count import Counts, LogCounts, count_log
+from sonarrec.evaluation.figures import summarise
+from sonarrec.evaluation.match import (
+    DEFAULT,
+    Matched,
+    ScoringOptions,
+    match,
+    nearest_truth,
+    scoring_options,
 )
-from sonarrec.evaluation.match import DEFAULT, ScoringOptions, scoring_options
-from sonarrec.evaluation.pairs import Pair, find_truths_beside, read_pairs, truth_note, usable_pairs
-from sonarrec.evaluation.summary import summarise
-from sonarrec.evaluation.tables import Evaluation
-from sonarrec.results.read import CountedOnce, find_logs
+from sonarrec.evaluation.pairs import Pair, find_truths_beside, read_pairs, usable_pairs
+from sonarrec.evaluation.write import Evaluation, write_evaluation
+from sonarrec.results.folders import log_of
+from sonarrec.results.read import (
+    CountedOnce,
+    LogResults,
+    Recording,
+    TruthOf,
+    check_one_log,
+    find_logs,
+    not_whole,
+    read_log,
+    recording,
+    rows_of,
+)
+from sonarrec.results.run_file import read_run
+from sonarrec.runs import cores
 from sonarrec.sonar import Sonar
-from sonarrec.truth.check import tell_other_logs, tell_rows
+from sonarrec.truth.check import (
+    FEWEST,
+    misfit,
+    tell_fit,
+    tell_other_logs,
+    tell_rows,
+    without_rows,
+)
+from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
+
+WORTH_BYTES = 4_000_000
+"""Bytes of tables per process; a process takes as long to start as to read so many."""
+Log = TypeVar("Log")
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, slots=True)
+class LogToScore:
+    """The results of one log, or its old and its new ones, and its truth.
+
+    name: of the log, also for the log column of the truth.
+    """
+
+    results: tuple[Path, ...]
+    ground_truth: Path
+    name: str
+
+
+@dataclass(slots=True)
+class LogScore:
+    """One log as it was read and counted, without the rows of its truth."""
+
+    log: LogToScore
+    recording: Recording
+    truth: TruthOf | None
+    """None if it has no row about the log."""
+    has_log_column: bool
+    """Whether the truth can be of several logs."""
+    rows: tuple[int, int, int, int]
+    """Of the truth: all, those about this log, of them unprocessed and between; see Truth."""
+    frames: int
+    fault: str | None
+    """Why the truth does not fit the log; None if it does."""
+    notes: list[str]
+    unused: list[str]
+    """A line for each part of the results that is not used."""
+    counts: list[LogCounts]
+    """Of each of its results; empty if the truth does not fit, or once they are added up."""
+
+    @property
+    def folder(self) -> Path:
+        return self.log.results[-1]
+
+
+Unread = tuple[str, SonarrecError]
+"""The name of a log whose results or truth cannot be read, and why."""
+
+
+def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) -> LogScore | Unread:
+    """Read, match and count one log, old and new results on their common frames. ids: as of
+    `match`."""
+    notes: list[str] = []
+    unused: list[str] = []
+    try:
+        table = _truth_table(log.ground_truth)
+        sides = [
+            replace(read_log(folder, options.landmarks, options.sonar), name=log.name)
+            for folder in log.results
+        ]
+        of = recording(log.results[-1], sides[-1].run)
+        common = sides[0].frame
+        if sides[1:]:
+            notes += _check_comparable(log.results, sides)
+            common = np.intersect1d(common, sides[1].frame)
+            if not len(common):
+                raise SonarrecError(
+                    f"{' and '.join(map(str, log.results))} have no frame in common"
+                )
+        for folder, side in zip(log.results, sides, strict=True):
+            if alone := len(side.frame) - len(common):
+                frames = number_of(alone, "frame")
+                unused.append(f"{log.name}: {frames} in {folder} only; not compared")
+            unused += not_whole(side, "scored")
+        if sides[1:]:
+            sides = [_only(side, common) for side in sides]
+        last = sides[-1]
+        # Each side is scored as by itself: pixels lie where its own geometry puts them.
+        truths = [
+            match_truth(table, replace(last, fan=side.fan or last.fan), options.tolerance_s)
+            for side in sides
+        ]
+    except SonarrecError as fault:  # the other logs can be scored
+        return log.name, fault
+    told, rows, truth = Diagnostics(), table.rows_of(log.name), truths[-1]
+    proposals = "they say nothing about the results that they came from"
+    tell_fit(told, table, last, truth, "are scored", proposals)
+    score = LogScore(
+        log=log,
+        recording=of,
+        truth=(log.ground_truth, table.digest_of(rows)) if len(rows) else None,
+        has_log_column=table.log is not None,
+        rows=(len(table.at), truth.rows, truth.unprocessed, truth.between),
+        frames=len(last.frame),
+        fault=misfit(table, last, truth),
+        notes=notes + told.notes,
+        unused=unused,
+        counts=[],
+    )
+    if score.fault is None:
+        for side, of_side in zip(sides, truths, strict=True):
+            matched = match(side, of_side, options.min_visible, ids, within_m=options.within_m)
+            score.counts.append(count_log(matched, rates_only=len(sides) > 1))
+        if (doubt := _no_claim_right(matched)) is not None:
+            score.notes.append(f"{table.path}: {doubt}")
+    return score
+
+
+def _check_comparable(folders: Sequence[Path], sides: Sequence[LogResults]) -> Iterator[str]:
+    """Notes on two results. Raises SonarrecError if they cannot be compared."""
+    (old, new), (a, b) = folders, (side.run for side in sides)
+    note = check_one_log(old, a, new, b)
+    if note:
+        yield note
+    ids = [side.landmarks.ids for side in sides]
+    if ids[0] != ids[1]:
+        both = " and ".join(", ".join(map(str, side)) for side in ids)
+        raise SonarrecError(
+            f"{old} and {new}: run with the landmark IDs {both}; only results with the same IDs "
+            "in the same order can be compared; give --landmarks to use one set for both"
+        )
+    for folder, run in ((old, a), (new, b)):
+        if not run.table:
+            yield f"{folder}: no run.toml, so its settings are not known"
+
+
+def _only(log: LogResults, frames: np.ndarray) -> LogResults:
+    """The results on the frames of these numbers."""
+    listed = np.isin(log.frame, frames)
+    kept = rows_of(log, listed[log.frame_index])
+    return replace(
+        kept,
+        frame=log.frame[listed],
+        timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[listed],
+        frame_index=(np.cumsum(listed) - 1)[kept.frame_index],
+    )
+
+
+def _no_claim_right(log: Matched) -> str | None:
+    """The doubt that a truth is that of the log, if it bears out no claim that the leading method
+    declares; None if it does, or if either has few."""
+    claims = np.flatnonzero(log.declared & (log.method_index == 0))
+    if min(len(claims), len(log.truth_frame_index)) < FEWEST:
+        return None
+    ids = len(log.ids)
+    claim_key = log.claim_frame_index[claims] * ids + log.claim_landmark_index[claims]
+    truth_key = log.truth_frame_index * ids + log.truth_landmark_index
+    named = f"none of the {len(claims)} claims of {log.methods[0]} in {log.name}"
+    same = np.isin(claim_key, truth_key)
+    if not same.any():
+        return f"{named} has a row of its ID in its frame; is this the truth of another recording?"
+    known = ~np.isnan(log.claim_position).any() and ~np.isnan(log.truth_position).any()
+    if not known or np.count_nonzero(same) < FEWEST:
+        return None
+    if (nearest_truth(log, claims, claim_key, truth_key) >= 0).any():
+        return None
+    return (
+        f"{named} lies within {log.gate_m:g} m of its row, though {np.count_nonzero(same)} have "
+        "one in their frame; are these its positions, left and right, in these units?"
+    )
+
+
+@lru_cache(maxsize=1)
+def _truth_table(path: Path) -> TruthTable:
+    """The table; cached, since one file may cover several logs."""
+    return read_truth(path)
+
+
+def map_logs(
+    work: Callable[[Log], Found], logs: Sequence[Log], folders: Iterable[Path], jobs: int | None
+) -> Iterator[Found]:
+    """Yield the result of `work` for each log, in order.
+
+    folders: the results that are read. jobs: number of processes; default: the number of cores, or
+    fewer if the results are small.
+    """
+    _truth_table.cache_clear()  # the files may have changed since the last call
+    if jobs is None:
+        jobs = min(cores(), sum(map(_bytes, folders)) // WORTH_BYTES)
+    if min(jobs, len(logs)) < 2:
+        yield from map(work, logs)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(logs)), context) as workers:
+        try:
+            ahead: deque[Future[Found]] = deque()  # some only: results are kept in memory
+            for log in logs:
+                ahead.append(workers.submit(work, log))
+                if len(ahead) > 2 * jobs:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+        except BrokenProcessPool:
+            raise SonarrecError(
+                "a process that read results was killed, perhaps for lack of memory; nothing was "
+                "written; --jobs 1 reads one log at a time"
+            ) from None
+        finally:
+            workers.shutdown(wait=False, cancel_futures=True)
+
+
+def _bytes(folder: Path) -> int:
+    with suppress(OSError, SonarrecError):  # reported when it is read
+        return (folder / "estimates.csv").stat().st_size
+    return 0
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """What `score_logs` gives."""
+
+    logs: list[LogScore]
+    """Those that can be scored."""
+    sides: list[Counts]
+    """The counts of all, of old and new results on the same frames and passes."""
+    names: list[str]
+    """Of the logs, also of those that cannot be read."""
+    notes: list[str]
+    unused: list[str]
+    """Input that could not be used, a line each."""
+    copies: list[str]
+    """The same of copies of a log."""
+
+
+def score_logs(
+    logs: Sequence[LogToScore],
+    options: ScoringOptions,
+    jobs: int | None,
+    action: str,
+    one_truth_of: object = None,
+) -> Scores:
+    """Read, match and count the logs.
+
+    jobs: as in `map_logs`. action: what is done with the logs, such as "scored". one_truth_of: what
+    one truth is for, where it is given for all logs.
+    Raises SonarrecError if no log can be scored.
+    """
+    read: list[LogScore] = []
+    kept: list[LogScore] = []
+    unread: list[Unread] = []
+    copies = Diagnostics()
+    once = CountedOnce(action, copies)
+    sides = [Counts() for _ in logs[0].results]
+    ids: tuple[int, ...] = ()  # of the first log whose run.toml can be read: all follow its order
+    for log in logs:
+        with suppress(SonarrecError):
+            ids = read_run(log.results[-1] / "run.toml").landmark_set(options.landmarks).ids
+            break
+    folders = (folder for log in logs for folder in log.results)
+    for score in map_logs(partial(score_log, options=options, ids=ids), logs, folders, jobs):
+        if not isinstance(score, LogScore):
+            unread.append(score)
+            continue
+        read.append(score)
+        if once.add(score.folder, score.recording, score.truth):
+            kept.append(score)
+            for counts, of_log in zip(sides, score.counts, strict=False):
+                counts.add(of_log)
+        score.counts = []
+    if not read:
+        raise unread[0][1]
+    names = [*(score.log.name for score in kept), *(name for name, _ in unread)]
+    if one_truth_of and not kept[0].has_log_column and len(names) > 1:
+        raise SonarrecError(
+            f"{logs[0].ground_truth}: {one_truth_of} holds {len(names)} logs ({', '.join(names)}), "
+            "so the truth needs a log column that names their folders; or give the folder of one"
+        )
+    scored = [score for score in kept if score.fault is None]
+    if not any(score.rows[1] for score in kept):
+        of = next((score for score in kept if score.rows[0]), kept[0])
+        path, about = of.log.ground_truth, [score.log.name for score in kept]
+        raise SonarrecError(without_rows(path, of.rows[0], about, "nothing is scored"))
+    # A log without a row counts as empty, but only if others have rows.
+    if len(scored) < len(kept) and not any(score.rows[1] for score in scored):
+        raise SonarrecError(next(str(score.fault) for score in kept if score.fault is not None))
+    unused = [f"{error}; {name} is not {action}" for name, error in unread]
+    unused += [f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None]
+    notes = [*copies.notes, *(note for score in scored for note in score.notes)]
+    for counts in sides:
+        counts.finish([score.folder for score in scored], options.methods if not sides[1:] else ())
+    for score, name in zip(scored, sides[0].logs, strict=True):
+        told = Diagnostics()
+        tell_rows(told, name, score.rows[1], score.rows[3])
+        notes += told.notes
+    return Scores(scored, sides, names, notes, unused, copies.problems)
 
 
 def evaluate(
@@ -74,8 +392,6 @@ def evaluate(
     logs = results if pairs is None else read_pairs(Path(pairs))
     found = evaluate_logs(logs, ground_truth, scoring, jobs=jobs)
     if out is not None:
-        from sonarrec.evaluation.write import write_evaluation  # brings matplotlib
-
         write_evaluation(Path(local(out)), found)
     return found
 
@@ -89,120 +405,70 @@ def evaluate_logs(
 ) -> Evaluation:
     """Score a results folder, of one log or of several, or pairs of results and truth.
 
-    Each log is read, matched and counted by itself, so that memory does not grow with the logs.
-    jobs: number of processes, as in `logs.map_logs`; it does not change the result.
+    jobs: number of processes, as in `map_logs`; it does not change the result.
     Logs of equal name get the names of their folders.
     """
     options.check()
-    found, told, others = Diagnostics(), Diagnostics(), Diagnostics()
-    pairs = _pairs(results, ground_truth, found)
-    folders = [pair.results for pair in pairs]
-    table: TruthTable | None = None  # of all logs; None if each has its own
-    if ground_truth is not None and isinstance(results, str | Path):
+    told, table = Diagnostics(), None  # the table of all logs; None if each has its own
+    if not isinstance(results, str | Path):
+        pairs = usable_pairs(results, told)
+    elif ground_truth is None:
+        pairs = find_truths_beside(find_logs(Path(results)), told)
+    else:
         results, table = Path(results), read_truth(Path(ground_truth))
-    adder = Adder()
-    read: list[LogScore] = []
-    unread: list[UnreadableLog] = []
-    once = CountedOnce("scored", told)
-    kept: list[LogScore] = []
-    work = partial(score_log, options=options, ids=first_ids(folders, options.landmarks))
-    for log in map_logs(work, pairs, folders, jobs):
-        if isinstance(log, UnreadableLog):
-            unread.append(log)
-            continue
-        counts, log.counts = log.counts, None
-        read.append(log)
-        if once.add(log.folder, log.recording, log.ground_truth):
-            kept.append(log)
-            if counts is not None:
-                adder.add(counts)
-    if not read:
-        raise unread[0].error
-    names = [*(log.name for log in kept), *(log.name for log in unread)]
-    if table is not None and table.log is None and len(names) > 1:
-        raise SonarrecError(
-            f"{table.path}: {results} holds {len(names)} logs ({', '.join(names)}), so the "
-            "truth needs a log column that names their folders; or give the folder of one log"
-        )
-    fit_notes, misfits = check_logs([log.check for log in kept])
-    scored = [log for log in kept if log.check.fault is None]
-    pooled = adder.counts([log.folder for log in scored], options.methods)
+        pairs = [Pair(folder, table.path) for folder in find_logs(results)]
+    logs = [LogToScore((p.results,), p.ground_truth, p.log or log_of(p.results)) for p in pairs]
+    scores = score_logs(logs, options, jobs, "scored", table and results)
+    [counts] = scores.sides
+    told.problem(*scores.unused, *_left_out(scored := scores.logs, as_one=table is not None))
+    told.note(*scores.notes)
     if table is not None:
-        everyone = [*(log.name for log in read), *(log.name for log in unread)]
-        tell_other_logs(others, table, everyone, "they are not scored")
-    alone = folders == [results]  # one log was asked for: the rows of others are a note
-    notes = [*found.notes, *told.notes, *fit_notes, *others.problems * alone]
-    notes += _notes(scored, pooled)
-    unused = [
-        *found.problems,
-        *(log.message() for log in unread),
-        *misfits,
-        *_left_out(scored, as_one=table is not None),
-        *others.problems * (not alone),
-        *told.problems,
-    ]
-    summary = summarise(pooled)
+        others = Diagnostics()
+        tell_other_logs(others, table, scores.names, "they are not scored")
+        # If one log was asked for the rows of others are a note.
+        tell = told.note if [log.results for log in logs] == [(results,)] else told.problem
+        tell(*others.problems)
+    told.note(*_notes(counts))
+    told.problem(*scores.copies)
+    summary = summarise(counts)
     return Evaluation(
-        counts=pooled,
+        counts=counts,
         summary=summary,
         min_visible=options.min_visible,
-        folders=tuple(log.folder for log in scored),
-        notes=(*map(printable, notes), *summary.notes),
-        unused=tuple(map(printable, unused)),
+        folders=tuple(score.folder for score in scored),
+        notes=(*map(printable, told.notes), *summary.notes),
+        unused=tuple(map(printable, told.problems)),
     )
-
-
-def _pairs(
-    results: str | Path | Sequence[Pair],
-    ground_truth: str | Path | None,
-    told: Diagnostics,
-) -> list[Pair]:
-    """The logs to read with their truth; the arguments are those of `evaluate_logs`."""
-    if not isinstance(results, str | Path):
-        pairs, unused = usable_pairs(results)
-    elif ground_truth is None:  # each log with the truth beside it
-        pairs, unused = find_truths_beside(find_logs(Path(results)))
-        told.note(*map(truth_note, pairs))
-    else:
-        return [Pair(folder, Path(ground_truth)) for folder in find_logs(Path(results))]
-    told.problem(*unused)
-    return pairs
 
 
 def _left_out(scored: Sequence[LogScore], *, as_one: bool) -> Iterator[str]:
     """A line for each part of truth and results that is not scored. as_one: all share a truth."""
-    for logs in [scored] if as_one else [[log] for log in scored]:
-        checks = [log.check for log in logs]
-        unprocessed = sum(check.unprocessed for check in checks)
-        if unprocessed:
-            frames = sum(check.frames for check in checks)
+    for logs in [scored] if as_one else [[score] for score in scored]:
+        if unprocessed := sum(score.rows[2] for score in logs):
+            frames = number_of(sum(score.frames for score in logs), "frame")
             yield (
-                f"{checks[0].table}: {unprocessed} of {checks[0].table_rows} rows lie on frames "
-                f"that were not processed; they are not scored ({number_of(frames, 'frame')} "
-                "processed)"
+                f"{logs[0].log.ground_truth}: {unprocessed} of {logs[0].rows[0]} rows lie on "
+                f"frames that were not processed; they are not scored ({frames} processed)"
             )
-        for log in logs:
-            yield from log.not_whole
+        for score in logs:
+            yield from score.unused
 
 
-def _notes(logs: Sequence[LogScore], counts: Counts) -> Iterator[str]:
-    """Notes on what was scored, a line each. logs: those of `counts`."""
+def _notes(counts: Counts) -> Iterator[str]:
+    """Notes on what was scored, a line each."""
     if not counts.placed:
         yield (
             "the strict protocol is not scored: truth or estimates have no positions, or they are "
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
-    for part, log in zip(counts.parts, logs, strict=True):
-        told = Diagnostics()
-        tell_rows(told, part.name, log.check.rows, log.check.between)
-        yield from told.notes
+    for name, part in zip(counts.logs, counts.parts, strict=True):
         if missing := [method for method in counts.methods if method not in part.methods]:
-            yield f"{part.name}: has no estimates of {', '.join(missing)}; this counts as no claim"
-    for part in counts.parts:
+            yield f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
+    for name, part in zip(counts.logs, counts.parts, strict=True):
         if part.rounded:
-            yield f"{part.name}: scores are rounded to six digits"
+            yield f"{name}: scores are rounded to six digits"
     for method in counts.methods:
-        if not any(part.estimates.get(method) for part in counts.parts):
+        if all(method not in part.methods or method in part.silent for part in counts.parts):
             yield f"{method}: no estimate at all"
     for k, landmark in enumerate(counts.ids):
         if not any(scored.base[:, k, 3].any() for scored in counts.scored):

@@ -1,4 +1,9 @@
-"""One log's results and its truth, frame by frame, and the landmark nearest to a claim."""
+"""Rows: one log's results and truth frame by frame, and what each claim counts under a protocol.
+
+Everything is counted from one list per method: the claims by falling score, each with its effect on
+TP, TN, FP and FN. The sum over declared claims is the operating point, the cumulative sum over all
+claims is the ROC.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import UsageError
@@ -16,6 +22,8 @@ from sonarrec.results.read import LogResults
 from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.truth.match import Truth
 
+PROTOCOLS = ("paper", "strict")
+NEGATIVE, POSITIVE, IGNORED = 0, 1, 2
 DIGITS = 6
 """Of a score: claims are counted by score, so that memory does not grow with their number."""
 ROUNDING_M = 1e-9
@@ -23,8 +31,6 @@ ROUNDING_M = 1e-9
 PAPER_MIN_VISIBLE = 0.5
 """The share of a disc in view from which protocol paper counts it. TP + FN of Tables 4 and 5 are
 those of frames with its centre, or half the disc, in view."""
-PAUSE = 10
-"""Median steps from frame to frame; after as many frames a pass ends, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,57 +83,43 @@ def scoring_options(
 
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """Results and truth of one log: F frames, T truths, N claims, K IDs.
+    """Results and truth of one log as columns: F frames, T truths, N claims, K IDs.
 
     A truth is a landmark that is at least partly in view in a frame. A claim is an estimate.
+    Columns ending in _index point into frame, ids or methods. Positions are (n, 2) m in the fan
+    plane, orientations deg; both NaN if unknown.
+
+    truth_positive: (T,) whether enough of it is in view for protocol strict; truth_half_in_view:
+    for protocol paper. gate_m: the distance within which a claim is right. claim_object: the
+    candidate or track, -1 if unknown. score: 0 to 1, to six digits; rounded: whether it had more.
+    probability: (N, K + 1), one per ID, then none of these; NaN if not stated. turn_deg: (K,) the
+    smallest rotation after which an ID looks the same. placed: whether positions are known
+    wherever protocol strict needs them.
     """
 
     name: str
-    """Name of the log."""
     ids: tuple[int, ...]
     methods: tuple[str, ...]
     frame: IntArray
-    """(F,) frame number in the log."""
-    seconds: FloatArray
-    """(F,) duration of each frame, see `seconds_of_frames`."""
     truth_frame_index: IntArray
-    """(T,) into frame."""
     truth_landmark_index: IntArray
-    """(T,) into ids."""
     truth_position: FloatArray
-    """(T, 2) m in the fan plane, NaN if unknown."""
     truth_orientation: FloatArray
-    """(T,) deg, NaN if unknown."""
     truth_positive: BoolArray
-    """(T,) whether enough of it is in view to count as a positive under protocol strict."""
     truth_half_in_view: BoolArray
-    """(T,) the same under protocol paper: half of it or more."""
     gate_m: float
-    """The distance within which a claim is right."""
     method_index: IntArray
-    """(N,) into methods."""
     claim_frame_index: IntArray
-    """(N,) into frame."""
     claim_landmark_index: IntArray
-    """(N,) into ids."""
     claim_position: FloatArray
-    """(N, 2) m in the fan plane, NaN if unknown."""
     claim_orientation: FloatArray
-    """(N,) deg, NaN if unknown."""
     claim_object: IntArray
-    """(N,) number of the candidate or track, -1 if unknown."""
     score: FloatArray
-    """(N,) 0 to 1, to six digits, as the program writes them."""
     rounded: bool
-    """Whether scores had more digits."""
     declared: BoolArray
-    """(N,) whether it is declared, which is the method's operating point."""
     probability: FloatArray
-    """(N, K + 1) one per ID, then none of these; NaN if not stated."""
     turn_deg: FloatArray
-    """(K,) the smallest rotation after which an ID looks the same."""
     placed: bool
-    """Whether positions are known wherever the strict protocol needs them."""
 
 
 def match(
@@ -148,59 +140,52 @@ def match(
     of_id = np.array([ids.index(i) for i in log.landmarks.ids])
     of_method = np.array([methods.index(m) for m in log.methods], dtype=int)
     n, k, seen = len(log.frame_index), len(ids), truth.visible > 0
-    probability = log.probability
-    if probability is None:
-        probability = np.full((n, k + 1), np.nan, dtype=np.float32)
-    position, orientation = truth.position, truth.orientation
-    if position is None:
-        position = np.full((len(seen), 2), np.nan)
-    if orientation is None:
-        orientation = np.full(len(seen), np.nan)
+
+    def known(column: Any, *shape: int) -> Any:
+        return np.full(shape, np.nan, dtype=np.float32) if column is None else column
+
+    score = np.round(log.score, DIGITS)
     return Matched(
         name=log.name,
         ids=ids,
         methods=methods,
         frame=log.frame,
-        seconds=seconds_of_frames(log.timestamp_ns, len(log.frame)),
         truth_frame_index=truth.frame_index[seen],
         truth_landmark_index=of_id[truth.landmark_index[seen]],
-        truth_position=position[seen],
-        truth_orientation=orientation[seen],
+        truth_position=known(truth.position, len(seen), 2)[seen],
+        truth_orientation=known(truth.orientation, len(seen))[seen],
         truth_positive=truth.visible[seen] >= min_visible,
         truth_half_in_view=truth.visible[seen] >= PAPER_MIN_VISIBLE,
         gate_m=within_m or log.landmarks.radius_m,
         method_index=of_method[log.method],
         claim_frame_index=log.frame_index,
         claim_landmark_index=of_id[log.landmark_index],
-        claim_position=np.full((n, 2), np.nan) if log.position is None else log.position,
+        claim_position=known(log.position, n, 2),
         claim_orientation=log.orientation,
         claim_object=log.object,
-        score=np.round(log.score, DIGITS),
-        rounded=bool((log.score != np.round(log.score, DIGITS)).any()),
+        score=score,
+        rounded=bool((log.score != score).any()),
         declared=log.declared,
-        probability=probability[:, [*np.argsort(of_id).tolist(), k]],
+        probability=known(log.probability, n, k + 1)[:, [*np.argsort(of_id).tolist(), k]],
         turn_deg=log.landmarks.periods_deg()[log.landmarks.indices(np.array(ids))],
         placed=not len(seen)
         or (truth.position is not None and (log.position is not None or not n)),
     )
 
 
-def seconds_of_frames(timestamp_ns: IntArray | None, frames: int) -> FloatArray:
-    """(frames,) the time from each frame to the next; NaN if the log has no times, or only one.
+def equal_pairs(a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
+    """Indices of all pairs of an a and a b that are equal, in the order of a, then of b."""
+    order = np.argsort(b, kind="stable")
+    low, high = (np.searchsorted(b[order], a, side) for side in ("left", "right"))
+    first = np.repeat(np.arange(len(a)), high - low)
+    within = np.arange(len(first)) - np.repeat(np.cumsum(high - low) - (high - low), high - low)
+    return first, order[low[first] + within]
 
-    A step of more than PAUSE is a pause in the recording. The frame before it, and the last frame,
-    take the median step. Frames of one time share it: a clock may tick more slowly than frames
-    come.
-    """
-    times, frame, together = np.unique(
-        [] if timestamp_ns is None else timestamp_ns, return_inverse=True, return_counts=True
-    )
-    if len(times) < 2:
-        return np.full(frames, np.nan)
-    steps = np.diff(times) / 1e9
-    usual = np.median(steps)
-    lasting = np.append(np.where(steps > PAUSE * usual, usual, steps), usual)
-    return np.asarray((lasting / together)[frame])
+
+def distance(log: Matched, claims: IntArray, truths: IntArray) -> FloatArray:
+    """(n,) m in the fan plane between the n-th claim and the n-th truth, given by index."""
+    offset = log.claim_position[claims] - log.truth_position[truths]
+    return np.hypot(offset[:, 0], offset[:, 1])
 
 
 def nearest_truth(
@@ -220,22 +205,132 @@ def nearest_truth(
     return nearest
 
 
-def equal_pairs(a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
-    """Indices of all pairs of an a and a b that are equal, in the order of a, then of b."""
-    order = np.argsort(b, kind="stable")
-    low, high = (np.searchsorted(b[order], a, side) for side in ("left", "right"))
-    first = np.repeat(np.arange(len(a)), high - low)
-    within = np.arange(len(first)) - np.repeat(np.cumsum(high - low) - (high - low), high - low)
-    return first, order[low[first] + within]
-
-
 def truth_beneath(log: Matched) -> IntArray:
     """(N,) for each claim the nearest truth of any ID in its frame, -1 if none is in the gate."""
     everything = np.arange(len(log.claim_frame_index))
     return nearest_truth(log, everything, log.claim_frame_index, log.truth_frame_index)
 
 
-def distance(log: Matched, claims: IntArray, truths: IntArray) -> FloatArray:
-    """(n,) m in the fan plane between the n-th claim and the n-th truth, given by index."""
-    offset = log.claim_position[claims] - log.truth_position[truths]
-    return np.hypot(offset[:, 0], offset[:, 1])
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """The claims of one method on one log under one protocol, by falling score.
+
+    There are K IDs, P positives and n claims that count, m of them declared.
+    """
+
+    negative: BoolArray
+    """(F, K) the frames and IDs that are TN without any claim."""
+    positive: IntArray
+    """(P,) the truths of Matched that are FN without any claim; in protocol paper one per frame and
+    ID."""
+    positive_landmark_index: IntArray
+    claim: IntArray
+    """(n,) index into the claims of Matched."""
+    score: FloatArray
+    landmark_index: IntArray
+    frame_index: IntArray
+    truth: IntArray
+    """(n,) the truth of which it is a right claim, else -1."""
+    effect: npt.NDArray[np.int8]
+    """(n, 4) what it adds to TP, TN, FP, FN after the claims before it."""
+    declared_claim: IntArray
+    """(m,) which of the n claims are declared."""
+    declared_effect: npt.NDArray[np.int8]
+    """(m, 4) what these add to TP, TN, FP, FN if there are no other claims."""
+
+    @property
+    def right(self) -> IntArray:
+        """Indices of the claims that are declared and right."""
+        return self.declared_claim[self.declared_effect[:, 0] > 0]
+
+    @property
+    def positive_is_claimed(self) -> BoolArray:
+        """(P,) whether each positive has a right claim."""
+        return np.isin(self.positive, self.truth[self.right])
+
+    def group(self, of_frame: IntArray, of_truth: IntArray) -> IntArray:
+        """(n,) the group of each claim: that of its truth if it is right, else that of its frame.
+
+        So a claim changes the counts of the group that has its positive or negative.
+        """
+        if not len(of_truth):
+            return of_frame[self.frame_index]
+        return np.where(self.truth >= 0, of_truth[self.truth], of_frame[self.frame_index])
+
+    def declared(self, of_frame: IntArray, of_truth: IntArray, groups: int) -> IntArray:
+        """(groups, K, 4) TP, TN, FP, FN at the method's operating point.
+
+        of_frame: (F,) the group of a frame's negatives. of_truth: (T,) the group of a truth.
+        """
+        counts = np.zeros((groups, self.negative.shape[1], 4), dtype=np.int64)
+        frame, landmark = np.nonzero(self.negative)
+        np.add.at(counts[:, :, 1], (of_frame[frame], landmark), 1)
+        positive = of_truth[self.positive], self.positive_landmark_index
+        np.add.at(counts[:, :, 3], positive, 1)
+        group = self.group(of_frame, of_truth)[self.declared_claim]
+        np.add.at(counts, (group, self.landmark_index[self.declared_claim]), self.declared_effect)
+        return counts
+
+
+def judge(log: Matched, method: str, protocol: str) -> Judged:
+    """Judge a method's claims as `sonarrec.evaluate` says; a missing method has none.
+
+    A cell is an ID in a frame, numbered as frame * K + ID.
+    """
+    k = len(log.ids)
+    truth_cell = log.truth_frame_index * k + log.truth_landmark_index
+    state = np.zeros(len(log.frame) * k, dtype=np.int8)  # of each cell
+    number = log.methods.index(method) if method in log.methods else -1
+    claim = np.flatnonzero(log.method_index == number)
+    claim = claim[np.argsort(-log.score[claim], kind="stable")]
+    cell = log.claim_frame_index[claim] * k + log.claim_landmark_index[claim]
+    if protocol == "paper":  # positions play no part, and every frame counts
+        positive = np.flatnonzero(log.truth_half_in_view)
+        # One truth per cell, if possible one that is part of a pass.
+        positive = positive[np.argsort(~log.truth_positive[positive], kind="stable")]
+        positive = positive[np.unique(truth_cell[positive], return_index=True)[1]]
+        state[truth_cell[positive]] = POSITIVE
+        truth_of_cell = np.full(len(state), -1)
+        truth_of_cell[truth_cell[positive]] = positive
+        truth, spot = truth_of_cell[cell], cell
+    else:  # claims on a truth that is only partly in view do not count
+        positive = np.flatnonzero(log.truth_positive)
+        state[truth_cell] = IGNORED
+        state[truth_cell[positive]] = POSITIVE  # even if another one is partly in view
+        truth = nearest_truth(log, claim, cell, truth_cell)
+        on_truth = truth >= 0
+        counts = np.ones(len(claim), dtype=bool)
+        counts[on_truth] = log.truth_positive[truth[on_truth]]
+        spot = np.where(on_truth, len(state) + truth, cell)
+        claim, cell, truth, spot = claim[counts], cell[counts], truth[counts], spot[counts]
+    right, absent = truth >= 0, state[cell] == NEGATIVE
+    declared = np.flatnonzero(log.declared[claim])
+    return Judged(
+        negative=state.reshape(-1, k) == NEGATIVE,
+        positive=positive,
+        positive_landmark_index=log.truth_landmark_index[positive],
+        claim=claim,
+        score=log.score[claim],
+        landmark_index=log.claim_landmark_index[claim],
+        frame_index=log.claim_frame_index[claim],
+        truth=truth,
+        effect=_effects(protocol, right, absent, spot),
+        declared_claim=declared,
+        declared_effect=_effects(protocol, right[declared], absent[declared], spot[declared]),
+    )
+
+
+def _effects(
+    protocol: str, right: BoolArray, absent: BoolArray, spot: IntArray
+) -> npt.NDArray[np.int8]:
+    """(n, 4) what each claim adds to TP, TN, FP, FN after the claims before it.
+
+    right: it is on a positive. absent: its ID is not in view in its frame. spot: what it claims (an
+    ID in a frame, or one truth); further claims of a spot count differently from the first.
+    """
+    first = np.zeros(len(spot), dtype=bool)
+    first[np.unique(spot, return_index=True)[1]] = True
+    tp, fp = (right, ~right & first) if protocol == "paper" else (right & first, ~(right & first))
+    effect = np.stack([tp, absent & first, fp, right & first], axis=1).astype(np.int8)
+    effect[:, [1, 3]] *= -1
+    return effect

@@ -1,14 +1,15 @@
-"""Finds the truth of results: from a table of pairs, or beside the log."""
+"""Finds the truth of results: in a table of pairs, or beside the log; and pairs old with new."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from sonarrec.errors import (
+    Diagnostics,
     MissingError,
     SonarrecError,
     UsageError,
@@ -17,10 +18,14 @@ from sonarrec.errors import (
     number_of,
 )
 from sonarrec.readers.open import Source, find_log, log_name
+from sonarrec.results.folders import log_of
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
 from sonarrec.tables.read import line_numbers, read_header, read_table
 from sonarrec.truth.table import HEADER, TRUTH_FILE
+
+FEW = 3
+"""Logs whose truths are told one by one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +57,8 @@ def read_pairs(path: Path) -> list[Pair]:
     ]
 
 
-def usable_pairs(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
-    """The pairs that exist and have results of one log, and a line for each other pair.
+def usable_pairs(pairs: Iterable[Pair], told: Diagnostics) -> list[Pair]:
+    """The pairs that exist and have results of one log; each other one is told.
 
     Raises SonarrecError if there is no such pair.
     """
@@ -73,11 +78,12 @@ def usable_pairs(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
             usable.append(pair)
     if not usable:
         raise faults[0] if faults else SonarrecError("no pair of results and ground truth to score")
-    return usable, [f"{fault}; not scored" for fault in faults]
+    told.problem(*(f"{fault}; not scored" for fault in faults))
+    return usable
 
 
-def find_truths_beside(folders: Iterable[Path]) -> tuple[list[Pair], list[str]]:
-    """Each results folder with the truth beside its log, and a line for each without truth.
+def find_truths_beside(folders: Iterable[Path], told: Diagnostics) -> list[Pair]:
+    """Each results folder with the truth beside its log; one without truth is told.
 
     run.toml says where the log is.
     Raises UsageError if there is no truth at all, SonarrecError if no run.toml can be read or if
@@ -94,7 +100,7 @@ def find_truths_beside(folders: Iterable[Path]) -> tuple[list[Pair], list[str]]:
         try:
             truth = _truth_beside(folder, run.input)
         except SonarrecError as error:
-            without.append(str(error))
+            without.append(f"{folder}: no ground truth: {error}")
             continue
         pairs.append(Pair(folder, truth))
         sharing[truth.resolve()][run.input.sha256, run.input.topic] = folder
@@ -108,16 +114,14 @@ def find_truths_beside(folders: Iterable[Path]) -> tuple[list[Pair], list[str]]:
     if unread and not (pairs or without):
         raise unread[0]
     if not pairs:
-        others = (
-            f" (and {number_of(len(without) - 1, 'more log')} without one)" if without[1:] else ""
-        )
-        raise UsageError(f"{without[0]}{others}; give --ground-truth, or --pairs")
-    return pairs, [f"{line}; not scored" for line in (*map(str, unread), *without)]
-
-
-def truth_note(pair: Pair) -> str:
-    """A message on a truth from `find_truths_beside`."""
-    return f"{pair.results}: ground truth {pair.ground_truth}, beside its log"
+        more = f" (and {number_of(len(without) - 1, 'more log')} without one)" * bool(without[1:])
+        raise UsageError(f"{without[0]}{more}; give --ground-truth, or --pairs")
+    told.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
+    notes = [f"{p.results}: ground truth {p.ground_truth}, beside its log" for p in pairs]
+    if len(pairs) > FEW:
+        notes = [f"{len(pairs)} logs: ground truth beside each, such as {pairs[0].ground_truth}"]
+    told.note(*notes)
+    return pairs
 
 
 def _truth_beside(folder: Path, source: Input) -> Path:
@@ -127,24 +131,20 @@ def _truth_beside(folder: Path, source: Input) -> Path:
     if there is none, or if the log was replaced by another one.
     """
     if source.path is None:
-        raise SonarrecError(f"{folder}: no ground truth: run.toml does not say where the log is")
-    try:
-        if is_url(source.path):
-            raise SonarrecError(f"its log is on a server, {source.path}")
-        found = _log_at(source.path, folder, source.place)
-    except SonarrecError as error:
-        raise SonarrecError(f"{folder}: no ground truth: {error}") from None
-    log, name = str(found.path), f"{log_name(found.place)}.{TRUTH_FILE}"
-    searched = f"{name}, nor {TRUTH_FILE} beside {log}"
-    if found.place.is_dir():
-        searched = f"{TRUTH_FILE} in {found.place}, nor {name} in or beside it"
+        raise SonarrecError("run.toml does not say where the log is")
+    if is_url(source.path):
+        raise SonarrecError(f"its log is on a server, {source.path}")
+    found = _log_at(source.path, folder, source.place)
     truth, size = found.beside(TRUTH_FILE), _size(found)
     if truth is None:
-        raise SonarrecError(f"{folder}: no ground truth: no {searched}")
+        name = f"{log_name(found.place)}.{TRUTH_FILE}"
+        if found.place.is_dir():
+            raise SonarrecError(f"no {TRUTH_FILE} in {found.place}, nor {name} in or beside it")
+        raise SonarrecError(f"no {name}, nor {TRUTH_FILE} beside {found.path}")
     if source.bytes not in (None, size):
         raise SonarrecError(
-            f"{folder}: no ground truth: {log} has changed since the run (it had "
-            f"{source.bytes} bytes and has {size}), so {truth} may not be its truth"
+            f"{found.path} has changed since the run (it had {source.bytes} bytes and has {size}), "
+            f"so {truth} may not be its truth"
         )
     return truth
 
@@ -172,22 +172,68 @@ def _size(log: Source) -> int:
     return total
 
 
-def truth_by_folder(pairs: Sequence[Pair]) -> Callable[..., Pair | None]:
-    """A function that gives the first pair for some folders: by path, else by name.
+def truths_of(
+    sides: Sequence[tuple[Path, Path]], pairs: Sequence[Pair], told: Diagnostics
+) -> list[Pair | None]:
+    """The first pair for each log's old and new folder, by path, else by name; None is told.
 
-    It uses an index, since there may be a thousand pairs for a thousand logs.
+    Raises SonarrecError if none has one.
     """
-    places: dict[Path, int] = {}
+    places: dict[Path, int] = {}  # an index, since there may be a thousand pairs for as many logs
     names: dict[str, int] = {}
     for i, pair in enumerate(pairs):
         place = pair.results.resolve()
         places.setdefault(place, i)
         names.setdefault(pair.log or place.name, i)
-
-    def pair_of(*folders: Path) -> Pair | None:
-        resolved = [folder.resolve() for folder in folders]
+    found: list[Pair | None] = []
+    without = []
+    for old, new in sides:
+        resolved = [new.resolve(), old.resolve()]
         matches = [places[place] for place in resolved if place in places]
         matches = matches or [names[place.name] for place in resolved if place.name in names]
-        return pairs[min(matches)] if matches else None
+        found.append(pairs[min(matches)] if matches else None)
+        if not matches:
+            without.append(f"{new}: the pairs name no truth for it; not compared")
+    if not any(found):
+        others = f" (nor for {number_of(len(without) - 1, 'more log')})" if without[1:] else ""
+        raise SonarrecError(f"{without[0]}{others}")
+    told.problem(*without)
+    return found
 
-    return pair_of
+
+def pair_up(old: Path, new: Path, told: Diagnostics) -> list[tuple[Path, Path]]:
+    """The old and the new folder of each log; each folder without a partner is told.
+
+    Folders are paired by name, else by SHA-256. Two folders of one log each are paired anyway.
+    """
+    before, after = find_logs(old), find_logs(new)
+    if len(before) == len(after) == 1:
+        return [(before[0], after[0])]
+
+    def digest(folder: Path) -> tuple[str, str | None] | None:
+        with suppress(SonarrecError):  # reported later
+            return read_run(folder / "run.toml").input.recording
+        return None
+
+    of_name: dict[str, list[Path]] = defaultdict(list)
+    of_digest: dict[tuple[str, str | None], list[Path]] = defaultdict(list)
+    for folder in before:
+        of_name[log_of(folder)].append(folder)
+        if (known := digest(folder)) is not None:
+            of_digest[known].append(folder)
+    pairs = []
+    for folder in after:
+        known = digest(folder)
+        same = [] if known is None else of_digest[known]
+        # Links that lead to folders of one name are paired by the names of the links.
+        named = sorted(of_name[log_of(folder)], key=lambda f: f.name != folder.name)
+        candidates = [*(f for f in named if f in same), *same, *named]
+        if candidates:
+            pairs.append((candidates[0], folder))
+    if not pairs:
+        raise SonarrecError(f"{old} and {new} have no log in common, by name or by SHA-256")
+    used = {folder for pair in pairs for folder in pair}
+    for side, folders in ((old, before), (new, after)):
+        alone = (log_of(folder) for folder in folders if folder not in used)
+        told.problem(*(f"{log}: is in {side} only; not compared" for log in alone))
+    return pairs

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from sonarrec.errors import local, number_of
-from sonarrec.evaluation.cells import protocols
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.match import Matched, ScoringOptions, scoring_options
 from sonarrec.evaluation.pairs import Pair, read_pairs
-from sonarrec.evaluation.tables import Evaluation
+from sonarrec.evaluation.screen import protocols
+from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
 from sonarrec.reports.frames import Picture, PictureRequest
 from sonarrec.reports.logs import (

@@ -10,7 +10,7 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import number_of
 from sonarrec.evaluation.count import Scored
-from sonarrec.evaluation.roc import roc as evaluation_roc
+from sonarrec.evaluation.plots import roc as evaluation_roc
 from sonarrec.reports.logs import ReportedLog, Track, alongside, true_landmark
 from sonarrec.reports.svg import (
     MOST_POINTS,

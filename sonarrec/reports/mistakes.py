@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.arrays import BoolArray
-from sonarrec.evaluation.judge import Judged, judge
-from sonarrec.evaluation.match import Matched, truth_beneath
+from sonarrec.evaluation.match import Judged, Matched, judge, truth_beneath
 
 GAP = 4  # an episode may have gaps of so many frames, since neighbouring frames are alike
 

@@ -18,11 +18,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of
-from sonarrec.evaluation import cells
+from sonarrec.evaluation import screen
 from sonarrec.evaluation.count import Counts
+from sonarrec.evaluation.figures import BY_NAME, over_units, units_text
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.summary import over_units, units_text
-from sonarrec.evaluation.tables import Evaluation
+from sonarrec.evaluation.write import Evaluation
 from sonarrec.nouns import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts
 from sonarrec.reports.frames import Picture, ShownLog
@@ -148,26 +148,27 @@ def _scores(
 ) -> View:
     """What is known with ground truth.
 
-    rates, rates_per_log, others (figures), differences: from `cells`. units: such as "12 passes".
+    rates, rates_per_log, others (figures), differences: from `screen`. units: such as "12 passes".
     over: the part of captions on intervals. tested: labels of the figures in differences. starred:
     whether a table has a 0/0. curves: per protocol.
     """
     counts, summary = evaluation.counts, evaluation.summary
-    methods, protocols = counts.methods, cells.protocols(counts)
-    per_log = cells.rates_per_log(counts)
+    methods, protocols = counts.methods, screen.protocols(counts)
+    per_log = screen.rates_per_log(counts)
     if len(per_log) > MOST_RATES:
         most_mistakes = sorted(per_log, key=lambda row: -sum(r.missed + r.false for r in row[1]))
         per_log = most_mistakes[:MOST_RATES]
-    tables = [cells.paper_table(s, thousands=",") for s in counts.scored]
+    others = [name for name in BY_NAME if name not in screen.HEADLINE]
+    tables = [screen.paper_table(s, thousands=",") for s in counts.scored]
     return {
         "protocols": protocols,
-        "rates": cells.rates(counts, summary),
+        "rates": screen.rates(counts, summary),
         "rates_per_log": per_log,
         "units": units_text(summary.units),
         "over": over_units(summary),
-        "others": cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
-        "tested": [metric.label for metric in cells.TESTED],
-        "differences": cells.differences(summary, protocols[0]),
+        "others": screen.figures(summary, protocols[0], methods, others),
+        "tested": [metric.label for metric in screen.TESTED],
+        "differences": screen.differences(summary, protocols[0]),
         "notes": _first(evaluation.notes),
         "tables": tables,
         "starred": any("*" in cell for table in tables for _, row in table.rows for cell in row),
@@ -279,7 +280,7 @@ def _mistakes(
     matched = {log.results.name: log.matched for log in logs}
     mistakes = []
     for method in sorted(counts.methods, key=lambda m: m != logs[0].tracker):
-        count = cells.scored_by(counts, method, cells.protocols(counts)[0]).count()
+        count = counts.scored_by(method, screen.protocols(counts)[0]).count()
         episodes = wrong.get(method, [])  # the method may be in other logs only
         shown = [
             {

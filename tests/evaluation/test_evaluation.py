@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.evaluation.cells import rate
 from sonarrec.evaluation.count import Scored
-from sonarrec.evaluation.tables import Evaluation
+from sonarrec.evaluation.screen import rate
+from sonarrec.evaluation.write import Evaluation
 from sonarrec.landmarks import load_landmarks
 from tests.support.claims import evaluate
 from tests.support.command import sonarrec

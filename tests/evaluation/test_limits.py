@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.evaluation.compare import compare
-from sonarrec.evaluation.compare_output import MOST_ROWS, judgement_screen
-from sonarrec.evaluation.limits import EACH, Limits, judge_by
+from sonarrec.evaluation.compare import EACH, MOST_ROWS, Limits, compare, judge, screen
 from sonarrec.evaluation.pairs import Pair
 from tests.evaluation.test_compare import FRAMES, TRUTH, claims, command
 from tests.evaluation.test_evaluation import write_case
@@ -25,7 +23,7 @@ def results(folder: Path, rows: list[tuple], name: str = "log") -> Path:
 
 def judged(old: Path, new: Path, logs: list[str], limits: Limits):
     pairs = [Pair(new / log, new / log / "gt.csv") for log in logs]
-    return judge_by(compare(old, new, pairs), limits)
+    return judge(compare(old, new, pairs), limits)
 
 
 def both(tmp_path: Path, **new: list[tuple]) -> tuple[Path, Path, list[str]]:
@@ -49,13 +47,13 @@ def test_a_loss_in_one_log_of_many_is_one(tmp_path: Path) -> None:
         "worse: TPR 1.0000 -> 0.8000 (m, strict) in a; worse on 1 of 5 logs: a"
     )
     assert found.faults == (
-        "worse: a: m, strict: TPR was 1.0000, is 0.8000",
         "worse: a: m, paper: TPR was 1.0000, is 0.8000",
+        "worse: a: m, strict: TPR was 1.0000, is 0.8000",
     )
-    marks = {(row.log, row.protocol): row.mark for row in found.rows}
+    marks = {(row.log, row.protocol): row.mark(0.1) for row in found.rows}
     assert [key for key, mark in marks.items() if mark] == [("a", "strict"), ("a", "paper")]
-    total = {row.protocol: row.texts for row in found.rows if row.is_total}
-    assert total["strict"] == ("1.0000", "0.9600", "0.0000", "0.0000")
+    [total] = [row for row in found.rows if (row.log, row.protocol) == ("total", "strict")]
+    assert (total.tpr.text, total.fpr.text) == ("1.0000 -> 0.9600", "0.0000")
     assert judged(*sides, Limits(band=0.2)).faults == ()
 
 
@@ -63,7 +61,7 @@ def test_two_frames_are_free(tmp_path: Path) -> None:
     sides = both(tmp_path, a=claims(RIGHT - {5, 6}))
     found = judged(*sides, Limits(band=0.0))
     assert found.faults == ()
-    assert found.sentence == "as good: TPR 1.0000 -> 0.9000 (m, strict) in a"
+    assert found.sentence.startswith("as good: TPR 1.0000 -> 0.9000 (m, strict) in a;")
 
 
 def test_better_and_unchanged(tmp_path: Path) -> None:
@@ -71,9 +69,8 @@ def test_better_and_unchanged(tmp_path: Path) -> None:
     limits = Limits(band=0.1)
     for log in logs:
         (old / log / "gt.csv").write_bytes((new / log / "gt.csv").read_bytes())
-    assert judged(new, old, logs, limits).sentence == (
-        "better: TPR 0.5000 -> 1.0000 (m, strict) in a"
-    )
+    better = judged(new, old, logs, limits).sentence
+    assert better.startswith("better: TPR 0.5000 -> 1.0000 (m, strict) in a; 1 of 1 pass with more")
     same = judged(new, new, logs, limits).sentence
     assert same == "unchanged: TPR 0.5000, FPR 0.0000 (m, strict) in a"
 
@@ -84,23 +81,23 @@ def test_the_baseline_is_looked_at_on_request(tmp_path: Path) -> None:
     new = results(tmp_path / "new", claims(RIGHT) + claims({5}, method="smi"))
     truth = new / "gt.csv"
     compared = compare(old, new, truth, baseline=True)
-    assert {row.method for row in judge_by(compared, Limits(band=0.02)).rows} == {"m"}
-    assert judge_by(compared, Limits(band=0.02)).faults == ()
-    assert judge_by(compared, Limits(band=0.02, methods=("smi",))).sentence.startswith(
+    assert {row.method for row in judge(compared, Limits(band=0.02)).rows} == {"m"}
+    assert judge(compared, Limits(band=0.02)).faults == ()
+    assert judge(compared, Limits(band=0.02, methods=("smi",))).sentence.startswith(
         "worse: TPR 1.0000 -> 0.0500 (smi, strict)"
     )
     # Where nothing else is there it counts.
     only = [
         results(tmp_path / f"only_{n}", claims(r, method="smi")) for n, r in enumerate((RIGHT, {5}))
     ]
-    assert judge_by(compare(*only, truth), Limits(band=0.02)).faults
+    assert judge(compare(*only, truth), Limits(band=0.02)).faults
 
 
 def test_limits_by_method_and_for_each(tmp_path: Path) -> None:
     """m: TPR 10 of 20, and 2 false claims of ID.2, which 62 cases could be: 3 IDs x 40 - ..."""
     rows = claims(set(range(5, 15)), {30, 31}) + claims(RIGHT, method="n")
     folder = results(tmp_path, rows)
-    scored = compare(folder, folder, folder / "gt.csv").passes.after.scored
+    scored = compare(folder, folder, folder / "gt.csv").after.scored
     for limits, told in (
         (Limits(least_tpr={EACH: 0.5}), []),
         (Limits(least_tpr={EACH: 0.51}), ["TPR 0.5000 (m, strict) is below 0.51"]),
@@ -119,7 +116,7 @@ def test_a_tpr_of_nothing_keeps_no_limit(tmp_path: Path) -> None:
     """No landmark is whole in view."""
     truth = [(f, 1, 2.0, 0.0, 0.6) for f in range(5, 25)]
     folder, gt = write_case(tmp_path / "log", FRAMES, claims({5}), truth)
-    scored = compare(folder, folder, gt).passes.after.scored
+    scored = compare(folder, folder, gt).after.scored
     told = Limits(least_tpr={"m": 0.0}).broken(scored)
     assert told == ["limit not kept: TPR 0/0 (m, strict) is below 0"]
 
@@ -128,13 +125,14 @@ def test_a_tpr_of_nothing_keeps_no_limit(tmp_path: Path) -> None:
 def test_many_logs_show_what_is_worse_and_the_total(tmp_path: Path) -> None:
     logs = {f"log_{i}": claims(RIGHT) for i in range(MOST_ROWS)}
     logs["log_3"], logs["log_5"] = claims({5}), claims(RIGHT - set(range(5, 15)))
-    found = judged(*both(tmp_path, **logs), Limits(band=0.1))
-    lines = judgement_screen(found).splitlines()
-    assert lines[0].endswith("worse on 2 of 24 logs: log_3, log_5")
-    assert [line.split()[0] for line in lines[2:]] == [
+    old, new, names = both(tmp_path, **logs)
+    found = compare(old, new, [Pair(new / log, new / log / "gt.csv") for log in names])
+    lines = screen(found, judge(found, Limits(band=0.1))).splitlines()
+    assert "worse on 2 of 24 logs: log_3, log_5" in lines[0]
+    assert [line.split()[0] for line in lines[2:9]] == [
         *(["log_3"] * 2 + ["log_5"] * 2 + ["total"] * 2 + ["44"])
     ]
-    assert lines[-1] == "44 more rows, none of them worse"
+    assert lines[8] == "44 more rows, none of them worse"
 
 
 @pytest.mark.parametrize("rate", ["1.1", "nan", "m=", "much"])

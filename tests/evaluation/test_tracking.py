@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from sonarrec.evaluation.match import Matched
-from sonarrec.evaluation.tabulate import summary_screen
+from sonarrec.evaluation.screen import screen
 from sonarrec.evaluation.tracking import assignment
 from tests.support.claims import GATE_M, evaluated, matched
 
@@ -122,12 +122,12 @@ def test_nine_tracks_for_three_landmarks_show() -> None:
         matched(90, truth, [(*c, 10 * c[2] + c[1] // 30) for c in right], methods=("a",))
     )
     for found, hota, idf1, tracks in ((whole, 1, 1, 1), (broken, math.sqrt(1 / 3), 1 / 3, 3)):
-        values = {f.name: f.value for f in found.summary.figures if f.landmark_text == "total"}
+        values = {f.name: f.value for f in found.summary.figures if f.landmark == "total"}
         assert (values["tpr"], values["fpr"]) == (1, 0)
         assert values["hota"] == pytest.approx(hota)
         assert values["idf1"] == pytest.approx(idf1)
         assert values["tracks_per_landmark"] == tracks
-    assert "HOTA                          0.577" in summary_screen(broken)
+    assert "HOTA                          0.577" in screen(broken)
 
 
 def test_without_tracks_or_claims_there_is_nothing_to_measure() -> None:

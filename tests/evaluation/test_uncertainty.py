@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sonarrec.evaluation.behaviour import PassOutcomes
-from sonarrec.evaluation.count import PassTable, Units
+from sonarrec.evaluation.count import OUTCOME, PASS, Units
 from sonarrec.evaluation.curves import ratio
-from sonarrec.evaluation.intervals import (
+from sonarrec.evaluation.figures import METRICS, over_units, rates_of, summarise, waits
+from sonarrec.evaluation.passes import find_passes
+from sonarrec.evaluation.uncertainty import (
     Tally,
     bootstrap_weights,
     coin_tosses,
@@ -26,14 +27,10 @@ from sonarrec.evaluation.intervals import (
     rate_interval,
     replicates,
 )
-from sonarrec.evaluation.metrics import METRICS, tally
-from sonarrec.evaluation.passes import find_passes
-from sonarrec.evaluation.summary import over_units, summarise
-from sonarrec.evaluation.unit_sums import rates, rates_of, waits
 from tests.support.claims import counts, matched
 
 LABELS = ("strict", "m", "total")
-RATES = [m.name for m in METRICS if m.counted is rates]
+RATES = [m.name for m in METRICS if m.kind == "rates"]
 
 
 def ratio_tally(labels, names, parts, wholes) -> Tally:
@@ -48,7 +45,7 @@ def ratio_tally(labels, names, parts, wholes) -> Tally:
 def rate_tallies(found, protocol: str, method: str) -> list[Tally]:
     """Per ID, then in total."""
     (one,) = [s for s in found.scored if (s.protocol, s.method) == (protocol, method)]
-    return [tally(rates, counted) for counted in rates_of(found, found.units(), one)]
+    return list(rates_of(found, one))
 
 
 # --- Passes and units ----------------------------------------------------------------------------
@@ -76,7 +73,7 @@ def test_units_are_passes_and_what_is_nearest() -> None:
     case = matched(100, truth, [])
     passes = find_passes(case)
     assert passes.units == 3
-    assert counts(case).units().kind == "pass"
+    assert counts(case).units.kind == "pass"
     landmark = case.truth_landmark_index
     assert set(passes.unit_of_truth[landmark < 2]) == {0}
     assert set(passes.unit_of_truth[landmark == 2]) == {1}  # also in the frames that ID.2 shares
@@ -88,8 +85,8 @@ def test_units_are_passes_and_what_is_nearest() -> None:
 def test_a_log_without_landmarks_is_a_unit_and_many_logs_are_units() -> None:
     three = [seen(1, 0, 9) + seen(1, 25, 29), [], seen(2, 0, 20)]
     found = counts(*(matched(30, truth, []) for truth in three))
-    assert found.units().count == 4
-    assert counts(*[matched(10, seen(1, 0, 9), [])] * 10).units().kind == "log"
+    assert found.units.count == 4
+    assert counts(*[matched(10, seen(1, 0, 9), [])] * 10).units.kind == "log"
 
 
 def random_case(rng: np.random.Generator, passes: int, length: int = 20, gap: int = 15):
@@ -110,7 +107,7 @@ def random_case(rng: np.random.Generator, passes: int, length: int = 20, gap: in
 def test_units_add_up_to_the_whole() -> None:
     found = counts(random_case(np.random.default_rng(1), 8))
     for protocol in ("paper", "strict"):
-        split = found.declared(found.units(), protocol, "a")
+        split = found.sums("declared", protocol, "a")
         (one,) = [s for s in found.scored if (s.protocol, s.method) == (protocol, "a")]
         np.testing.assert_array_equal(split.sum(axis=0), one.declared.sum(axis=0))
         assert (split >= 0).all()  # what a claim takes away, its own unit has
@@ -251,16 +248,18 @@ def test_two_that_are_never_do_not_differ(never_a: int, never_b: int) -> None:
     """The median wait of twelve passes against all 2^12 swaps, and draws of both, one by one."""
     wait_a = np.where(np.arange(12) < never_a, np.inf, 0.0)
     wait_b = np.where(np.arange(12) < never_b, np.inf, 2.0)
-    one = np.ones(12, dtype=int)
-    outcomes = {m: PassOutcomes(one, one, w) for m, w in (("a", wait_a), ("b", wait_b))}
+    outcomes = {
+        m: np.array([(1, 1, w) for w in wait], dtype=OUTCOME)
+        for m, wait in (("a", wait_a), ("b", wait_b))
+    }
     case: Any = SimpleNamespace(
         ids=(1,),
-        passes=PassTable(0 * one, 0 * one, one, one, np.arange(12)),
+        passes=np.array([(0, 0, 1, 1, n) for n in range(12)], dtype=PASS),
+        units=Units("pass", 12, np.arange(12)),
         scored=[SimpleNamespace(protocol="strict", method=m) for m in outcomes],
         outcomes=lambda _, method: outcomes[method],
     )
-    counted = waits(case, Units("pass", 12, np.arange(12)))
-    a, b = (tally(waits, c) for c in counted if c.landmark_text == "total")
+    a, b = (tally for tally in waits(case) if tally.landmark == "total")
     rng = np.random.default_rng(0)
     weights, tosses = bootstrap_weights(12, rng), coin_tosses(12, rng)
     found = differences(a, b, weights, tosses)[0]

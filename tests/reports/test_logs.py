@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.judge import PROTOCOLS
+from sonarrec.evaluation.match import PROTOCOLS
 from sonarrec.reports.logs import alongside, tracks
 from sonarrec.reports.mistakes import episodes, in_words
 from tests.support.claims import evaluate

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.evaluation.cells import scored_by
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.reports.build import report
 from sonarrec.reports.logs import MOST_LOGS
@@ -49,7 +48,7 @@ def test_only_some_have_panels_and_the_figures_are_of_all(page: Path, made: Path
     assert len(shown) == MOST_LOGS
     assert section(text, "rates").count('<th scope="row" class="text">log') == 40
     found = evaluate_logs(made.parent / "out", made.parent / "gt.csv")
-    count = scored_by(found.counts, "framework", "strict").count()
+    count = found.counts.scored_by("framework", "strict").count()
     assert f"framework: {count.fp:,} false claims, {count.fn} missed" in section(text, "mistakes")
 
 
@@ -87,7 +86,8 @@ def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     estimates["log11"] = [head, *(f"{n},framework,1,.9,1" for n in range(10, 20))]
     truth = [f"{log},{n},1,2.0,0" for log in estimates for n in range(10, 20)]
     out = plain_logs(tmp_path, estimates, truth)
-    count = scored_by(evaluate_logs(out, tmp_path / "gt.csv").counts, "framework", "paper").count()
+    found = evaluate_logs(out, tmp_path / "gt.csv").counts
+    count = found.scored_by("framework", "paper").count()
     assert (count.fp, count.fn) == (11, 0)
     page = tmp_path / "page.html"
     report(out, page, ground_truth=tmp_path / "gt.csv")

@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from sonarrec.evaluation import cells
-from sonarrec.evaluation.judge import PROTOCOLS
+from sonarrec.evaluation import screen
+from sonarrec.evaluation.match import PROTOCOLS
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import DECLARED, PLACED, Page, tables
@@ -31,7 +31,7 @@ def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> No
         for protocol in PROTOCOLS:
             rows = {r[0]: r[1:] for r in page.tables[f"{method}, protocol {protocol}"]}
             expected = [r for r in confusion if (r["method"], r["protocol"]) == (method, protocol)]
-            for label, column in cells.COUNT_ROWS:
+            for label, column in screen.COUNT_ROWS:
                 assert rows[label] == [r[column] for r in expected]
             for label in ("TPR", "FPR"):
                 for cell, r in zip(rows[label], expected, strict=True):

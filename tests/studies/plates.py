@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import BoolArray
-from sonarrec.evaluation.intervals import bootstrap_weights, interval
+from sonarrec.evaluation.uncertainty import bootstrap_weights, interval
 from sonarrec.landmarks import DrawnSet
 from sonarrec.nouns import Estimate
 from sonarrec.simulation.truth import Truth

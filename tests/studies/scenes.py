@@ -15,7 +15,7 @@ import numpy as np
 
 from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count, ratio
-from sonarrec.evaluation.intervals import bootstrap_weights, interval
+from sonarrec.evaluation.uncertainty import bootstrap_weights, interval
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import (
     ALL_KINDS,
@@ -88,7 +88,7 @@ def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
             for name, method in METHODS.items()
             if s.method == method
         }
-        passes = len(found.passes.unit)
+        passes = len(found.passes)
         rows.append(Row(recording.kind, recording.seed, passes, counts))
     return rows
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.count import Adder, Counts, count_log
+from sonarrec.evaluation.count import Counts, count_log
 from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.match import Matched, ScoringOptions
-from sonarrec.evaluation.summary import summarise
-from sonarrec.evaluation.tables import Evaluation
+from sonarrec.evaluation.write import Evaluation
 
 IDS = (1, 2, 3, 4)
 GATE_M = 0.15
@@ -24,7 +24,6 @@ def matched(
     claims: Sequence[tuple],
     *,
     methods: tuple[str, ...] = ("a", "b"),
-    seconds: float = 0.25,
 ) -> Matched:
     """truth: (frame, ID, x, y, positive) and, if wanted, orientation, which is 0 for all claims.
     claims: (method, frame, ID, x, y, score, declared), then, if wanted, object and the
@@ -37,7 +36,6 @@ def matched(
         ids=IDS,
         methods=methods,
         frame=np.arange(frames),
-        seconds=np.full(frames, seconds),
         truth_frame_index=t[:, 0].astype(int),
         truth_landmark_index=t[:, 1].astype(int) - 1,
         truth_position=t[:, 2:4],
@@ -62,10 +60,10 @@ def matched(
 
 def counts(*logs: Matched) -> Counts:
     """The counts of logs."""
-    adder = Adder()
+    found = Counts()
     for log in logs:
-        adder.add(count_log(log))
-    return adder.counts([Path(f"log{n}") for n in range(len(logs))])
+        found.add(count_log(log))
+    return found.finish([Path(f"log{n}") for n in range(len(logs))])
 
 
 def evaluated(*logs: Matched) -> Evaluation:

@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import tqdm
 
 from sonarrec.config import Config
-from sonarrec.evaluation.count import Adder, Counts, count_log
+from sonarrec.evaluation.count import Counts, count_log
 from sonarrec.evaluation.match import Matched, match
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
@@ -123,10 +123,10 @@ def score(folders: Sequence[Path]) -> Counts:
 
     Also of recordings without a landmark alone, which the command takes for a wrong truth.
     """
-    adder = Adder()
+    found = Counts()
     for folder in folders:
-        adder.add(count_log(matched(folder)))
-    return adder.counts(folders)
+        found.add(count_log(matched(folder)))
+    return found.finish(folders)
 
 
 class HoughRival:

@@ -149,7 +149,7 @@ COMPARE = f"--compare {TABLES} {TABLES} --ground-truth gt.csv"
     [
         (EVALUATE, "evaluation.json"),
         (EVALUATE, "roc.png"),
-        (f"evaluate {COMPARE}", "compare.json"),
+        (f"evaluate {COMPARE}", "compare.csv"),
         (f"map {TABLES}", "map.geojson"),
     ],
 )

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class Tally:
 
     protocol: str
     method: str
-    landmark_text: str
+    landmark: str
     """An ID, "none", "total" or "macro"."""
     names: tuple[str, ...]
     values: tuple[float, ...]
@@ -53,14 +54,12 @@ class Tally:
     """Of the figures that are rates: (U,) numerator and denominator in each unit."""
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """One figure of one method, with its interval."""
+class Figure(NamedTuple):
+    """One figure of one method, with its interval. Labels are those of its Tally."""
 
     protocol: str
     method: str
-    landmark_text: str
-    """An ID, "none", "total" or "macro"."""
+    landmark: str
     name: str
     """Of the metric."""
     value: float
@@ -74,14 +73,13 @@ class Figure:
     """Why there is no interval; "" if there is one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
+class Difference(NamedTuple):
     """A figure of method b minus that of method a, with interval and p-value."""
 
     protocol: str
     a: str
     b: str
-    landmark_text: str
+    landmark: str
     """An ID or "total"."""
     name: str
     """Of the metric."""
@@ -125,8 +123,7 @@ def interval(drawn: FloatArray, units: int) -> tuple[float, float]:
     (Hesterberg 2015, "expanded percentile interval"). Without that they are too narrow, with 8
     units by a fifth.
     """
-    z = NormalDist().inv_cdf((1 + LEVEL) / 2)
-    tail = NormalDist().cdf(-math.sqrt(units / (units - 1)) * _student(z, units - 1))
+    tail = NormalDist().cdf(-math.sqrt(units / (units - 1)) * _student(units - 1))
     known = drawn[~np.isnan(drawn)]
     if not len(known):
         return math.nan, math.nan
@@ -148,14 +145,16 @@ def rate_interval(part: FloatArray, whole: FloatArray) -> tuple[float, float]:
     cases = min(total, INDEPENDENT * units)
     if variance > 0:
         cases = min(cases, rate * (1 - rate) / variance)
-    widening = _student(NormalDist().inv_cdf((1 + LEVEL) / 2), units - 1) ** 2 / cases
+    widening = _student(units - 1) ** 2 / cases
     middle = (rate + widening / 2) / (1 + widening)
     half = math.sqrt(widening * (rate * (1 - rate) + widening / 4)) / (1 + widening)
     return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
-def _student(z: float, freedom: int) -> float:
-    """Student's quantile from the normal one (Abramowitz and Stegun 26.7.5); 1e-3 from 5 up."""
+def _student(freedom: int) -> float:
+    """Student's quantile at LEVEL from the normal one (Abramowitz and Stegun 26.7.5); 1e-3 from 5
+    degrees of freedom up."""
+    z = NormalDist().inv_cdf((1 + LEVEL) / 2)
     return (
         z
         + (z**3 + z) / (4 * freedom)
@@ -185,15 +184,10 @@ def replicates(tally: Tally, weights: FloatArray) -> FloatArray:
 
     Where no figure has cases in MIN_UNITS they get no intervals: all rows are then the first.
     """
-    if _has_enough_units(tally.cases):
+    if max(tally.cases, default=0) >= MIN_UNITS:
         return tally.figures(weights @ tally.sums)
     first = tally.figures(weights[:1] @ tally.sums)
     return np.broadcast_to(first, (len(weights), first.shape[1]))
-
-
-def _has_enough_units(cases: Sequence[int]) -> bool:
-    """Whether figures get intervals. cases: how many units have a case of each."""
-    return max(cases, default=0) >= MIN_UNITS
 
 
 def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
@@ -202,34 +196,32 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
     for i, name in enumerate(tally.names):
         value, units = tally.values[i], tally.cases[i]
         low = high = math.nan
+        note = ""
         if math.isnan(value):
             note = "0/0: nothing to measure"
         elif units < MIN_UNITS:
             note = f"cases in {units} of the {MIN_UNITS} units needed: no interval"
         elif name in tally.shares:
-            (low, high), note = rate_interval(*tally.shares[name]), ""
+            low, high = rate_interval(*tally.shares[name])
         elif _all_equal(drawn[:, i], drawn[:, i]):
             # Resampling equal units gives zero width, which would look like certainty.
             note = f"alike in all {units} units: no interval"
         else:
             low, high = interval(drawn[:, i], units)
-            note = ""
-        labels = (tally.protocol, tally.method, tally.landmark_text)
+        labels = (tally.protocol, tally.method, tally.landmark)
         figures.append(Figure(*labels, name, value, low, high, units, note))
     return figures
 
 
 def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> list[Difference]:
-    """The differences of two methods in each figure that both have. Their units are the same.
+    """The differences of two methods in each of their figures. Their units are the same.
 
     If the methods are equal, their results in any unit could be swapped. p is the share of all
     swaps that give a difference at least as large. Frames within a unit may be dependent.
     weights: from `bootstrap_weights`. tosses: from `coin_tosses`.
     """
-    if a.names != b.names:
-        names = [name for name in a.names if name in b.names]
-        a, b = _only(a, names), _only(b, names)
-    if not _has_enough_units([min(pair) for pair in zip(a.cases, b.cases, strict=True)]):
+    cases = [min(pair) for pair in zip(a.cases, b.cases, strict=True)]
+    if max(cases, default=0) < MIN_UNITS:
         tosses = tosses[:1]
     total_a, total_b = a.sums.sum(axis=0), b.sums.sum(axis=0)
     swapped = tosses @ (b.sums - a.sums)
@@ -239,34 +231,21 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
     seen = _difference(b.figures(total_b[None]), a.figures(total_a[None]))[0]
     results = []
     for i, name in enumerate(a.names):
-        units = min(a.cases[i], b.cases[i])
         low = high = p = math.nan
         if math.isnan(b.values[i] - a.values[i]) or math.isnan(seen[i]):
             note = "0/0 or infinite: nothing to compare"
-        elif units < MIN_UNITS:
-            note = f"cases in {units} of the {MIN_UNITS} units needed: no test"
+        elif cases[i] < MIN_UNITS:
+            note = f"cases in {cases[i]} of the {MIN_UNITS} units needed: no test"
         else:
             least = abs(seen[i]) - _tolerance(np.append(tossed_a[:, i], tossed_b[:, i]))
             p = float(np.mean(~(np.abs(tossed[:, i]) < least)))
             of = np.append(drawn_a[:, i], drawn_b[:, i])
             note = "alike in every unit" if _all_equal(drawn[:, i], of) else ""
             if not note:
-                low, high = interval(drawn[:, i], units)
-        labels = (a.protocol, a.method, b.method, a.landmark_text, name)
-        results.append(Difference(*labels, a.values[i], b.values[i], low, high, p, units, note))
+                low, high = interval(drawn[:, i], cases[i])
+        labels = (a.protocol, a.method, b.method, a.landmark, name)
+        results.append(Difference(*labels, a.values[i], b.values[i], low, high, p, cases[i], note))
     return results
-
-
-def _only(tally: Tally, names: Sequence[str]) -> Tally:
-    """The tally with these figures only."""
-    at = [tally.names.index(name) for name in names]
-    return replace(
-        tally,
-        names=tuple(names),
-        values=tuple(tally.values[i] for i in at),
-        cases=tuple(tally.cases[i] for i in at),
-        figures=lambda rows: tally.figures(rows)[:, at],
-    )
 
 
 def macro(per_id: Sequence[Tally], drawn: Sequence[FloatArray]) -> list[Figure]:
@@ -281,11 +260,12 @@ def macro(per_id: Sequence[Tally], drawn: Sequence[FloatArray]) -> list[Figure]:
     def mean(rows: FloatArray) -> FloatArray:  # (IDs, R, figures)
         return ratio(np.where(known[:, None], rows, 0).sum(axis=0), known.sum(axis=0))
 
+    first = per_id[0]
     whole = Tally(
-        protocol=per_id[0].protocol,
-        method=per_id[0].method,
-        landmark_text="macro",
-        names=per_id[0].names,
+        protocol=first.protocol,
+        method=first.method,
+        landmark="macro",
+        names=first.names,
         values=tuple(mean(values[:, None])[0].tolist()),
         cases=tuple(int(n) if n < np.inf else 0 for n in cases),
         sums=np.empty((0, 0)),

@@ -1,0 +1,270 @@
+"""An evaluation as cells of tables, for the report too, and as text for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from sonarrec.errors import printable
+from sonarrec.evaluation.count import Counts, Scored
+from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.figures import BY_NAME, MAIN, METRICS, Summary, over_units, units_text
+from sonarrec.evaluation.uncertainty import Difference, Figure
+from sonarrec.evaluation.write import Evaluation
+
+HEADLINE = ("tpr", "fpr")
+"""Shown in a table of their own before the other figures."""
+COUNT_ROWS = (("TP", "tp"), ("TN", "tn"), ("FP", "fp"), ("FN", "fn"), ("beta", "total"))
+TESTED = tuple(metric for metric in METRICS if metric.tested)
+WIDTH = 100
+LABEL, COLUMN = 30, 23
+LEGEND = "once: TPR without double claims (each ID once per frame); beta: all counts, in the paper"
+STAR = "* 0/0, printed as in the paper: there is nothing to measure"
+
+
+class Cell(NamedTuple):
+    """A value and, if known, its interval and the result of a test."""
+
+    value: str
+    low: str = ""
+    high: str = ""
+    test: str = ""
+
+
+NONE = Cell("-")
+
+
+class Table(NamedTuple):
+    """One of the paper's tables. rows: a label and its cells, one per heading."""
+
+    method: str
+    protocol: str
+    heading: list[str]
+    rows: list[tuple[str, list[str]]]
+
+
+class OperatingPoint(NamedTuple):
+    """Rates of one method under one protocol, and its mistakes: FN and FP."""
+
+    tpr: Cell
+    fpr: Cell
+    missed: int
+    false: int
+
+
+def protocols(counts: Counts) -> list[str]:
+    """The protocols that were scored, the stricter one first."""
+    return [*reversed(counts.protocols)]
+
+
+def paper_table(scored: Scored, thousands: str = "") -> Table:
+    """TPR to beta per ID and in total, in the layout of the paper; "0.0000*" for 0/0.
+
+    "once" is the TPR without double claims, of which only protocol paper has any. thousands: the
+    separator in counts.
+    """
+    counts = [*scored.named_counts().values()]
+    once = [rate(c.tp - c.double, c.tp - c.double + c.fn) for c in counts]
+    return Table(
+        method=scored.method,
+        protocol=scored.protocol,
+        heading=[f"ID.{i}" for i in scored.ids] + ["Total"],
+        rows=[
+            ("TPR", [rate(c.tp, c.tp + c.fn) for c in counts]),
+            ("once", once if scored.protocol == "paper" else [""] * len(counts)),
+            ("FPR", [rate(c.fp, c.fp + c.tn) for c in counts]),
+            *(
+                (label, [f"{getattr(c, name):{thousands}}" for c in counts])
+                for label, name in COUNT_ROWS
+            ),
+        ],
+    )
+
+
+def rates(counts: Counts, summary: Summary) -> list[tuple[str, list[OperatingPoint]]]:
+    """For each method its operating points over all IDs, under every protocol."""
+    found = []
+    for method in counts.methods:
+        points = []
+        for protocol in protocols(counts):
+            tpr, fpr = (figure(summary.figure(protocol, method, n), n) for n in HEADLINE)
+            points.append(_point(counts.scored_by(method, protocol).count(), tpr, fpr))
+        found.append((method, points))
+    return found
+
+
+def rates_per_log(counts: Counts) -> list[tuple[str, list[OperatingPoint]]]:
+    """For each log the operating points of methods over all IDs, under the stricter protocol."""
+    of_methods = [counts.scored_by(m, protocols(counts)[0]) for m in counts.methods]
+    return [
+        (log, [_point(scored.count(log=n)) for scored in of_methods])
+        for n, log in enumerate(counts.logs)
+    ]
+
+
+def _point(count: Count, tpr: Cell = NONE, fpr: Cell = NONE) -> OperatingPoint:
+    """The rates to four digits, a dash for 0/0. tpr, fpr: cells with their intervals."""
+    positives, negatives = count.tp + count.fn, count.fp + count.tn
+    return OperatingPoint(
+        tpr._replace(value=rate(count.tp, positives) if positives else NONE.value),
+        fpr._replace(value=rate(count.fp, negatives) if negatives else NONE.value),
+        count.fn,
+        count.fp,
+    )
+
+
+def figures(
+    summary: Summary, protocol: str, methods: Sequence[str], names: Sequence[str] = tuple(BY_NAME)
+) -> list[tuple[str, list[Cell]]]:
+    """The figures over all IDs that any method has: a label and a cell per method.
+
+    names: of metrics.
+    """
+    rows = []
+    for name in names:
+        of_methods = [summary.figure(protocol, method, name) for method in methods]
+        if any(of_methods):
+            rows.append((BY_NAME[name].label, [figure(one, name) for one in of_methods]))
+    return rows
+
+
+def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]:
+    """For each two methods their differences in the metrics of TESTED."""
+    rows: dict[str, list[Cell]] = {}
+    for d in tested_differences(summary, protocol):
+        rows.setdefault(f"{d.b} minus {d.a}", []).append(difference(d))
+    return list(rows.items())
+
+
+def tested_differences(summary: Summary, protocol: str) -> list[Difference]:
+    """The differences in the metrics of TESTED."""
+    return [d for d in summary.differences if d.protocol == protocol and BY_NAME[d.name].tested]
+
+
+def figure(found: Figure | None, name: str) -> Cell:
+    """A figure of the metric of this name; a dash if there is none."""
+    if found is None:
+        return NONE
+    return _cell(found.value, found.low, found.high, BY_NAME[name].digits)
+
+
+def difference(d: Difference) -> Cell:
+    """A difference with its sign, and p or the reason why there is none."""
+    test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
+    return _cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+")._replace(test=test)
+
+
+def _cell(value: float, low: float, high: float, digits: int, sign: str = "") -> Cell:
+    """A value with its interval if that is known; a dash if there is no value."""
+    span = ("", "") if math.isnan(low) else (number(v, digits, sign) for v in (low, high))
+    return Cell(number(value, digits, sign), *span)
+
+
+def rate(part: int, whole: int) -> str:
+    """A rate to four digits, halves upward as in the paper; "0.0000*" for 0/0."""
+    if whole == 0:
+        return "0.0000*"
+    # In whole numbers: 52/640 = .08125 is printed as .0813; floating point would give .0812.
+    digits = (2 * 10_000 * part + whole) // (2 * whole)
+    return f"{digits // 10_000}.{digits % 10_000:04d}"
+
+
+def number(value: float, digits: int, sign: str = "") -> str:
+    """A number; a dash for NaN, "never" for infinity."""
+    if math.isnan(value):
+        return NONE.value
+    return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"
+
+
+def screen(evaluation: Evaluation, details: bool = False) -> str:
+    """The paper's tables, then figures with intervals and tests; with two methods forty lines.
+
+    details: all figures, also per ID and per log.
+    """
+    counts, summary = evaluation.counts, evaluation.summary
+    main, *others = protocols(counts)
+    lines = _paper_tables(counts)
+    names = [m.name for m in METRICS if m.brief or details]
+    for protocol in (main, *others) if details else (main,):
+        lines += ["", f"protocol {protocol}, all IDs{over_units(summary)}"]
+        beside = (WIDTH - LABEL) // COLUMN
+        for first in range(0, len(counts.methods), beside):
+            some = counts.methods[first : first + beside]
+            lines.append(_row("", [m[: COLUMN - 1] for m in some]))
+            for label, row in figures(summary, protocol, some, names):
+                lines.append(_row(label, list(map(_text, row))))
+    tested = tested_differences(summary, main)
+    if any(not math.isnan(d.p) for d in tested):
+        test = f"paired sign-flip test over {units_text(summary.units)}"
+        lines += ["", f"protocol {main}, differences; {test}"]
+        for d in tested if details else [d for d in tested if d.name in MAIN]:
+            text = _text(difference(d), " to ")
+            lines.append(f"{d.b} minus {d.a}, {BY_NAME[d.name].label}: {text}")
+    if details:
+        lines += _per_id(summary, main, counts.methods)
+        lines += _per_log(counts, main) if len(counts.logs) > 1 else []
+    return "\n".join(map(printable, lines))
+
+
+def _paper_tables(counts: Counts) -> list[str]:
+    """The tables of all methods, with both protocols side by side if they fit into WIDTH."""
+    lines: list[str] = []
+    for method in counts.methods:
+        blocks = []
+        for protocol in counts.protocols:
+            table = paper_table(counts.scored_by(method, protocol))
+            gates = f": centre within {' or '.join(f'{g:g}' for g in counts.gates)} m"
+            told = gates * bool(counts.gates) if protocol == "strict" else ": position not checked"
+            block = [
+                f"protocol {protocol}{told}",
+                # A star stands behind the digits.
+                *(
+                    f"{label:<5}" + "".join(f"{c if '*' in c else c + ' ':>8}" for c in row)
+                    for label, row in [("", table.heading), *table.rows]
+                ),
+            ]
+            width = max(map(len, block[1:]))
+            blocks.append([line.ljust(width) for line in block])
+        if sum(len(b[1]) for b in blocks) + 3 * (len(blocks) - 1) <= WIDTH:
+            rows = [" | ".join(row).rstrip() for row in zip(*blocks, strict=True)]
+        else:
+            rows = [line.rstrip() for block in blocks for line in [*block, ""]][:-1]
+        lines += [method, *rows, ""]
+    lines[-1:] = [LEGEND]
+    return [*lines, STAR] if any("*" in line for line in lines) else lines
+
+
+def _text(cell: Cell, to: str = "-") -> str:
+    interval = f" ({cell.low}{to}{cell.high})" if cell.low else ""
+    return f"{cell.value}{interval}" + (f", {cell.test}" if cell.test else "")
+
+
+def _row(label: str, columns: Sequence[str]) -> str:
+    return f"{label:<{LABEL}}{''.join(f'{c:<{COLUMN}}' for c in columns)}".rstrip()
+
+
+def _per_id(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:
+    lines = ["", f"protocol {protocol}, per ID (macro: mean of the IDs; total: of all counts)"]
+    lines.append(_row("", [BY_NAME[name].label for name in MAIN]))
+    landmarks = list(dict.fromkeys(f.landmark for f in summary.figures if f.name == MAIN[0]))
+    for method in methods:
+        for landmark in landmarks:
+            label = f"{method[: LABEL - 8]} {'ID.' * landmark.isdigit()}{landmark}"
+            found = (
+                figure(summary.figure(protocol, method, name, landmark), name) for name in MAIN
+            )
+            lines.append(_row(label, list(map(_text, found))))
+    return lines
+
+
+def _per_log(counts: Counts, protocol: str) -> list[str]:
+    lines = ["", f"protocol {protocol}, per log"]
+    head = f"{'TPR':>8}{'FPR':>9}{'TP':>7}{'FP':>6}{'FN':>6}"
+    lines.append(f"{'':<{LABEL}}{'method':<{COLUMN}}{head}")
+    for n, log in enumerate(counts.logs):
+        for method in counts.methods:
+            c = counts.scored_by(method, protocol).count(log=n)
+            lines.append(_row(log[-LABEL + 1 :], [method[: COLUMN - 1]]).ljust(LABEL + COLUMN))
+            lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
+    return lines
