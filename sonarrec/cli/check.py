@@ -166,24 +166,17 @@ def _run(
 
     Leaves if there are none. all_needed: raise SonarrecError if there are not all.
     """
-    from sonarrec.cli.run import run_tasks, stoppable
-    from sonarrec.cli.run_watch import RunWatch
-    from sonarrec.runs import cores
-    from sonarrec.runs.logs_table import LogsTable
+    from sonarrec.cli.run import Printer, run_and_print
 
-    jobs, out = min(jobs or cores(), len(tasks)), Path(tasks[0].out)
-    table = LogsTable(out, tasks)
-    watch = RunWatch(tasks, table, out, "", jobs, quiet, False, briefly=True)
-    with stoppable([]), watch:
-        run_tasks(tasks, jobs, watch)
-    done = [logs[i] for i in watch.with_results]
-    if len(tasks) == 1 and watch.error is not None:
-        raise watch.error
+    printer = Printer(tasks, jobs=jobs, quiet=quiet, briefly=True)
+    found = run_and_print(tasks, tasks[0].out, printer)
+    done = [log for log, one in zip(logs, found.outcomes, strict=True) if one.summary is not None]
+    code = printer.exit_code()
     if not done:
-        leave(watch.exit_code())
+        leave(code)
     if all_needed and len(done) < len(logs):
         raise SonarrecError("nothing is recorded, since not every log could be run")
-    return done, watch.exit_code() != 0
+    return done, code != 0
 
 
 def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> None:

@@ -1,16 +1,20 @@
-"""What a command prints, and how it ends: messages on stdout and stderr, and exit codes."""
+"""What a command prints, and how it ends.
+
+In this order: what is wrong (stderr), results (stdout), notes (stderr). And the exit codes.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Iterator
+import sys
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NoReturn
 
 import click
 
-from sonarrec.errors import Diagnostics, name_as_text, printable
+from sonarrec.errors import name_as_text, number_of, printable
 
 FAILED = 1  # nothing could be used
 MISUSED = 2  # an option is invalid, or an input does not exist
@@ -18,21 +22,12 @@ PARTLY = 3  # finished, but part of the input could not be used
 WORSE = 4  # finished, but the results are worse than before, or than a limit allows
 INTERRUPTED = 130  # stopped by Ctrl-C
 TERMINATED = 143  # stopped by SIGTERM
+MOST_NOTES = 5
 
 
 def say(*lines: str) -> None:
     """Print lines on stdout. Control characters, as in names of files or topics, become escapes."""
     click.echo("\n".join(map(printable, lines)))
-
-
-def _coloured(text: str, colour: str) -> str:
-    """The text in a colour, which only a terminal shows (see no-color.org)."""
-    return text if os.environ.get("NO_COLOR") else click.style(text, fg=colour)
-
-
-def headed(text: str) -> str:
-    """A heading as a terminal shows it."""
-    return text if os.environ.get("NO_COLOR") else click.style(text, bold=True)
 
 
 def inform(line: str) -> None:
@@ -42,31 +37,40 @@ def inform(line: str) -> None:
 
 
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Print notes, then problems, on stderr, each on its own line. If stderr fails, ignore it."""
+    """Print problems, then at most MOST_NOTES notes, on stderr, none twice. If stderr fails, ignore
+    it."""
+    different = [*dict.fromkeys(notes)]
     with suppress(OSError):
-        for note in notes:
-            click.echo(f"{_coloured('sonarrec: note:', 'yellow')} {printable(note)}", err=True)
-        for problem in problems:
+        for problem in dict.fromkeys(problems):
             # A problem may end with an example of several lines.
             lines = "\n".join(map(printable, problem.split("\n")))
-            click.echo(f"{_coloured('sonarrec:', 'red')} {lines}", err=True)
+            click.echo(f"{styled('sonarrec:', fg='red')} {lines}", err=True)
+        for note in different[:MOST_NOTES]:
+            click.echo(f"{styled('sonarrec: note:', fg='yellow')} {printable(note)}", err=True)
+    if more := len(different[MOST_NOTES:]):
+        inform(number_of(more, "more note"))
 
 
-def end(problems: Collection[object]) -> None:
-    """Leave with exit code PARTLY if there are problems; otherwise return.
-
-    problems: the parts of the input that could not be used.
-    """
+def finish(
+    quiet: bool, results: Iterable[str], problems: Collection[str] = (), notes: Iterable[str] = ()
+) -> None:
+    """Print what is wrong, the results unless quiet, and notes; leave with PARTLY if problems."""
+    tell(problems)
+    if not quiet:
+        say(*results)
+    tell((), notes)
     if problems:
         leave(PARTLY)
 
 
-def finish(told: Diagnostics, quiet: bool, lines: Iterable[str]) -> None:
-    """Print what is told and, unless quiet, the lines; leave with PARTLY if there are problems."""
-    tell(told.problems, told.notes)
-    if not quiet:
-        say(*lines)
-    end(told.problems)
+def leave(code: int) -> NoReturn:
+    """End the command with this exit code."""
+    click.get_current_context().exit(code)
+
+
+def styled(text: str, **style: object) -> str:
+    """The text in a colour or in bold, which only a terminal shows (see no-color.org)."""
+    return text if os.environ.get("NO_COLOR") else click.style(text, **style)  # type: ignore[arg-type]
 
 
 @contextmanager
@@ -83,6 +87,35 @@ def naming_leftovers(*places: Path) -> Iterator[None]:
         raise
 
 
-def leave(code: int) -> NoReturn:
-    """End the command with this exit code."""
-    click.get_current_context().exit(code)
+@contextmanager
+def progress(
+    quiet: bool, total: int | None = None, title: str | None = None, unit: str = "frame"
+) -> Iterator[Callable[..., None]]:
+    """tqdm's bar on stderr, moved by step(total=None, by=1); none if stderr is no terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda *_, **__: None
+        return
+    from tqdm import tqdm  # slow to load
+
+    # With a file descriptor of its own: readers redirect that of stderr while they decode.
+    terminal = os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding)
+    look = {"desc": title, "unit": unit, "leave": False, "delay": 1e-3}  # none without a step
+    with terminal, tqdm(total=total, file=terminal, **look) as bar:
+
+        def step(total: int | None = None, by: int = 1) -> None:
+            bar.total = bar.total if total is None else total
+            bar.update(by)
+
+        yield step
+
+
+@contextmanager
+def above_the_bar() -> Iterator[None]:
+    """Print above a bar, not into it."""
+    if "tqdm" not in sys.modules:  # no bar is shown
+        yield
+        return
+    from tqdm import tqdm
+
+    with tqdm.external_write_mode():
+        yield

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial, wraps
+from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,8 +14,29 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from sonarrec.cli.removed import with_advice
 from sonarrec.errors import UsageError, local
+
+FIRST = "Most used"
+GROUPS = ("Input", "Scoring", "Settings", "Geometry", "Many logs", "Output")
+"""Of --help, in this order."""
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+
+def page_texts() -> dict[str, str]:
+    """The Markdown of each page of the manual by its topic, in the order of names."""
+    pages = files("sonarrec").joinpath("help").iterdir()
+    texts = {p.name.removesuffix(".md"): p for p in pages if p.name.endswith(".md")}
+    return {topic: texts[topic].read_text(encoding="utf-8") for topic in sorted(texts)}
+
+
+def advice_on(word: str) -> str:
+    """What `help changes` says of an option or a command that is gone; empty if it says nothing."""
+    for version in page_texts()["changes"].split("\n## ")[1:]:
+        for item in version.partition("\nGone\n")[2].split("\n- "):
+            named = re.sub(r"\(.*?\)", "", item.partition(":")[0], flags=re.DOTALL)
+            if word in {w for code in re.findall("`(.*?)`", named) for w in code.split()}:
+                return f"Gone: {' '.join(item.removeprefix('- ').split())}"
+    return ""
 
 
 class _Local(click.Path):
@@ -23,6 +46,12 @@ class _Local(click.Path):
         return super().convert(local(value), *context)
 
 
+FILE = _Local(exists=True, dir_okay=False, path_type=Path)
+NEW_FILE = _Local(dir_okay=False, path_type=Path)
+FOLDER = _Local(file_okay=False, path_type=Path)
+ANY = _Local(path_type=Path)
+
+
 class FiniteRange(click.FloatRange):
     """A number within bounds. nan is refused, which no bound shuts out, and infinity."""
 
@@ -30,21 +59,6 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(float(number := super().convert(value, param, ctx))):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
-
-
-FILE = _Local(exists=True, dir_okay=False, path_type=Path)
-NEW_FILE = _Local(dir_okay=False, path_type=Path)
-FOLDER = _Local(file_okay=False, path_type=Path)
-ANY = _Local(path_type=Path)
-
-
-FIRST = "Most used"
-GROUPS = (
-    *("Input", "Scoring", "Settings"),
-    *("Geometry", "Many logs", "Output"),
-)
-"""Of --help, in this order."""
-Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 class GroupedOption(click.Option):
@@ -72,7 +86,10 @@ class GroupedCommand(click.Command):
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            raise with_advice(error) from None
+            if not (advice := advice_on(error.option_name)):
+                raise
+            told = f"{error.message} {advice}"
+            raise click.NoSuchOption(error.option_name, told, ctx=ctx) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         rows: dict[str, list[tuple[str, str]]] = {g: [] for g in (FIRST, *GROUPS, "Other")}
@@ -88,30 +105,6 @@ class GroupedCommand(click.Command):
         page = ctx.command_path.removeprefix(ctx.find_root().command_path).split()[0]
         formatter.write_paragraph()
         formatter.write_text(f"More: sonarrec help {page}".removesuffix(" help"))
-
-
-def file_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """`shell_complete` for a text that may be a path."""
-    return [CompletionItem(incomplete, type="file")]
-
-
-Names = Callable[[], Iterable[str]]
-Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
-
-
-def names_of(names: Names, *, files: bool = False) -> Complete:
-    """`shell_complete` for one of some names, which are asked for when a shell completes.
-
-    Of a list with commas the last is completed. files: or a path.
-    """
-
-    def complete(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        before, comma, begun = incomplete.rpartition(",")
-        found = [name for name in names() if name.startswith(begun)]
-        items = [CompletionItem(f"{before}{comma}{name}") for name in found]
-        return items + ([CompletionItem(incomplete, type="file")] if files else [])
-
-    return complete
 
 
 command = partial(click.command, cls=GroupedCommand)
@@ -144,3 +137,28 @@ def as_one(
         return called
 
     return decorate
+
+
+# `shell_complete` of an option or argument
+
+
+def file_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Of a text that may be a path."""
+    return [CompletionItem(incomplete, type="file")]
+
+
+def names_of(
+    names: Callable[[], Iterable[str]], *, or_files: bool = False
+) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
+    """Of one of some names, which are asked for when a shell completes.
+
+    Of a list with commas the last is completed. or_files: or a path.
+    """
+
+    def complete(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        before, comma, begun = incomplete.rpartition(",")
+        found = [name for name in names() if name.startswith(begun)]
+        items = [CompletionItem(f"{before}{comma}{name}") for name in found]
+        return items + ([CompletionItem(incomplete, type="file")] if or_files else [])
+
+    return complete

@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, leave, say, tell
+from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, leave, progress, say, tell
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
-from sonarrec.cli.options_log import (
-    GEOMETRY_TEXTS,
-    LogChoice,
-    log_options,
-    many_logs_options,
-    named_logs,
-)
 from sonarrec.errors import MissingError, SonarrecError, UsageError, local, name_as_text, number_of
 from sonarrec.nouns import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Container, Images, LogInfo
     from sonarrec.readers.named_logs import NamedLog
-
 
 HEAD = "# Written by sonarrec info"
 MOST_NUMBERS = 16
@@ -35,13 +27,13 @@ MOST_NUMBERS = 16
 
 @command(short_help="Show what is in a log, and whether it is complete.")
 @click.argument("log", shell_complete=file_names, nargs=-1)
-@many_logs_options
+@options.many_logs
 @in_input(
     "--quick",
     is_flag=True,
     help="Read the summary and the first frames only; do not check every frame and checksum.",
 )
-@log_options(flags=True)
+@options.reading(geometry=True)
 @options.landmarks
 @in_output(
     "--preview",
@@ -62,7 +54,7 @@ def info(
     recursive: bool,
     from_file: IO[str] | None,
     quick: bool,
-    log_choice: LogChoice,
+    reading: dict[str, Any],
     landmarks: str | None,
     preview: Path | None,
     write_sonar: Path | None,
@@ -82,10 +74,11 @@ def info(
       sonarrec info pings/ --tilt-deg 22 --preview pings.png
       sonarrec info dive.avi --range-max-m 8 --write-sonar dive.sonar.toml
     """
+    from sonarrec.readers.info import describe
     from sonarrec.results.run_file import PROGRAM
     from sonarrec.tables.outputs import check_output
 
-    logs = named_logs(log, from_file, recursive)
+    logs = options.named_logs(log, from_file, recursive)
     names = [local(one.path) for one in logs]
     for option, file in (("--preview", preview), ("--write-sonar", write_sonar)):
         if file is not None and len(logs) > 1:
@@ -96,108 +89,37 @@ def info(
         if preview.suffix.lower() != ".png":
             raise UsageError(f"--preview {preview}: the name must end in .png")
         check_output(preview, "picture", names)
-    shown = [
-        _show(
-            *(one, name, number),
-            reading=log_choice.arguments(),
-            landmarks=landmarks,
-            quick=quick,
-            preview=preview,
-            write_sonar=write_sonar,
-            as_json=as_json,
-            quiet=quiet,
-        )
-        for number, (one, name) in enumerate(zip(logs, names, strict=True))
-    ]
+    found: LogInfo | None = None
+    documents, codes = list[dict[str, Any]](), list[int]()
+    for one, name in zip(logs, names, strict=True):
+        try:
+            with progress(quiet) as step:
+                found = describe(one.path, **reading, up_to=one.up_to, quick=quick, observe=step)
+        except SonarrecError as error:
+            is_missing = isinstance(error, MissingError)
+            if isinstance(error, UsageError) and not is_missing:
+                raise
+            tell([str(error)])
+            documents.append({"path": name, "error": str(error)})
+            codes.append(MISUSED if is_missing else FAILED)
+            continue
+        if not as_json:
+            say(*([""] if documents else []), *lines(found))
+        documents.append(_as_text(asdict(found)))
+        codes.append(FAILED if found.has_no_frame else PARTLY * found.has_problems)
     if as_json:
         head = {"program": PROGRAM, "version": PROGRAM["version"]}
-        click.echo(json.dumps({**head, "logs": [one.table for one in shown]}, indent=2))
-    undone = {str(one.undone): one.undone for one in shown if one.undone is not None}
-    if undone:
-        *others, last = undone.values()
-        tell(map(str, others))
-        if any(one.undone is None and not one.is_useless for one in shown):
-            tell([str(last)])
-            leave(PARTLY)
-        raise last
-    if all(one.is_useless for one in shown):
-        leave(MISUSED if all(one.is_missing for one in shown) else FAILED)
-    if any(one.is_useless or one.is_faulty for one in shown):
-        leave(PARTLY)
-
-
-@dataclass(slots=True)
-class _Shown:
-    """The outcome of one log.
-
-    table: for JSON. is_useless: not one frame can be used. is_missing: there is no such log.
-    is_faulty: a part cannot be used. undone: why the preview or the trial of radii failed.
-    """
-
-    table: dict[str, Any]
-    is_useless: bool
-    is_missing: bool = False
-    is_faulty: bool = False
-    undone: SonarrecError | None = None
-
-
-def _show(
-    log: NamedLog,
-    name: str,
-    number: int,
-    *,
-    reading: dict[str, Any],
-    landmarks: str | None,
-    quick: bool,
-    preview: Path | None,
-    write_sonar: Path | None,
-    as_json: bool,
-    quiet: bool,
-) -> _Shown:
-    """Describe a log and print it. number: how many logs come before. reading: as for `open_log`.
-
-    A fault of the log is printed; raises UsageError for options that cannot be used with it.
-    """
-    from sonarrec.readers import open_log
-    from sonarrec.readers.info import describe
-    from sonarrec.readers.open import find_log
-    from sonarrec.results.run_file import read_run
-    from sonarrec.runs.basis import chosen_landmarks
-
-    path, reading = log.path, {**reading, "up_to": log.up_to}
-    try:
-        with progress(quiet) as step:
-            log_info = describe(path, **reading, quick=quick, observe=step)
-    except SonarrecError as error:
-        is_missing = isinstance(error, MissingError)
-        if isinstance(error, UsageError) and not is_missing:
-            raise
-        tell([str(error)])
-        return _Shown({"path": name, "error": str(error)}, True, is_missing)
-    table = _as_text(asdict(log_info))
-    shown = _Shown(table, log_info.has_no_frame, is_faulty=log_info.has_problems)
-    if not as_json:
-        say(*([""] if number else []), *lines(log_info))
-    try:
-        if write_sonar is not None:
-            missing = write_sonar_toml(write_sonar, log_info)
-            lacks = f"complete {', '.join(missing)}" if missing else "nothing is missing"
-            if not quiet:
-                inform(f"{write_sonar}: written; {lacks}")
-        if preview is not None:
-            from sonarrec.drawing.geometry import draw_preview
-            from sonarrec.drawing.pen import write_png
-
-            source = find_log(path, reading["up_to"])
-            landmark_set, _ = chosen_landmarks(source, landmarks, read_run(None))
-            with open_log(path, **reading) as opened:
-                first = next(iter(opened))
-                stated = opened.sonar.height_m is not None
-            picture = draw_preview(first.image, first.fan, landmark_set, height_stated=stated)
-            write_png(preview, picture)
-    except SonarrecError as error:
-        shown.undone = error  # told after all logs
-    return shown
+        click.echo(json.dumps({**head, "logs": documents}, indent=2))
+    if write_sonar is not None and found is not None:
+        missing = write_sonar_toml(write_sonar, found)
+        lacks = f"complete {', '.join(missing)}" if missing else "nothing is missing"
+        if not quiet:
+            inform(f"{write_sonar}: written; {lacks}")
+    if preview is not None and found is not None:
+        _draw(preview, logs[0], reading, landmarks)
+    if all(codes) and PARTLY not in codes:
+        leave(FAILED if FAILED in codes else MISUSED)
+    leave(PARTLY if any(codes) else 0)
 
 
 def _as_text(value: Any) -> Any:
@@ -209,32 +131,41 @@ def _as_text(value: Any) -> Any:
     return name_as_text(value) if isinstance(value, str) else value
 
 
+def _draw(preview: Path, log: NamedLog, reading: dict[str, Any], landmarks: str | None) -> None:
+    """Draw the geometry onto the first usable frame. Raises SonarrecError if there is none."""
+    from sonarrec.drawing.geometry import draw_preview
+    from sonarrec.drawing.pen import write_png
+    from sonarrec.readers import open_log
+    from sonarrec.readers.open import find_log
+    from sonarrec.results.run_file import read_run
+    from sonarrec.runs.basis import chosen_landmarks
+
+    landmark_set, _ = chosen_landmarks(find_log(log.path, log.up_to), landmarks, read_run(None))
+    with open_log(log.path, **reading, up_to=log.up_to) as opened:
+        first = next(iter(opened))
+        stated = opened.sonar.height_m is not None
+    write_png(preview, draw_preview(first.image, first.fan, landmark_set, height_stated=stated))
+
+
+# What is printed of a log: what is wrong first, notes last
+
+
 def lines(info: LogInfo) -> list[str]:
     """A log described in lines of text."""
     size = f"{info.size_bytes / 1e6:.1f} MB" if info.size_bytes >= 1e5 else f"{info.size_bytes} B"
     kind = number_of(info.files, "image") if info.kind == "images" else info.kind
-    out = [f"{info.path}: {kind}, {size}"]
+    name = f"{Path(info.path).name}: "
+    out = [
+        f"{info.path}: {kind}, {size}",
+        *_entry("whole", _whole(info)),
+        *_entry("faults", [fault.removeprefix(name) for fault in info.faults]),
+        *_entry("problems", [line for images in info.images for line in images.problems]),
+    ]
     if info.container is None:
         for images in info.images:
             out += _recorded(images.start_ns, images.end_ns)
     else:
         out += _container_lines(info.container)
-        container = info.container
-        if not container.footer:
-            whole = "no: cut short or damaged"
-        elif info.faults:
-            whole = "no: damaged"
-        elif container.library == "SQLite":  # which has neither footer nor checksums
-            sight = "yes: nothing is missing", "nothing is missing at first sight"
-            whole = sight[not info.checked]
-        elif not info.checked or not info.images:
-            whole = "it has a footer; checksums not compared"
-        else:
-            whole = "yes: footer and checksums"
-        out += _entry("whole", [whole])
-    out += _entry(
-        "faults", [fault.removeprefix(f"{Path(info.path).name}: ") for fault in info.faults]
-    )
     for images in info.images:
         out += _images_lines(images)
     if not info.images:
@@ -242,35 +173,25 @@ def lines(info: LogInfo) -> list[str]:
     return out
 
 
-def _entry(name: str, texts: list[str]) -> list[str]:
+def _entry(name: str, texts: Iterable[str]) -> list[str]:
     """Lines under one heading."""
-    return [f"  {name if n == 0 else '':<10}{text}" for n, text in enumerate(texts)]
+    return [f"  {name if n == 0 else '':<10}{text}" for n, text in enumerate(filter(None, texts))]
 
 
-def _container_lines(container: Container) -> list[str]:
-    out = _recorded(container.start_ns, container.end_ns)
-    writer = ", ".join(text for text in (container.profile, container.library) if text)
-    out += _entry("writer", [writer] if writer else [])
-    chunks = ", ".join(f"{count} {name}" for name, count in container.chunks.items())
-    out += _entry("chunks", [chunks or "none"])
-    rows = []
-    for channel in container.channels:
-        rate = ""
-        start, end = container.start_ns, container.end_ns
-        if start is not None and end is not None:
-            more = channel.messages - 1
-            rate = f"{more / (end - start) * 1e9:.4g} Hz" if end > start and more > 0 else ""
-        rows.append(
-            [
-                channel.topic,
-                channel.schema or "no schema",
-                channel.message_encoding or "no encoding",
-                number_of(channel.messages, "message"),
-                rate,
-                "images" if channel.images else "",
-            ]
-        )
-    return out + (_entry("channels", _columns(rows)) if rows else [])
+def _whole(info: LogInfo) -> Iterator[str]:
+    """Whether an MCAP or a bag is complete."""
+    if info.container is None:
+        return
+    if not info.container.footer:
+        yield "no: cut short or damaged"
+    elif info.faults:
+        yield "no: damaged"
+    elif info.container.library == "SQLite":  # which has neither footer nor checksums
+        yield "yes: nothing is missing" if info.checked else "nothing is missing at first sight"
+    elif not info.checked or not info.images:
+        yield "it has a footer; checksums not compared"
+    else:
+        yield "yes: footer and checksums"
 
 
 def _recorded(start_ns: int | None, end_ns: int | None) -> list[str]:
@@ -281,82 +202,95 @@ def _recorded(start_ns: int | None, end_ns: int | None) -> list[str]:
     return _entry("recorded", [f"{start}, {(end_ns - start_ns) / 1e9:.1f} s long"])
 
 
-def _columns(rows: list[list[str]]) -> list[str]:
+def _container_lines(container: Container) -> list[str]:
+    start, end, rows = container.start_ns, container.end_ns, list[list[str]]()
+    for channel in container.channels:
+        intervals = channel.messages - 1
+        rate = ""
+        if start is not None and end is not None and end > start and intervals > 0:
+            rate = f"{intervals / (end - start) * 1e9:.4g} Hz"
+        rows.append(
+            [
+                channel.topic,
+                channel.schema or "no schema",
+                channel.message_encoding or "no encoding",
+                number_of(channel.messages, "message"),
+                rate,
+                "images" if channel.images else "",
+            ]
+        )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    chunks = ", ".join(f"{count} {name}" for name, count in container.chunks.items())
     return [
-        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
+        *_recorded(start, end),
+        *_entry("writer", [", ".join(filter(None, (container.profile, container.library)))]),
+        *_entry("chunks", [chunks or "none"]),
+        *_entry("channels", ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)),
     ]
 
 
 def _images_lines(images: Images) -> list[str]:
-    out = ["", f"  {images.topic}"] if images.topic is not None else []
     if images.usable is None:
-        text = f"{'?' if images.frames is None else images.frames}, not checked"
+        frames = f"{'?' if images.frames is None else images.frames}, not checked"
     else:
         once = ", once the geometry is complete" if images.lacks else ""
-        text = f"{images.usable} of {images.frames} can be used{once}"
-    out += _entry("frames", [text])
+        frames = f"{images.usable} of {images.frames} can be used{once}"
+    size = ""
     if images.rows is not None:
-        text = f"{images.columns} x {images.rows}, {images.pixels}, {images.layout}"
+        size = f"{images.columns} x {images.rows}, {images.pixels}, {images.layout}"
         if images.rate_hz is not None:
-            text += f", {images.rate_hz:.4g} Hz"
+            size += f", {images.rate_hz:.4g} Hz"
         elif "frame_rate_hz" in images.geometry:
-            text += f", {images.geometry['frame_rate_hz']:g} Hz as stated"
-        out += _entry("images", [text])
+            size += f", {images.geometry['frame_rate_hz']:g} Hz as stated"
     header = {key: value for key, value in images.header.items() if value is not None}
-    sonar = [str(header.pop("sonar"))] if "sonar" in header else []
+    sonar = str(header.pop("sonar", ""))
     cells = [f"{k} = {v}" if isinstance(v, str) else f"{k} = {v:.6g}" for k, v in header.items()]
-    rows = [", ".join(cells[i : i + 3]) for i in range(0, len(cells), 3)]
-    out += _entry("header", sonar + rows)
-    out += _entry("geometry", _geometry_lines(images))
-    out += _entry("notes", images.notes)
-    return out + _entry("problems", images.problems)
+    rows = (", ".join(cells[i : i + 3]) for i in range(0, len(cells), 3))
+    return [
+        *(["", f"  {images.topic}"] if images.topic is not None else []),
+        *_entry("frames", [frames]),
+        *_entry("images", [size]),
+        *_entry("header", [sonar, *rows]),
+        *_entry("geometry", _geometry_lines(images)),
+        *_entry("notes", images.notes),
+    ]
 
 
-def _geometry_lines(images: Images) -> list[str]:
-    from sonarrec.sonar import Sonar
-
-    geometry = Sonar(**images.geometry)
-    parts = []
-    if geometry.range_min_m is not None and geometry.range_max_m is not None:
-        parts.append(f"{geometry.range_min_m:.4g} to {geometry.range_max_m:.4g} m")
-    if geometry.bearings_deg is not None:
-        low, high = min(geometry.bearings_deg), max(geometry.bearings_deg)
-        parts.append(f"{len(geometry.bearings_deg)} beams from {low:.4g} to {high:.4g} deg")
-    elif geometry.field_of_view_deg is not None:
-        parts.append(f"{geometry.field_of_view_deg:g} deg")
-    if geometry.tilt_deg is not None:
-        parts.append(f"tilt {geometry.tilt_deg:g} deg")
-    if geometry.height_m is not None:
-        parts.append(f"height {geometry.height_m:g} m")
-    out = [", ".join(parts), *_origin_lines(images)]
+def _geometry_lines(images: Images) -> Iterator[str]:
+    """The geometry, where each key is from, and what it lacks."""
+    known, parts = images.geometry, []
+    if {"range_min_m", "range_max_m"} <= set(known):
+        parts.append(f"{known['range_min_m']:.4g} to {known['range_max_m']:.4g} m")
+    if "bearings_deg" in known:
+        beams = known["bearings_deg"]
+        parts.append(f"{len(beams)} beams from {min(beams):.4g} to {max(beams):.4g} deg")
+    elif "field_of_view_deg" in known:
+        parts.append(f"{known['field_of_view_deg']:g} deg")
+    parts += [f"tilt {known['tilt_deg']:g} deg"] if "tilt_deg" in known else []
+    parts += [f"height {known['height_m']:g} m"] if "height_m" in known else []
+    yield ", ".join(parts)
+    names = {"flag": "by flag", "message": "from the messages", "default": "by default"}
+    names |= {"header": "from the headers", "found": "found from the pings", "assumed": "assumed"}
+    by_origin: dict[str, list[str]] = {}
+    for key, origin in images.origins.items():
+        value = f" = {images.layout}" if key == "layout" and origin == "default" else ""
+        value = f" = {known[key]}" if origin in ("found", "assumed") else value
+        by_origin.setdefault(names.get(origin, f"from {origin}"), []).append(key + value)
+    for key, value in images.assumed.items():
+        text = ", ".join(f"{one:.4g}" for one in (value if isinstance(value, list) else [value]))
+        text = f"[{text}]" if isinstance(value, list) else text
+        by_origin.setdefault(names["default"], []).append(f"{key} = {text}")
+    yield from (f"{origin}: {', '.join(keys)}" for origin, keys in by_origin.items())
     if images.lacks:
         flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
         or_height = " (or --height-m)" if "tilt_deg" in images.lacks else ""
-        out.append(f"lacks {', '.join(images.lacks)}")
-        out.append(
-            f"give {flags}{or_height}, or put a sonar.toml beside the log, or into it if a folder:"
-        )
-        out.append("`sonarrec help geometry` has one to copy")
-    return [text for text in out if text]
+        yield f"lacks {', '.join(images.lacks)}"
+        where = "beside the log, or into it if a folder"
+        yield f"give {flags}{or_height}, or put a sonar.toml {where}:"
+        yield "`sonarrec help geometry` has one to copy"
 
 
-def _origin_lines(images: Images) -> list[str]:
-    """The keys of the geometry by origin, a line each."""
-    names = {"flag": "by flag", "message": "from the messages", "default": "by default"}
-    names |= {"header": "from the headers", "found": "found from the pings", "assumed": "assumed"}
-    lines: dict[str, list[str]] = {}
-    for key, origin in images.origins.items():
-        value = f" = {images.layout}" if key == "layout" and origin == "default" else ""
-        value = f" = {images.geometry[key]}" if origin in ("found", "assumed") else value
-        lines.setdefault(names.get(origin, f"from {origin}"), []).append(key + value)
-    for key, value in images.assumed.items():
-        numbers = value if isinstance(value, list) else [value]
-        text = ", ".join(f"{number:.4g}" for number in numbers)
-        text = f"[{text}]" if isinstance(value, list) else text
-        lines.setdefault(names["default"], []).append(f"{key} = {text}")
-    return [f"{origin}: {', '.join(keys)}" for origin, keys in lines.items()]
+# A sonar.toml to complete
 
 
 def write_sonar_toml(path: Path, info: LogInfo) -> list[str]:
@@ -366,47 +300,38 @@ def write_sonar_toml(path: Path, info: LogInfo) -> list[str]:
 
     if len(info.images) != 1:
         topics = ", ".join(str(images.topic) for images in info.images)
+        several = f"several image channels; choose with --topic: {topics}"
         raise UsageError(
-            f"--write-sonar {path}: the log holds "
-            + (f"several image channels; choose with --topic: {topics}" if topics else "no images")
+            f"--write-sonar {path}: the log holds {several if topics else 'no images'}"
         )
-    (images,) = info.images
     # A rename or a note may carry any character; a comment ends at the line's end.
     name = json.dumps(name_as_text(Path(info.path).name))
-    lines = [f"{HEAD} for {name}.", *_sonar_lines(images)]
-    write_page(path, "\n".join(lines) + "\n")
-    return [line.split()[1] for line in lines if "# missing" in line]
+    text = [f"{HEAD} for {name}.", "[sonar]", *_sonar_lines(info.images[0])]
+    write_page(path, "\n".join(text) + "\n")
+    return [line.split()[1] for line in text if "# missing" in line]
 
 
-def _sonar_lines(images: Images) -> list[str]:
+def _sonar_lines(images: Images) -> Iterator[str]:
+    """A line for each key that is known, assumed or missing."""
     from sonarrec.sonar import Sonar
 
     stated = {"layout": images.layout} | images.geometry
     floor = {"tilt_deg", "height_m"}
     names = {"flag": "option", "default": "by default", "found": "found from the first pings"}
-    lines = ["[sonar]"]
     for key in (field.name for field in fields(Sonar)):
-        origin = images.origins.get(key, "default")
+        origin, value = images.origins.get(key, "default"), stated.get(key, "")
         if key in stated and origin in ("message", "header"):
-            value = stated[key]
             several = isinstance(value, list) and len(value) > MOST_NUMBERS
-            text = f"[{len(value)} values]" if several else _toml(value)
-            lines.append(f"# {key} = {text}  # the log states it, ping by ping")
+            text = f"[{len(value)} values]" if several else json.dumps(value)
+            yield f"# {key} = {text}  # the log states it, ping by ping"
         elif key in stated:
             told = json.dumps(names.get(origin, name_as_text(origin)))[1:-1]
-            lines.append(f"{key} = {_toml(stated[key])}  # {told}")
-        elif key in images.lacks or (key in floor & set(GEOMETRY_TEXTS) and images.lacks):
+            yield f"{key} = {json.dumps(value)}  # {told}"
+        elif key in floor and images.lacks and floor & set(stated):
+            yield f"# {key} =  # not stated: {options.GEOMETRY_TEXTS[key]}"
+        elif key in images.lacks or (key in floor and images.lacks):
             one_of = " One of tilt_deg and height_m is needed." if key in floor else ""
-            if key in floor and floor & set(stated):
-                lines.append(f"# {key} =  # not stated: {GEOMETRY_TEXTS[key]}")
-            else:
-                lines.append(f"# {key} =  # missing: {GEOMETRY_TEXTS[key]}{one_of}")
+            yield f"# {key} =  # missing: {options.GEOMETRY_TEXTS[key]}{one_of}"
         elif key in images.assumed:
-            value = images.assumed[key]
-            lines.append(f"# {key} = {_toml(value)}  # assumed; state it if you know better")
-    return lines
-
-
-def _toml(value: Any) -> str:
-    """A value as TOML writes it; JSON writes texts, numbers, lists and truth values alike."""
-    return json.dumps(list(value) if isinstance(value, tuple) else value)
+            value = json.dumps(images.assumed[key])
+            yield f"# {key} = {value}  # assumed; state it if you know better"

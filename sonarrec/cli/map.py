@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,6 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.endings import finish
 from sonarrec.cli.groups import ANY, FILE, FOLDER, command, in_input, in_output
-from sonarrec.cli.options_log import sonar_option
 from sonarrec.errors import UsageError, number_of
 
 
@@ -38,7 +36,7 @@ from sonarrec.errors import UsageError, number_of
     default=3,
     help="Leave out landmarks declared in fewer frames.",
 )
-@sonar_option
+@options.sonar
 @in_output(
     "--origin",
     metavar="LAT,LON,HEADING",
@@ -84,12 +82,12 @@ def map_(
         out = folders[0] / "map"
     on_earth = None
     if origin is not None:
-        on_earth = GeographicOrigin(*_numbers("--origin", origin, 3))
+        on_earth = GeographicOrigin(*options.numbers("--origin", origin, 3))
         if not (abs(on_earth.latitude_deg) < 90 and abs(on_earth.longitude_deg) <= 180):
             raise UsageError(
                 f"--origin {origin}: LAT must be between -90 and 90, LON from -180 to 180"
             )
-    errors = Drift(*_numbers("--drift", drift or "0,0", 2))
+    errors = Drift(*options.numbers("--drift", drift or "0,0", 2))
     if min(errors.position_m, errors.yaw_deg) < 0:
         raise UsageError(f"--drift {drift}: standard errors must not be negative")
     site = make_map(
@@ -97,15 +95,4 @@ def map_(
     )
     write_all(out, site, on_earth)
     told = [f"{out}: {number_of(len(site.logs), 'log')}", *(f"  {line}" for line in lines(site))]
-    finish(site.diagnostics, quiet, told)
-
-
-def _numbers(flag: str, text: str, count: int) -> list[float]:
-    """The numbers of M,DEG or the like. Raises UsageError if they are invalid."""
-    try:
-        numbers = [float(number) for number in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise UsageError(f"{flag} {text}: expected {count} numbers separated by commas")
-    return numbers
+    finish(quiet, told, site.diagnostics.problems, site.diagnostics.notes)

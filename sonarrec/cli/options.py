@@ -1,11 +1,14 @@
-"""Options that several commands share: inputs, truth, scoring, settings, output, servers."""
+"""The options that several commands share; one of a single command stands above its function.
+
+An option that stands for several, such as `settings`, hands the command one object.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, get_args
 
 import click
 
@@ -16,22 +19,197 @@ from sonarrec.cli.groups import (
     FiniteRange,
     as_one,
     file_names,
+    in_geometry,
     in_input,
     in_output,
     in_scoring,
     in_settings,
     names_of,
 )
-from sonarrec.cli.options_log import sonar_file, stated_in
-from sonarrec.errors import UsageError
+from sonarrec.errors import UsageError, is_url
+from sonarrec.nouns import Clock
 
 if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.evaluation.compare import Limits
     from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.readers.named_logs import NamedLog
+    from sonarrec.sonar import Sonar
 
 
-# Results and truth
+# Logs: which, and how they are read
+
+_RECURSIVE = in_input(
+    "--recursive", is_flag=True, help="Also take the logs in all folders below a folder."
+)
+_FROM_FILE = in_input(
+    "--from-file",
+    type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
+    metavar="LIST",
+    help="File with one LOG per line; - for standard input. # begins a comment.",
+)
+
+
+def many_logs(function: Any) -> Any:
+    """--recursive and --from-file, of commands that take many logs; see `named_logs`."""
+    return _RECURSIVE(_FROM_FILE(function))
+
+
+def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> list[NamedLog]:
+    """The logs of a command that takes many, also those on servers.
+
+    Raises click's UsageError if there are none, ours if the list is not text.
+    """
+    from sonarrec.readers.named_logs import NamedLog, log_arguments, logs_named
+
+    if not logs and from_file is None:
+        missing = "Missing argument 'LOG...' (or --from-file LIST)"
+        raise click.UsageError(missing, click.get_current_context())
+    listed = [*from_file] if from_file is not None else []
+    if from_file is not None and any("\0" in line for line in listed):
+        raise UsageError(
+            f"--from-file {from_file.name}: not a list of logs, which is UTF-8 text with one LOG "
+            "per line; to run a single log leave out --from-file"
+        )
+    found: list[NamedLog] = []
+    for name in log_arguments(logs, listed):
+        if is_url(name):
+            from sonarrec.runs.remote import logs_at  # with fsspec, only where needed
+
+            found += map(NamedLog, logs_at(name, recursive=recursive))
+        else:
+            found += logs_named(name, recursive=recursive)
+    return found
+
+
+def _span(_: click.Context, __: click.Parameter, text: str | None) -> Any:
+    from sonarrec.results.run_file import frame_span
+
+    return None if text is None else frame_span(text)
+
+
+def frames(text: str) -> Decorator:
+    """--frames A:B, as numbers. text: what is done with these frames."""
+    help_text = f"{text} A or B may be left out."
+    return in_input("--frames", metavar="A:B", callback=_span, help=help_text)
+
+
+topic = in_input("--topic", help="Image channel of an MCAP or bag that has several.")
+_SONAR_FILE = in_input(
+    "--sonar sonar_file",
+    type=FILE,
+    help="Geometry file, in place of the sonar.toml beside the log.",
+)
+_TIME = in_input(
+    "--time",
+    type=click.Choice(get_args(Clock)),
+    help="Time of a message that becomes its frame's timestamp_ns; the order is always that of "
+    "log time.  [default: log]",
+)
+GEOMETRY_TEXTS = {
+    "range_min_m": "Slant range of the window's near end, m.",
+    "range_max_m": "Slant range of the window's far end, m.",
+    "field_of_view_deg": "Horizontal field of view, deg.",
+    "tilt_deg": "Downward tilt of the sonar, deg.",
+    "height_m": "Height of the sonar above the floor, m.",
+    "frame_rate_hz": "Frames per second, if frames carry no time.",
+    "metres_per_pixel": "Scale of a fan image, m.",
+}
+
+
+def _choice(key: str, choices: str, text: str, **look: Any) -> Decorator:
+    return in_geometry(_flag(key), type=click.Choice(choices.split()), help=text, **look)
+
+
+def _flag(key: str) -> str:
+    return f"--{key.replace('_', '-')} {key}"
+
+
+_GEOMETRY = {
+    "layout": _choice("layout", "fan polar", "Layout of the images."),
+    **{k: in_geometry(_flag(k), type=float, help=text) for k, text in GEOMETRY_TEXTS.items()},
+    "apex_px": in_geometry(
+        "--apex-px", type=float, nargs=2, metavar="COLUMN ROW", help="Apex of a fan image, pixels."
+    ),
+    "bearings_deg": in_geometry(
+        "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image, deg."
+    ),
+    "beam_order": _choice(
+        "beam_order",
+        "range-major beam-major",
+        "range-major or beam-major polar samples.  [default: found]",
+        metavar="ORDER",
+    ),
+    "range_order": _choice(
+        "range_order",
+        "near_first far_first",
+        "near_first or far_first on top.  [default: near_first]",
+        metavar="ORDER",
+    ),
+    "flip": in_geometry(
+        "--flip/--no-flip", default=None, help="Exchange left and right, if a driver did."
+    ),
+    "pixel_scale": _choice(
+        "pixel_scale",
+        "linear log db",
+        "Pixels are grey levels (linear), echo amplitudes (log) or decibels (db).  "
+        "[default: found]",
+        metavar="SCALE",
+    ),
+}
+"""Keys of sonar.toml as flags, of `run` and `info` alone."""
+
+
+def _reading(values: dict[str, Any]) -> dict[str, Any]:
+    """Keyword arguments of `open_log`: sonar, sonar_file, topic, and time if given.
+
+    Raises UsageError for flags that are invalid, SonarrecError if sonar_file cannot be used: once,
+    not for each log.
+    """
+    from sonarrec.sonar import load_sonar, sonar_from_table
+
+    stated = {key: values[key] for key in _GEOMETRY if values.get(key) is not None}
+    if "bearings_deg" in stated:
+        stated["bearings_deg"] = numbers("--bearings-deg", stated["bearings_deg"])
+    sonar = sonar_from_table(stated, "command line")
+    sonar.check_flags(sonar)
+    file: Path | None = values["sonar_file"]
+    if file is not None and file.is_file():  # a pipe can be read only once
+        load_sonar(file)
+    time = {"time": values["time"]} if values.get("time") else {}
+    return {"sonar": sonar, "sonar_file": file, "topic": values["topic"], **time}
+
+
+def reading(*, geometry: bool = False, time: bool = False) -> Decorator:
+    """--topic, --sonar and optionally --time and the geometry's flags, as `reading`: keyword
+    arguments of `open_log`."""
+    chosen = {"topic": topic, "sonar_file": _SONAR_FILE} | ({"time": _TIME} if time else {})
+    return as_one("reading", chosen | (_GEOMETRY if geometry else {}), _reading)
+
+
+def _stated_in(values: dict[str, Any]) -> Sonar:
+    from sonarrec.sonar import Sonar, load_sonar
+
+    return load_sonar(values["sonar_file"]) if values["sonar_file"] else Sonar()
+
+
+# --sonar as the Sonar `sonar`, of commands that open no log.
+sonar = as_one("sonar", {"sonar_file": _SONAR_FILE}, _stated_in)
+
+
+def numbers(flag: str, text: str, count: int | None = None) -> list[float]:
+    """The numbers of A,B,... Raises UsageError if they are not, or not so many."""
+    try:
+        found = [FiniteRange().convert(number, None, None) for number in text.split(",")]
+    except click.BadParameter:
+        found = []
+    if not found or count not in (None, len(found)):
+        several = "numbers" if count is None else f"{count} numbers"
+        raise UsageError(f"{flag} {text}: expected {several} separated by commas")
+    return found
+
+
+# Landmarks, results and truth
 
 
 def _landmark_sets() -> list[str]:
@@ -40,19 +218,7 @@ def _landmark_sets() -> list[str]:
     return sorted(file.stem for file in BUILT_IN.glob("*.toml"))
 
 
-def _presets() -> Iterable[str]:
-    from sonarrec.config import PRESETS
-
-    return PRESETS
-
-
-def _settings() -> list[str]:
-    from sonarrec.config import setting_names
-
-    return [f"{name}=" for name in setting_names()]
-
-
-landmark_sets = names_of(_landmark_sets, files=True)
+landmark_sets = names_of(_landmark_sets, or_files=True)
 landmarks = in_input(
     "--landmarks",
     shell_complete=landmark_sets,
@@ -67,39 +233,6 @@ pairs = in_input(
 )
 
 
-def _one(_: click.Context, __: click.Parameter, methods: tuple[str, ...]) -> str | None:
-    if len(methods) > 1:
-        raise UsageError(f"--method: this command takes one method, not {', '.join(methods)}")
-    return methods[0] if methods else None
-
-
-_LEADING = "framework, else the first with tracks"
-method = in_input(
-    "--method",
-    multiple=True,
-    callback=_one,
-    metavar="NAME",
-    help=f"Method of estimates.csv.  [default: {_LEADING}]",
-)
-methods = in_scoring(
-    "--method methods",
-    multiple=True,
-    metavar="NAME",
-    help="Method of estimates.csv; repeatable, the first leads.  [default: all]",
-)
-model = in_input(
-    "--model",
-    type=FILE,
-    help="Appearance model that `sonarrec calibrate` wrote.  [default: built in]",
-)
-
-
-def frames(text: str, default: str | None = None) -> Decorator:
-    """--frames. text: what is done with these frames. default: in words; None: all frames."""
-    text = f"{text} A or B may be left out." + (f"  [default: {default}]" if default else "")
-    return in_input("--frames", metavar="A:B", help=text)
-
-
 def ground_truth(text: str) -> Decorator:
     """--ground-truth. text: what it is for."""
     return in_input("--ground-truth", type=FILE, help=f"{text} Columns: sonarrec help truth.")
@@ -107,10 +240,25 @@ def ground_truth(text: str) -> Decorator:
 
 def compare(text: str) -> Decorator:
     """--compare OLD NEW. text: what is made of the two."""
-    kind = ANY, ANY
-    words: dict[str, Any] = {"metavar": "OLD NEW", "shell_complete": file_names, "help": text}
-    return in_input("--compare", type=kind, **words)
+    kind: Any = ANY, ANY
+    return in_input("--compare", type=kind, metavar="OLD NEW", shell_complete=file_names, help=text)
 
+
+def _one(_: click.Context, __: click.Parameter, methods: tuple[str, ...]) -> str | None:
+    if len(methods) > 1:
+        raise UsageError(f"--method: this command takes one method, not {', '.join(methods)}")
+    return methods[0] if methods else None
+
+
+method = in_input(
+    "--method",
+    multiple=True,
+    callback=_one,
+    metavar="NAME",
+    help="Method of estimates.csv.  [default: framework, else the first with tracks]",
+)
+
+# Scoring
 
 _SCORING = {
     "min_visible": in_scoring(
@@ -132,15 +280,25 @@ _SCORING = {
         help="Longest time from a row of truth to its frame.  [default: half a frame]",
     ),
     "landmarks": landmarks,
-    "methods": methods,
+    "methods": in_scoring(
+        "--method methods",
+        multiple=True,
+        metavar="NAME",
+        help="Method of estimates.csv; repeatable, the first leads.  [default: all]",
+    ),
+    "sonar_file": _SONAR_FILE,
 }
 
 
 def _scoring(values: dict[str, Any]) -> ScoringOptions:
     from sonarrec.evaluation.match import ScoringOptions
 
-    chosen = {key: values[key] for key in _SCORING}
-    return ScoringOptions(**chosen, sonar=stated_in(values["sonar_file"]))
+    sonar = _stated_in(values)
+    return ScoringOptions(sonar=sonar, **{k: v for k, v in values.items() if k != "sonar_file"})
+
+
+# What is scored, how, and in which geometry, as one `scoring`: ScoringOptions.
+scoring = as_one("scoring", _SCORING, _scoring)
 
 
 class _MethodRate(click.ParamType[tuple[str, float]]):
@@ -172,17 +330,26 @@ _LIMITS = {
 def _limits(values: dict[str, Any]) -> Limits:
     from sonarrec.evaluation.compare import Limits
 
-    least, most = (dict(values[key]) for key in ("least_tpr", "most_fpr"))
-    return Limits(least_tpr=least, most_fpr=most)
+    return Limits(least_tpr=dict(values["least_tpr"]), most_fpr=dict(values["most_fpr"]))
 
 
 # --least-tpr and --most-fpr, as one `limits`: Limits.
 limits = as_one("limits", _LIMITS, _limits)
 
-# What is scored, how, and in which geometry, as one `scoring`: ScoringOptions.
-scoring = as_one("scoring", _SCORING | {"sonar_file": sonar_file}, _scoring)
-
 # Settings
+
+
+def _presets() -> tuple[str, ...]:
+    from sonarrec.config import PRESETS
+
+    return (*PRESETS,)
+
+
+def _settings() -> Iterator[str]:
+    from sonarrec.config import setting_names
+
+    return (f"{name}=" for name in setting_names())
+
 
 _SETTINGS = {
     "preset": in_settings(
@@ -231,9 +398,7 @@ class SettingsChoice:
         """The only Config. Raises UsageError if several presets are given."""
         first, *more = self.configs()
         if more:
-            raise UsageError(
-                "several presets are given, but this command takes one; choose it with --preset"
-            )
+            raise UsageError("several presets are given, but this command takes one --preset")
         return first
 
 

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import finish
+from sonarrec.cli.endings import finish, progress
 from sonarrec.cli.groups import ANY, command, file_names
-from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import number_of
 
 
 @command(short_help="Draw results onto the frames of their log.")
 @click.argument("log", shell_complete=file_names)
 @click.argument("results", type=ANY, default=Path("sonarrec_out"))
-@log_options()
+@options.reading()
 @options.landmarks
 @options.ground_truth("gt.csv, drawn dashed.")
 @options.out(
@@ -27,17 +26,17 @@ from sonarrec.errors import number_of
     required=True,
 )
 @options.method
-@options.frames("Draw only the frames from A up to, not including, B.", default="those of the run")
+@options.frames("Draw the frames from A up to, not including, B, in place of those of the run.")
 @options.quiet
 def overlay(
     log: str,
     results: Path,
-    log_choice: LogChoice,
+    reading: dict[str, Any],
     landmarks: str | None,
     ground_truth: Path | None,
     out: Path,
     method: str | None,
-    frames: str | None,
+    frames: tuple[int, int | None] | None,
     quiet: bool,
 ) -> None:
     """Draw RESULTS onto the frames of LOG: outlines, IDs, probabilities, trails.
@@ -58,7 +57,6 @@ def overlay(
       sonarrec overlay log.mcap results/log -o shots --frames 100:120 --method smi
     """
     from sonarrec.overlays import overlay as overlays
-    from sonarrec.results.run_file import frame_span
 
     with progress(quiet) as step:
         report = overlays.overlay(
@@ -66,11 +64,11 @@ def overlay(
             out,
             results=results,
             method=method,
-            frames=None if frames is None else frame_span(frames),
+            frames=frames,
             ground_truth=ground_truth,
             landmarks=landmarks,
-            **log_choice.arguments(),
+            **reading,
             observe=step,
         )
-    frames_drawn = f"{number_of(report.frames, 'frame')}, {report.method}"
-    finish(report.diagnostics, quiet, [f"{out}: {frames_drawn}"])
+    line = f"{out}: {number_of(report.frames, 'frame')}, {report.method}"
+    finish(quiet, [line], report.diagnostics.problems, report.diagnostics.notes)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import end, say, tell
+from sonarrec.cli.endings import finish
 from sonarrec.cli.groups import ANY, NEW_FILE, command, in_input
-from sonarrec.cli.options_log import topic_option
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     help="The log that RESULTS came from, or a folder of logs, to show frames on the page; "
     "repeatable.",
 )
-@topic_option
+@options.topic
 @options.scoring
 @options.out(NEW_FILE, "The page.  [default: report.html in RESULTS or beside PAIRS]")
 @options.quiet
@@ -70,9 +69,7 @@ def report(
         topic=topic,
         options=scoring,
     )
-    tell(page.unused)
-    if not quiet:
-        clickable = f", {number_of(page.held, 'frame')} to click" if page.held else ""
-        pictures = f"{number_of(page.pictures, 'picture')}{clickable}"
-        say(f"{page.path}: {page.path.stat().st_size / 1e6:.1f} MB, {pictures}")
-    end(page.unused)
+    clickable = f", {number_of(page.held, 'frame')} to click" if page.held else ""
+    pictures = f"{number_of(page.pictures, 'picture')}{clickable}"
+    line = f"{page.path}: {page.path.stat().st_size / 1e6:.1f} MB, {pictures}"
+    finish(quiet, [line], page.unused)

@@ -7,8 +7,7 @@ from pathlib import Path
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import naming_leftovers, say
+from sonarrec.cli.endings import naming_leftovers, progress, say
 from sonarrec.cli.groups import ANY, command, file_names, in_input, in_output
 from sonarrec.errors import number_of
 

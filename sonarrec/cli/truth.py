@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import end, say, tell
+from sonarrec.cli.endings import PARTLY, finish, leave, say, tell
 from sonarrec.cli.groups import (
     ANY,
     FILE,
@@ -22,7 +22,6 @@ from sonarrec.cli.groups import (
     in_input,
     in_scoring,
 )
-from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.errors import UsageError, number_of
 
 NEW = "A new file; an existing one is not overwritten."
@@ -72,7 +71,7 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
     metavar="N",
     help="Number of the log's first frame in the images' names.",
 )
-@log_options()
+@options.reading()
 @options.landmarks
 @options.out(NEW_FILE, NEW, default=Path("gt.csv"))
 @options.quiet
@@ -81,7 +80,7 @@ def convert(
     log: str | None,
     labels: dict[str, int | None],
     first_frame: int,
-    log_choice: LogChoice,
+    reading: dict[str, Any],
     landmarks: str | None,
     out: Path,
     quiet: bool,
@@ -106,23 +105,19 @@ def convert(
 
     source = None if log is None else find_log(log)
     landmark_set = chosen_landmarks(source, landmarks, read_run(None))[0]
-    with nullcontext() if log is None else open_log(log, **log_choice.arguments()) as opened:
+    with nullcontext() if log is None else open_log(log, **reading) as opened:
         counts, told = convert_annotations(
             annotations, out, landmark_set, labels=labels, first_frame=first_frame, log=opened
         )
-    tell(told.problems)
-    if not quiet:
-        by_id = ", ".join(f"ID.{i} {count}" for i, count in counts.items()) or "no landmark"
-        say(f"{out}: {number_of(sum(counts.values()), 'row')} ({by_id})")
-    for line in told.notes:
-        say(f"note: {line}")
-    end(told.problems)
+    by_id = ", ".join(f"ID.{i} {count}" for i, count in counts.items()) or "no landmark"
+    line = f"{out}: {number_of(sum(counts.values()), 'row')} ({by_id})"
+    finish(quiet, [line], told.problems, told.notes)
 
 
 @truth.command(short_help="Find errors in a gt.csv.", cls=GroupedCommand)
 @click.argument("ground_truth", type=FILE, metavar="GT.CSV")
 @click.argument("log", shell_complete=file_names)
-@log_options(time=True)
+@options.reading(time=True)
 @options.landmarks
 @in_scoring(
     "--max-pan max_pan_deg",
@@ -135,7 +130,7 @@ def convert(
 def check(
     ground_truth: Path,
     log: str,
-    log_choice: LogChoice,
+    reading: dict[str, Any],
     landmarks: str | None,
     max_pan_deg: float,
     quiet: bool,
@@ -160,24 +155,23 @@ def check(
     from sonarrec.truth.check import check_truth
 
     landmark_set, _ = chosen_landmarks(find_log(log), landmarks, read_run(None))
-    with open_log(log, **log_choice.arguments()) as opened:
+    with open_log(log, **reading) as opened:
         checked = check_truth(ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg)
-    counts = Counter[str]()
+    lines, counts = list[str](), Counter[str]()
     for fault in checked.faults:
         counts[fault.kind] += 1
         if counts[fault.kind] <= MOST_FAULTS:
-            say(f"{ground_truth} line {fault.line}: {fault.text}")
+            lines.append(f"{ground_truth} line {fault.line}: {fault.text}")
     for kind, count in counts.items():
         if count > MOST_FAULTS:
-            say(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
-    tell(checked.diagnostics.problems)
-    if not quiet:
-        say(f"{ground_truth}: {checked.summary()}")
-    for line in checked.diagnostics.notes:
-        say(f"note: {line}")
-    if checked.others:
-        say(f"note: {number_of(checked.others, 'row')} of other logs not checked")
-    end(checked.faults or checked.diagnostics.problems)
+            lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
+    told = checked.diagnostics
+    tell(told.problems)
+    say(*lines, *([] if quiet else [f"{ground_truth}: {checked.summary()}"]))
+    others = [f"{number_of(checked.others, 'row')} of other logs not checked"]
+    tell((), [*told.notes, *others[: checked.others]])
+    if checked.faults or told.problems:
+        leave(PARTLY)
 
 
 @truth.command(short_help="Propose a gt.csv from confident tracks.", cls=GroupedCommand)
@@ -216,22 +210,18 @@ def propose(
     tracks, diagnostics = propose_truth(
         results, out, method=method, min_score=min_score, max_gap=max_gap
     )
-    tell(diagnostics.problems)
-    if quiet:
-        end(diagnostics.problems)
-        return
-    rows, proposed = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
-    say(f"{out}: {number_of(rows, 'row')} from {number_of(proposed, 'track')}")
     longest = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
     wide = max((len(t.log) for t in longest), default=0)
     ids = max((len(f"ID.{t.landmark}") for t in longest), default=0)
+    rows, proposed = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
+    lines = [f"{out}: {number_of(rows, 'row')} from {number_of(proposed, 'track')}"]
     for t in sorted(longest, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"
-        rest = t.left_out and f"left out: {t.left_out}"
-        rest = rest or f"{number_of(t.rows, 'row')}, {t.interpolated} of them filled in"
+        rest = f"{number_of(t.rows, 'row')}, {t.interpolated} of them filled in"
+        rest = f"left out: {t.left_out}" if t.left_out else rest
         score = f"best score {t.best_score:.3f}"
         named = f"{t.log:<{wide}}  {f'ID.{t.landmark}':<{ids}}"
-        say(f"  {named}  track {t.track:<4} {span:<15} {score}  {rest}")
+        lines.append(f"  {named}  track {t.track:<4} {span:<15} {score}  {rest}")
     if more := len(tracks) - len(longest):
-        say(f"  these have the most rows; {number_of(more, 'more track')}")
-    end(diagnostics.problems)
+        lines.append(f"  these have the most rows; {number_of(more, 'more track')}")
+    finish(quiet, lines, diagnostics.problems, diagnostics.notes)

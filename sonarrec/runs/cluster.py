@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from time import monotonic, sleep
@@ -22,7 +23,7 @@ _TLS = "DASK_DISTRIBUTED__COMM__TLS__"
 
 
 def run_on_cluster(
-    tasks: list[Task], address: str, watch: Watch, timeout_s: float | None = None
+    tasks: Sequence[Task], address: str, watch: Watch, timeout_s: float | None = None
 ) -> None:
     """Run tasks on the workers of the Dask scheduler at `address`.
 
@@ -44,9 +45,9 @@ def run_on_cluster(
         raise UsageError(f"--scheduler {address}: no scheduler answers there ({error})") from None
     with client:
         if not client.scheduler_info()["workers"]:
-            watch.note(f"{address}: there is no worker yet; the logs wait for one")
+            watch(None, f"{address}: there is no worker yet; the logs wait for one")
         for i in range(len(tasks)):
-            watch.started(i)  # only the worker knows when a task really starts
+            watch(i, (0, None))  # only the worker knows when a task really starts
         running = {
             client.submit(
                 _run_on_worker, task, Path.cwd(), timeout_s, pure=False, retries=RETRIES
@@ -56,12 +57,12 @@ def run_on_cluster(
         for future in dask.as_completed(list(running), loop=client.loop):
             i = running.pop(future)
             if future.status == "finished":
-                watch.ended(i, future.result())
+                watch(i, future.result())
             else:
                 gone = f"the scheduler gave up on it ({future.status})"
                 why = future.exception() if future.status == "error" else gone
                 lost = SonarrecError(f"{tasks[i].path}: {why}")
-                watch.ended(i, Outcome("failed", error=lost))
+                watch(i, Outcome("failed", error=lost))
             future.release()
 
 

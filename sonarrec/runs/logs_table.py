@@ -14,7 +14,7 @@ from typing import Any, get_args
 
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError, locked, part_of
-from sonarrec.runs.task import Outcome, Status, Task
+from sonarrec.runs.task import Event, Outcome, Status, Task
 from sonarrec.tables.outputs import is_filled, write_csv
 
 NAME = "logs.csv"
@@ -69,19 +69,17 @@ class LogsTable:
         """Those of this call."""
         return tuple(self._rows)
 
-    def started(self, i: int) -> None:
-        """Task i has begun."""
-        self._rows[i] = replace(self._rows[i], status="running")
-        self._write_at_times()
+    def add(self, i: int, event: Event) -> None:
+        """What happened to task i."""
+        if isinstance(event, Outcome):
+            self._rows[i] = self._ended(self._rows[i], event)
+        elif isinstance(event, tuple):
+            self._rows[i] = replace(self._rows[i], status="running", frames=event[0])
+        if monotonic() >= self._written_at_s + WRITE_EVERY_S:
+            self.write()
 
-    def frames(self, i: int, done: int) -> None:
-        """`done` frames of task i are processed."""
-        self._rows[i] = replace(self._rows[i], frames=done)
-        self._write_at_times()
-
-    def ended(self, i: int, outcome: Outcome) -> None:
-        """Task i has ended."""
-        row = replace(self._rows[i], status=outcome.status, message=outcome.message)
+    def _ended(self, row: Row, outcome: Outcome) -> Row:
+        row = replace(row, status=outcome.status, message=outcome.message)
         if isinstance(outcome.error, LockedError):
             self._run_elsewhere.add(row.log)
         seconds = outcome.seconds
@@ -94,8 +92,7 @@ class LogsTable:
             )
             if summary.up_to_date:
                 seconds = self._seconds.get(row.log, 0.0)
-        self._rows[i] = replace(row, seconds=round(seconds, 2))
-        self._write_at_times()
+        return replace(row, seconds=round(seconds, 2))
 
     def stopped(self) -> None:
         """The call was stopped: running logs become waiting, with their frames so far."""
@@ -107,10 +104,6 @@ class LogsTable:
                     frames = sum(1 for _ in file) - 1
                 self._rows[i] = replace(row, status="waiting", frames=frames, message="stopped")
 
-    def _write_at_times(self) -> None:
-        if monotonic() >= self._written_at_s + WRITE_EVERY_S:
-            self.write()
-
     def write(self) -> None:
         """Write the rows as they are now; `fault` says if that failed."""
         self.fault, self._written_at_s = None, monotonic()
@@ -119,12 +112,9 @@ class LogsTable:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
-                before, added = _read_rows(self._path) if is_filled(self._path) else ([], {})
-                rows = (
-                    [*map(_harmless, astuple(row)), *(of.get(key, "") for of in added.values())]
-                    for key, row in self._merged(before).items()
-                )
-                write_csv(self._path, [*COLUMNS, *added], rows)
+                before = read_logs(self._path) if is_filled(self._path) else []
+                rows = (map(_harmless, astuple(row)) for row in self._merged(before).values())
+                write_csv(self._path, COLUMNS, rows)
         except OSError as error:
             self.fault = f"{self._path}: cannot be written ({error.strerror})"
         except SonarrecError as error:  # the file there is another kind of table
@@ -170,43 +160,29 @@ def _turn(folder: Path) -> Iterator[None]:
 def read_logs(path: Path) -> list[Row]:
     """The rows of a logs.csv; none if there is no such file.
 
-    Raises SonarrecError if it is not such a table.
+    Raises SonarrecError if it is not such a table, or has columns of its own.
     """
-    return _read_rows(path)[0]
-
-
-def _positive(seconds: float) -> float:
-    """A duration; 0, not known, for one that is not positive and finite."""
-    return seconds if 0 < seconds < math.inf else 0.0
-
-
-def _read_rows(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], str]]]:
-    """The rows, and for each column that a user added its cells by the keys of the rows."""
     whole: dict[str, Callable[[str], Any]] = dict.fromkeys(("frames", "unusable", "declared"), int)
-    kinds = whole | {"seconds": lambda cell: _positive(float(cell))}
+    # A duration that is not positive and finite is not known.
+    kinds = whole | {"seconds": lambda cell: s if 0 < (s := float(cell)) < math.inf else 0.0}
     rows = []
-    added: dict[str, dict[tuple[str, str], str]] = {}
     try:
         with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
             table = csv.DictReader(file)
-            names = table.fieldnames or ()
-            if not set(COLUMNS) <= set(names):
+            if set(COLUMNS) != set(table.fieldnames or ()):
                 raise KeyError
-            added = {name: {} for name in names if name not in COLUMNS}
             for cells in table:
                 values = {name: kinds.get(name, _text)(cells[name]) for name in COLUMNS}
                 if values["status"] not in get_args(Status):
                     raise ValueError
                 rows.append(Row(**values))
-                for name, of in added.items():
-                    of[rows[-1].key] = cells[name] or ""
     except FileNotFoundError:
-        return [], {}
+        return []
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    except (KeyError, TypeError, ValueError, csv.Error):
+    except (AttributeError, KeyError, TypeError, ValueError, csv.Error):
         line = max(table.line_num, 1)
         raise SonarrecError(
             f"{path} line {line}: not a row of {','.join(COLUMNS)}; move the file away"
         ) from None
-    return rows, added
+    return rows

@@ -1,6 +1,6 @@
 """Runs logs in separate processes, so that a crash or a lack of memory costs one log only.
 
-Tasks, the numbers of frames done and Outcomes are pickled: both ends are the same program.
+Tasks and events are pickled: both ends are the same program.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ import pickle
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, suppress
 from functools import partial
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryFile
 from threading import Lock, Thread, Timer
@@ -23,7 +24,7 @@ from typing import IO
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import FrameResult
-from sonarrec.runs.task import GRACE_S, Outcome, Task, run_task
+from sonarrec.runs.task import GRACE_S, Event, Outcome, Task, run_task
 
 # The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the
 # cores, and OpenCV's threads would only compete.
@@ -33,44 +34,25 @@ _ONE_THREAD = {"OPENCV_FOR_THREADS_NUM": "1"}
 _REPORT_EVERY_S = 0.2
 
 Child = subprocess.Popen[bytes]
-Frames = Callable[[int, int | None], None]
-"""Called now and then with the number of frames done and the total, None if not known."""
+Watch = Callable[[int | None, Event], object]
+"""Called with the index of a task and an event, one at a time; None: a line on the whole call."""
 
 
-class Watch:
-    """Gets events while logs are run, one at a time. i: index of the task."""
-
-    def note(self, line: str) -> None:
-        """A line about the call as a whole."""
-
-    def started(self, i: int) -> None:
-        """Task i has begun."""
-
-    def goes_by(self, i: int, line: str) -> None:
-        """What the run of task i goes by; not told by a cluster."""
-
-    def frames(self, i: int, done: int, total: int | None) -> None:
-        """`done` frames of task i are processed; called now and then."""
-
-    def ended(self, i: int, outcome: Outcome) -> None:
-        """Task i has ended."""
-
-
-def run_here(tasks: list[Task], watch: Watch) -> None:
+def run_here(tasks: Sequence[Task], watch: Watch) -> None:
     """Run tasks one after the other in this process."""
     for i, task in enumerate(tasks):
-        done = 0
+        done = count(1)
 
-        def observe(_: FrameResult, total: int | None, i: int = i) -> None:
-            nonlocal done
-            done += 1
-            watch.frames(i, done, total)
+        def observe(_: FrameResult, total: int | None, i: int = i, done: count[int] = done) -> None:
+            watch(i, (next(done), total))
 
-        watch.started(i)
-        watch.ended(i, run_task(task, observe, partial(watch.goes_by, i)))
+        watch(i, (0, None))
+        watch(i, run_task(task, observe, partial(watch, i)))
 
 
-def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | None = None) -> None:
+def run_apart(
+    tasks: Sequence[Task], jobs: int, watch: Watch, timeout_s: float | None = None
+) -> None:
     """Run tasks in processes of their own, `jobs` at a time, started in their order.
 
     An exception in the caller's thread, such as Ctrl-C, ends the processes; their logs keep the
@@ -78,16 +60,15 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
     """
     processes, turn = Processes(timeout_s), Lock()
 
-    def tell(event: Callable[..., None], *about: object) -> None:
+    def tell(i: int, event: Event) -> None:
         with turn:
-            event(*about)
+            watch(i, event)
 
     def work(i: int, task: Task) -> None:
-        tell(watch.started, i)
-        told = (partial(tell, event, i) for event in (watch.frames, watch.goes_by))
-        outcome = processes.run(task, *told)
+        tell(i, (0, None))
+        outcome = processes.run(task, partial(tell, i))
         if outcome.status != "waiting":
-            tell(watch.ended, i, outcome)
+            tell(i, outcome)
 
     with closing(processes), ThreadPoolExecutor(jobs) as threads:
         try:
@@ -119,10 +100,8 @@ class Processes:
             for child in [*self._running]:  # their threads take them out meanwhile
                 Thread(target=_end, args=(child,), daemon=True).start()
 
-    def run(
-        self, task: Task, frames: Frames | None = None, begun: Callable[[str], object] = str
-    ) -> Outcome:
-        """Run a task; its outcome says if the process died. begun: as of `process`."""
+    def run(self, task: Task, tell: Callable[[Event], object] = str) -> Outcome:
+        """Run a task; its outcome says if the process died. tell: gets the events before."""
         start_s, limit_s = monotonic(), self._timeout_s
 
         def failed(why: str, fault: str = "") -> Outcome:
@@ -141,7 +120,7 @@ class Processes:
         if limit_s is not None:
             timer.start()
         try:
-            outcome = _listen(child, task, frames, begun)
+            outcome = _listen(child, task, tell)
         finally:
             timer.cancel()
         late = limit_s is not None and monotonic() - start_s >= limit_s
@@ -181,23 +160,18 @@ class Processes:
         return child, printed
 
 
-def _listen(
-    child: Child, task: Task, frames: Frames | None, begun: Callable[[str], object]
-) -> Outcome | None:
-    """Send the task and report its frames until it ends; None if the process dies before."""
+def _listen(child: Child, task: Task, tell: Callable[[Event], object]) -> Outcome | None:
+    """Send the task and pass on its events until it ends; None if the process dies before."""
     assert child.stdin is not None
     assert child.stdout is not None
     try:
         pickle.dump(task, child.stdin)
         child.stdin.flush()
-        while not isinstance(message := pickle.load(child.stdout), Outcome):
-            if isinstance(message, str):
-                begun(message)
-            elif frames is not None:
-                frames(*message)
+        while not isinstance(event := pickle.load(child.stdout), Outcome):
+            tell(event)
     except (EOFError, OSError, pickle.UnpicklingError):
         return None
-    return message
+    return event
 
 
 def _end(child: Child) -> None:
@@ -236,8 +210,8 @@ def main() -> None:
     Thread(target=_watch_parent, args=(os.getppid(),), daemon=True).start()
     frames, last = 0, 0.0  # of this task; when they were sent
 
-    def send(message: object) -> None:
-        pickle.dump(message, pipe)
+    def send(event: Event) -> None:
+        pickle.dump(event, pipe)
         pipe.flush()
 
     def observe(_: FrameResult, total: int | None) -> None:

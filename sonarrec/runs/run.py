@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, overload
 
-from sonarrec.errors import UsageError, local, number_of
+from sonarrec.errors import UsageError, hidden, is_url, local, number_of
 from sonarrec.nouns import Clock
+from sonarrec.readers.named_logs import NamedLog
+from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import LogOptions, frame_span, span_text
 from sonarrec.runs import cores
 from sonarrec.runs.frames import Presets, configs_of
-from sonarrec.runs.logs_table import COLUMNS, LogsTable, Row
+from sonarrec.runs.logs_table import COLUMNS, NAME, LogsTable, Row
 from sonarrec.runs.many import Watch, run_apart, run_here
 from sonarrec.runs.one import Observe, Summary, process, result_names
 from sonarrec.runs.prepare import RunOptions
-from sonarrec.runs.task import Outcome, Task
+from sonarrec.runs.task import Event, Outcome, Task
 from sonarrec.sonar import Sonar, sonar_from
 
 if TYPE_CHECKING:
@@ -35,6 +39,8 @@ class Runs:
     """What became of each log, in their order."""
     fault: str | None
     """Why logs.csv could not be written."""
+    notes: tuple[str, ...]
+    """On the folder as a whole."""
 
     @property
     def summaries(self) -> tuple[Summary, ...]:
@@ -115,21 +121,45 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
         return process(log, local(out), log_options, run_options, observe, overwrite=overwrite)
     if observe is not None:
         raise UsageError("observe is for a single log")
-    logs = [*map(str, log)]
-    tasks = [
-        Task(path, name, str(local(out)), log_options, run_options, overwrite)
-        for path, name in zip(logs, result_names(logs), strict=True)
-    ]
-    done = run_tasks(tasks, Path(out), jobs=jobs)
+    logs = [NamedLog(str(one)) for one in log]
+    tasks = tasks_of(logs, str(local(out)), log_options, run_options, overwrite)
+    done = run_tasks(tasks, out, jobs=jobs)
     errors = [one.error for one in done.outcomes if one.error is not None]
     if not done.summaries and errors:
         raise errors[0]
     return done
 
 
+def tasks_of(
+    logs: Sequence[NamedLog],
+    out: str,
+    log_options: LogOptions,
+    run_options: RunOptions,
+    overwrite: bool = False,
+) -> list[Task]:
+    """A task for each log. out: the folder of the results, or its URL.
+
+    Raises UsageError if two logs cannot be told apart.
+    """
+    names = result_names([hidden(log.path) if is_url(log.path) else log.path for log in logs])
+    places = {"out": "", "server_out": out} if is_url(out) else {"out": out}
+    return [
+        Task(
+            path=hidden(log.path) if is_url(log.path) else log.path,
+            name=name,
+            log_options=replace(log_options, up_to=log.up_to),
+            run_options=run_options,
+            overwrite=overwrite,
+            url=log.path if is_url(log.path) else "",
+            **places,
+        )
+        for log, name in zip(logs, names, strict=True)
+    ]
+
+
 def run_tasks(
     tasks: Sequence[Task],
-    out: Path,
+    out: str | Path,
     watch: Watch | None = None,
     *,
     jobs: int | None = None,
@@ -139,52 +169,68 @@ def run_tasks(
 ) -> Runs:
     """Run the tasks and keep OUT/logs.csv, also if the call is stopped.
 
-    watch: gets what happens meanwhile. jobs: how many run at once; default: the number of cores.
-    timeout_s: for one log. scheduler: address of a Dask cluster that runs them. alone: the call
-    names a single log; if that gives no results, logs.csv is not written.
+    out: a folder, or the URL of one. watch: gets what happens meanwhile. jobs: how many run at
+    once; default: the number of cores. timeout_s: for one log. scheduler: address of a Dask cluster
+    that runs them. alone: the call names a single log; if that gives no results, logs.csv is not
+    written.
     """
-    keep = _Keep(LogsTable(out, tasks, alone=alone), watch or Watch())
-    jobs = min(jobs or cores(), len(tasks))
-    keep.table.write()
-    try:
-        if scheduler is not None:
-            from sonarrec.runs.cluster import run_on_cluster  # with dask, only where needed
+    outcomes: dict[int, Outcome] = {}
+    with _folder_of(out) as folder:
+        table = LogsTable(folder, tasks, alone=alone)
 
-            run_on_cluster([*tasks], scheduler, keep, timeout_s)
-        elif jobs > 1 or timeout_s is not None:
-            run_apart([*tasks], jobs, keep, timeout_s)
-        else:
-            run_here([*tasks], keep)
-    except BaseException:  # Ctrl-C as well
-        keep.table.stopped()
-        raise
-    finally:
-        keep.table.write()
-    outcomes = tuple(outcome for _, outcome in sorted(keep.outcomes.items()))
-    return Runs(out, keep.table.rows, outcomes, keep.table.fault)
+        def keep(i: int | None, event: Event) -> None:
+            if i is not None:
+                table.add(i, event)
+            if i is not None and isinstance(event, Outcome):
+                outcomes[i] = event
+            if watch is not None:
+                watch(i, event)
+
+        jobs = min(jobs or cores(), len(tasks))
+        table.write()
+        try:
+            if scheduler is not None:
+                from sonarrec.runs.cluster import run_on_cluster  # with dask, only where needed
+
+                run_on_cluster(tasks, scheduler, keep, timeout_s)
+            elif jobs > 1 or timeout_s is not None:
+                run_apart(tasks, jobs, keep, timeout_s)
+            else:
+                run_here(tasks, keep)
+        except BaseException:  # Ctrl-C as well
+            table.stopped()
+            raise
+        finally:
+            table.write()
+        ended = tuple(outcome for _, outcome in sorted(outcomes.items()))
+        return Runs(folder, table.rows, ended, table.fault, _outdated(folder, ended))
 
 
-class _Keep(Watch):
-    """Keeps logs.csv and the outcomes of the tasks, and sends each event on."""
+@contextmanager
+def _folder_of(out: str | Path) -> Iterator[Path]:
+    """The folder of the results; of a URL one for logs.csv, which is put there at the end.
 
-    def __init__(self, table: LogsTable, watch: Watch) -> None:
-        self.table, self.watch, self.outcomes = table, watch, dict[int, Outcome]()
+    A run that is stopped does not wait for a server.
+    """
+    if not is_url(out):
+        yield Path(out)
+        return
+    from sonarrec.runs.remote import check_out, get, put  # with fsspec, only where needed
 
-    def note(self, line: str) -> None:
-        self.watch.note(line)
+    check_out(str(out))
+    url = f"{str(out).rstrip('/')}/{NAME}"
+    with TemporaryDirectory(prefix="sonarrec-") as folder:
+        get(url, Path(folder, NAME))  # with the rows of other calls
+        yield Path(folder)
+        put(Path(folder, NAME), url)
 
-    def started(self, i: int) -> None:
-        self.table.started(i)
-        self.watch.started(i)
 
-    def goes_by(self, i: int, line: str) -> None:
-        self.watch.goes_by(i, line)
-
-    def frames(self, i: int, done: int, total: int | None) -> None:
-        self.table.frames(i, done)
-        self.watch.frames(i, done, total)
-
-    def ended(self, i: int, outcome: Outcome) -> None:
-        self.table.ended(i, outcome)
-        self.outcomes[i] = outcome
-        self.watch.ended(i, outcome)
+def _outdated(out: Path, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+    """A note on pages and folders in OUT that were made from results replaced now."""
+    summaries = [outcome.summary for outcome in outcomes]
+    if all(s is None or s.up_to_date for s in summaries):
+        return ()
+    older = [name for name in PAGES if (out / name).exists()]
+    older += [name for name, made in MADE.items() if (out / name / made[-1]).is_file()]
+    text = f"{out}: {', '.join(older)} show the results of before; make them again"
+    return (text,) if older else ()

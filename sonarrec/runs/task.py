@@ -56,6 +56,11 @@ class Outcome:
         return problems[0] + more if problems else ""
 
 
+Event = str | tuple[int, int | None] | Outcome
+"""What happens to a log: a line on what its run goes by; how many frames are done, of how many
+(None: not known), 0 as it begins; its end."""
+
+
 def plan_task(task: Task) -> str:
     """What `run_task` would do, and why; writes nothing. Raises SonarrecError as that would."""
     with (

@@ -241,7 +241,7 @@ def test_a_wrong_cell_is_told_with_its_line(results: Path, tmp_path: Path, cell:
 
 def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     """Of thirty passes the longest, in order, with the calendar's time."""
-    from sonarrec.cli.run_watch import table
+    from sonarrec.cli.run import found_in
     from sonarrec.runs.one import Summary, _longest
 
     start = 1_700_000_000 * 10**9
@@ -256,9 +256,9 @@ def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     assert len(kept) == MOST_SIGHTINGS
     assert landmarks == {kept[0].landmark: sum(range(1, 31))}
     summary = Summary(tmp_path / "dive", 1200, 0, 1200, [], [], passes, kept, landmarks)
-    lines = table(summary, summary.folder)
-    assert len(lines) == MOST_SIGHTINGS + 2
-    assert "UTC" in lines[0]
+    lines = found_in(summary, summary.folder)
+    assert len(lines) == MOST_SIGHTINGS + 3
+    assert "UTC" in lines[1]
     assert "10 more in" in lines[-1]
     none = replace(summary, passes={"framework": 0}, sightings=[])
-    assert table(none, none.folder) == ["no landmark declared"]
+    assert found_in(none, none.folder)[1:] == ["  no landmark declared"]

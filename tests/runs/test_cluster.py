@@ -18,14 +18,13 @@ from sonarrec.config import preset
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import cluster as cluster_module
 from sonarrec.runs.cluster import run_on_cluster
-from sonarrec.runs.many import Watch
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.runs.task import Outcome, Task
 from tests.support.batch import SAMPLE, answers, command, environment, made, rows, tables, until
 from tests.support.command import sonarrec
 
 if TYPE_CHECKING:
-    from distributed import LocalCluster  # by those who need it: to load it takes long
+    pass  # by those who need it: to load it takes long
 
 
 @pytest.fixture
@@ -102,20 +101,6 @@ def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
     assert count.startswith(f"{4 - len(lost)} done, {len(lost)} failed: {logs[1]}")
 
 
-class Awaited(Watch):
-    """A cluster without a worker, until somebody says so."""
-
-    def __init__(self, cluster: LocalCluster) -> None:
-        self.cluster, self.notes, self.ends = cluster, list[str](), list[Outcome]()
-
-    def note(self, line: str) -> None:
-        self.notes.append(line)
-        self.cluster.scale(1)
-
-    def ended(self, _: int, outcome: Outcome) -> None:
-        self.ends.append(outcome)
-
-
 @pytest.mark.slow
 def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
     task = Task(
@@ -123,11 +108,17 @@ def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
     )
     from distributed import LocalCluster
 
+    events: list[object] = []
     with LocalCluster(n_workers=0, dashboard_address=None) as empty:
-        watch = Awaited(empty)
+
+        def watch(i: int | None, event: object) -> None:
+            events.append(event.status if isinstance(event, Outcome) else event)
+            if i is None:
+                empty.scale(1)
+
         run_on_cluster([task], empty.scheduler_address, watch)
     told = f"{empty.scheduler_address}: there is no worker yet; the logs wait for one"
-    assert (watch.notes, [end.status for end in watch.ends]) == ([told], ["failed"])
+    assert events == [told, (0, None), "failed"]
 
 
 def test_a_worker_in_another_folder_finds_the_geometry_above_the_log(

@@ -78,7 +78,7 @@ def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(many.Processes, "run", broken)
     tasks = [Task(name, name, "out", LogOptions(), RunOptions([])) for name in "ab"]
     with pytest.raises(ZeroDivisionError):
-        many.run_apart(tasks, 2, many.Watch())
+        many.run_apart(tasks, 2, print)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def test_a_call_is_stopped_though_a_log_hangs(
 @pytest.mark.parametrize("seconds", ["nan", "inf", "1e10"])
 def test_a_time_that_no_clock_waits_for(seconds: str, tmp_path: Path) -> None:
     done = sonarrec("run", SAMPLE, "--timeout", seconds, "-o", tmp_path / "out", code=2)
-    assert f"--timeout {float(seconds):g}: expected at most" in done.stderr
+    assert "'--timeout'" in done.stderr
 
 
 @pytest.mark.parametrize("share", ["0/3", "4/3", "1", "a/b", "1/0", "/"])
@@ -161,10 +161,11 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     (log,) = made(tmp_path, "a", frames=3)
     (tmp_path / "out").mkdir()
     mine = tmp_path / "out" / "logs.csv"
-    mine.write_text("day,diver\n1,me\n")
-    done = sonarrec("run", log, "-o", tmp_path / "out")
-    assert "logs.csv line 1: not a row of" in done.stderr
-    assert mine.read_text() == "day,diver\n1,me\n"
+    for text in ("day,diver\n1,me\n", f"diver,{','.join(COLUMNS)}\n"):
+        mine.write_text(text)
+        done = sonarrec("run", log, "-o", tmp_path / "out")
+        assert "logs.csv line 1: not a row of" in done.stderr
+        assert mine.read_text() == text
     assert (tmp_path / "out" / "a" / "frames.csv").is_file()
 
 
@@ -173,10 +174,10 @@ def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Pat
     task = Task("a", "a", str(tmp_path), LogOptions(), RunOptions([]))
     first, second = (LogsTable(tmp_path, [task]) for _ in range(2))
     for table in (first, second):
-        table.started(0)
+        table.add(0, (0, None))
         table.write()
-    second.ended(0, Outcome("failed", error=LockedError("another run writes here now")))
-    first.ended(0, Outcome("done"))
+    second.add(0, Outcome("failed", error=LockedError("another run writes here now")))
+    first.add(0, Outcome("done"))
     first.write()
     second.write()
     assert rows(tmp_path)["a"]["status"] == "done"
@@ -306,20 +307,3 @@ def test_any_name_is_read_back_from_logs_csv_and_none_is_a_formula(
         _, cells = csv.reader(file)
     assert cells[0][0] not in "=+-@"
     assert cells[0].removeprefix("'") == name.removeprefix("'" * (cells[0] == name))
-
-
-def test_columns_that_a_user_added_to_logs_csv_stay(tmp_path: Path) -> None:
-    """They were dropped, those of other calls' rows as well."""
-    (log,) = made(tmp_path, "a", frames=1)
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "logs.csv").write_text(
-        f"diver,{','.join(COLUMNS)},note\n"
-        f'Ann,a,{log},failed,0,0,0.5,0,no sonar,"cold, dark"\n'
-        "Bo,b,b.mcap,done,3,0,0.5,0,,\n"
-    )
-    sonarrec("run", log, "-o", out, "-q")
-    header, first, second = (out / "logs.csv").read_text().splitlines()
-    assert header == f"{','.join(COLUMNS)},diver,note"
-    assert re.fullmatch(rf'a,{log},done,1,0,[0-9.]+,0,,Ann,"cold, dark"', first)
-    assert second == "b,b.mcap,done,3,0,0.5,0,,Bo,"
