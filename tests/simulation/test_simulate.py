@@ -41,26 +41,6 @@ def test_truth_pixel_is_the_contract_formula() -> None:
     assert row.visible == 1.0
 
 
-@pytest.mark.parametrize("ground", [1.5, 2.6])
-def test_disc_extents_follow_the_grazing_angle(ground: float) -> None:
-    scene = replace(
-        POLAR, objects=(PlacedObject("filled", ground, 0.0, size_m=0.15, bright_db=20),)
-    )
-    seen = mean_power(scene, 30)
-    inside = seen > 50  # half of the disc's 20 dB
-    rows = np.flatnonzero(inside[:, 46:50].any(axis=1))
-    low = math.hypot(ground - 0.15, 0.68)
-    high = math.hypot(ground + 0.15, 0.68)
-    assert 1.25 + rows[0] * BIN_M == pytest.approx(low, abs=2 * BIN_M)
-    assert 1.25 + (rows[-1] + 1) * BIN_M == pytest.approx(high, abs=2 * BIN_M)
-    # Radially the disc shrinks by about cos(grazing angle).
-    grazing = math.asin(0.68 / math.hypot(ground, 0.68))
-    assert len(rows) * BIN_M == pytest.approx(0.3 * math.cos(grazing), rel=0.06)
-    columns = np.flatnonzero(inside.any(axis=0))
-    half = math.degrees(math.asin(0.15 / ground))
-    assert len(columns) * 0.3 == pytest.approx(2 * half, abs=0.6)
-
-
 def test_sectors_lie_where_the_truth_says() -> None:
     scene = replace(
         BARE,
@@ -113,13 +93,9 @@ def seen_where_it_is(frame: SimulatedFrame, scene: Scene) -> Truth:
     return row
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["[motion]\nsway_x_m = 300", "[motion]\nyaw_jitter_deg = 2000", "[sonar]\nrange_bins = 16384"],
-)
-def test_more_floor_than_memory_holds_is_one_clear_line(tmp_path, text: str) -> None:
+def test_more_floor_than_memory_holds_is_one_clear_line(tmp_path) -> None:
     scene = tmp_path / "scene.toml"
-    scene.write_text(f"name = 'much'\n{text}")
+    scene.write_text("name = 'much'\n[motion]\nyaw_jitter_deg = 2000")
     told = sonarrec("simulate", "--scene", scene, "-o", tmp_path / "log", code=1).stderr
     assert told.startswith("sonarrec: much: the sonar sees ")
     assert told.count("\n") == 1
@@ -167,24 +143,15 @@ def test_speckle_is_rayleigh_and_of_unit_power() -> None:
     assert np.sqrt(seen).mean() ** 2 / seen.mean() == pytest.approx(math.pi / 4, rel=0.02)
 
 
-def pan_pair(scene: Scene) -> float:
-    """Correlation of two images seven beams (2.1 deg) and one second apart, once compensated."""
-    scene = replace(
-        scene,
-        frames=8,
-        rate_hz=7.0,
-        motion=replace(
-            scene.motion, pan_min_deg=-10, pan_max_deg=10, pan_start_deg=0, pan_deg_s=2.1
-        ),
-    )
-    frames = [frame.image.astype(float) for frame in render(scene)]
-    return float(np.corrcoef(frames[0][:, 7:].ravel(), frames[7][:, :-7].ravel())[0, 1])
-
-
 def test_speckle_is_frozen_under_pan() -> None:
-    assert pan_pair(POLAR) > 0.99
+    """Two images seven beams (2.1 deg) and one second apart, once compensated."""
+    panning = MotionSection(pan_min_deg=-10, pan_max_deg=10, pan_start_deg=0, pan_deg_s=2.1)
     usual = Scene(sonar=replace(SonarSection(), layout="polar"))
-    assert pan_pair(usual) > 0.9
+    for scene, least in ((POLAR, 0.99), (usual, 0.9)):
+        scene = replace(scene, frames=8, rate_hz=7.0, motion=panning)
+        frames = [frame.image.astype(float) for frame in render(scene)]
+        pair = frames[0][:, 7:].ravel(), frames[7][:, :-7].ravel()
+        assert np.corrcoef(*pair)[0, 1] > least
 
 
 def test_speckle_decorrelates_with_time_as_stated() -> None:
@@ -211,18 +178,6 @@ def test_speckle_decorrelates_with_heave() -> None:
     assert correlation(0.0) > 0.99
     assert correlation(0.004) > correlation(0.02) > correlation(0.06)
     assert correlation(0.06) < 0.2
-
-
-def test_leaks_between_beams() -> None:
-    target = PlacedObject("filled", 1.9, 0.0, size_m=0.02, bright_db=28)
-    scene = replace(POLAR, objects=(target,))
-    row = round((math.hypot(1.9, 0.68) - 1.25) / 2.5 * 512)
-    stray = mean_power(replace(scene, sonar=replace(scene.sonar, stray_db=-20.0)), 10)
-    line = stray[row - 3 : row + 4].mean(axis=0)
-    for away in (-8, 8):
-        assert line[47 + away] > 2 * line[47 + away // 2 * 3]
-    arc = mean_power(replace(scene, sonar=replace(scene.sonar, cross_talk_db=-25.0)), 10)
-    assert np.median(arc[row]) > 3 * np.median(arc[row + 60])
 
 
 def test_tall_things_cast_shadows() -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import fcntl
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -14,7 +12,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
+from tests.support.command import SAMPLE as SAMPLE
+from tests.support.command import sample_log
+from tests.support.rows import read_rows
+
 FRAMES = 6
 GRACE_S = 3.0
 """So long a process that is to end has in the tests, in place of `task.GRACE_S`."""
@@ -55,12 +56,7 @@ if "sonarrec" in "".join(sys.orig_argv):
 
 def made(folder: Path, *names: str, frames: int = FRAMES) -> list[Path]:
     """Logs of a few frames of the sample."""
-    for name in names:
-        (folder / name).mkdir(parents=True)
-        shutil.copy(SAMPLE / "sonar.toml", folder / name)
-        for i in range(frames):
-            shutil.copy(SAMPLE / f"{i:06d}.png", folder / name)
-    return [folder / name for name in names]
+    return [sample_log(folder / name, frames) for name in names]
 
 
 def environment(folder: Path) -> dict[str, str]:
@@ -103,8 +99,7 @@ def command(*words: str | Path) -> list[str]:
 
 
 def rows(out: Path) -> dict[str, dict[str, str]]:
-    with (out / "logs.csv").open(newline="") as file:
-        return {row["log"]: row for row in csv.DictReader(file)}
+    return {row["log"]: row for row in read_rows(out / "logs.csv")}
 
 
 def tables(folder: Path) -> list[bytes]:

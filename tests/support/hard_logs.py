@@ -6,7 +6,6 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import TracebackType
 
 import lz4.frame
 import numpy as np
@@ -135,12 +134,7 @@ class HardLog:
     def __enter__(self) -> HardLog:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if kind is None and self._finished:
             self._finish()
         self._file.close()
@@ -148,16 +142,14 @@ class HardLog:
     def _finish(self) -> None:
         self._file.write(built(DataEnd(0)))
         summary_start = self._file.tell()
+        counts = {"attachment_count": 0, "metadata_count": 0, "channel_count": 1, "schema_count": 1}
         statistics = Statistics(
-            attachment_count=0,
-            channel_count=1,
             channel_message_counts={1: self._count},
             chunk_count=len(self._indexes),
             message_count=self._count,
             message_end_time=max((i.message_end_time for i in self._indexes), default=0),
             message_start_time=min((i.message_start_time for i in self._indexes), default=0),
-            metadata_count=0,
-            schema_count=1,
+            **counts,
         )
         summary = built(*self._definitions, statistics, *self._indexes)
         footer = struct.pack("<BQQQ", 0x02, 20, summary_start, 0)
