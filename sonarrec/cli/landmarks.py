@@ -56,9 +56,8 @@ def landmarks(
       sonarrec landmarks my_set.toml --distance 8 --beam-width 1 -o my_set.png
       sonarrec landmarks actag24h10 -o plates.svg
     """
-    from sonarrec.drawing.landmarks import distances, doubts, draw_landmarks
+    from sonarrec.drawing.landmarks import SHEET_MARK, distances, doubts, draw_landmarks, sheet
     from sonarrec.drawing.pen import write_png
-    from sonarrec.drawing.plates import SHEET_MARK, sheet
     from sonarrec.landmarks import DrawnSet, load_landmarks
     from sonarrec.tables.outputs import check_output, write_text
 

@@ -1,43 +1,50 @@
-"""Whether the IDs of a landmark set can be told apart, and a picture of the set.
+"""Whether the IDs of a landmark set can be told apart, a picture of the set, and a sheet of plates.
 
-Seen through beams that are wide at the disc's distance, symbols differ less than as drawn.
+Seen through beams that are wide at the landmark's distance, symbols differ less than as drawn.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from heapq import nsmallest
+from html import escape
 
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.drawing.plates import NEAR as NEAR_PLATES
-from sonarrec.drawing.plates import NEAR_SEEN as NEAR_PLATES_SEEN
-from sonarrec.drawing.plates import draw_pairs, draw_plates, plate_distances, plate_doubts
-from sonarrec.landmarks import DrawnSet, LandmarkSet
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage
+from sonarrec.drawing.pen import TRUTH, Pen
+from sonarrec.landmarks import IMAGE_CELLS, WIDEST_SIGMA, DrawnSet, LandmarkSet
 
-GRID = 30  # cells across a disc
+GRID, PLATE_GRID = 30, 56  # samples across a disc or plate
 TURN_DEG = 5  # of one disc against the other; of both against the line of sight three times that
 MOST_PAIRS = 12  # of the IDs most alike as drawn: views of an ID take some 3 ms
-NEAR = 1 / 8  # of the symbol's area, as drawn; nearer, one bad sector makes one ID of the other
-# As seen. Of simulated IDs a twelfth apart nearly all were told with .05 left by the beams, and one
-# in five with .02.
-NEAR_SEEN = 0.04
+HALF_POWER = 2.355  # width of a Gaussian beam, in its sigmas
+# Of a symbol's area, as drawn; nearer, one bad sector makes one ID of the other. As seen: of
+# simulated IDs a twelfth apart nearly all were told with .05 left by the beams, and one in five
+# with .02.
+NEAR, NEAR_SEEN = 1 / 8, 0.04
+# The same of plates. AcTag24h10 has .20, AcTag24h4 .08, as drawn.
+PLATES_NEAR, PLATES_NEAR_SEEN = 0.06, 0.03
 # Of simulated discs with rings of .03 of the radius, a third of a beam, as many are recognised as
 # with .2; with .005 one in eleven is.
 THINNEST_BEAMS, THINNEST_SHARE = 0.25, 0.02
-DISC_PX, MOST_COLUMNS = 160, 6
+THINNEST_CELL = 0.7  # beams; of simulated plates with cells as wide as a beam most are read
+SIDE_PX, MARGIN_PX, COLUMNS, MOST_DRAWN = 160, 30, 6, 70
+MARGIN_MM = 10
+SHEET_MARK = (
+    "<!-- A sheet of `sonarrec landmarks`. Black: rough, bright to a sonar; grey lines: cuts -->"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """How far two IDs are apart, at the rotation at which they differ least.
+    """How far two IDs are apart, at the rotation (and hand) at which they differ least.
 
-    drawn: share of the symbol's area in which they differ. seen: the same of what beams leave of
-    it, the mean square of the difference.
+    drawn: share of the symbol's area, or of the plate's, in which they differ. seen: the same of
+    what beams leave of it, the mean square of the difference.
     """
 
     ids: tuple[int, int]
@@ -49,71 +56,101 @@ class Distance:
 def distances(landmarks: LandmarkSet, beam_m: float) -> list[Distance]:
     """The distances of all pairs of IDs, or of the MOST_PAIRS most alike, the nearest first.
 
-    beam_m: width of a beam at the disc, between half-power points.
+    beam_m: width of a beam at the landmark, between half-power points.
+    """
+    turned = _as_drawn(landmarks)
+    drawn = next(turned)
+    agree = drawn @ drawn.T
+    for other in turned:
+        np.maximum(agree, drawn @ other.T, out=agree)
+    differ = (drawn.shape[1] - agree) / (2 * drawn.shape[1])
+    first, second = np.triu_indices(len(drawn), 1)
+    nearest = np.argsort(differ[first, second], kind="stable")[:MOST_PAIRS]
+    pairs = np.stack([first, second], axis=1)[nearest].tolist()
+    views = {k: _as_seen(landmarks, k, beam_m) for k in sorted({k for pair in pairs for k in pair})}
+    found = []
+    for a, b in pairs:
+        # One of the two against the other; discs, at more than quarter turns, both against the
+        # line of sight: half a turn of both changes nothing.
+        fixed, free = views[a][: 180 // TURN_DEG : 3], views[b]
+        if isinstance(landmarks, DrawnSet):
+            fixed, free = views[b][:1], views[a]
+        seen = min(float(((one - free) ** 2).sum(axis=1).min()) for one in fixed)
+        ids, share = (landmarks.ids[a], landmarks.ids[b]), float(differ[a, b])
+        found.append(Distance(ids, share, min(seen, share)))
+    return sorted(found, key=lambda d: (round(d.seen, 6), d.drawn, d.ids))
+
+
+def _as_drawn(landmarks: LandmarkSet) -> Iterator[FloatArray]:
+    """(K, cells) all IDs, bright 1 and dark -1, at every rotation (and hand) in which they show."""
+    if isinstance(landmarks, DrawnSet):
+        drawings = landmarks.drawings()  # of families with hundreds of IDs: a sample a cell
+        if len({len(d) for d in drawings}) > 1:
+            drawings = [_enlarged(d) > 0 for d in drawings]
+        for plates in _views(np.stack(drawings), landmarks):
+            yield 2 * plates.reshape(len(plates), -1).astype(np.float32) - 1
+    else:
+        signs = np.where(np.asarray(landmarks.sectors, bool), 1.0, -1.0)
+        yield from (np.roll(signs, n, axis=1) for n in range(signs.shape[1]))
+
+
+def _as_seen(landmarks: LandmarkSet, k: int, beam_m: float) -> FloatArray:
+    """(views, samples) the k-th ID at every rotation (and hand), as beams show it.
+
+    Scaled so that squared distances are shares of the symbol's area, or of the plate's.
     """
     if isinstance(landmarks, DrawnSet):
-        alike = plate_distances(landmarks, beam_m, MOST_PAIRS)
-        ids = landmarks.ids
-        return [Distance((ids[a], ids[b]), *shares.tolist()) for a, b, shares in alike]
-    signs = np.where(np.asarray(landmarks.sectors, bool), 1.0, -1.0)
-    count, spectra = signs.shape[1], np.fft.rfft(signs, axis=1)
-    pairs: list[tuple[float, int, int]] = []
-    for a, one in enumerate(spectra):
-        # At every rotation at once: what agrees less what differs.
-        agreement = np.fft.irfft(spectra[a + 1 :] * one.conj(), count, axis=1).max(axis=1)
-        differ = np.round((count - agreement) / 2) / count
-        pairs += [(float(share), a, a + 1 + n) for n, share in enumerate(differ)]
-    nearest = nsmallest(MOST_PAIRS, pairs)
-    smear = beam_m / landmarks.radius_m
-    views = {
-        k: _views(landmarks, k, smear) for k in sorted({k for _, *pair in nearest for k in pair})
-    }
-    inner, outer = landmarks.symbol
-    cells = math.pi * (outer**2 - inner**2) / (2 / GRID) ** 2
-    found = []
-    for drawn, a, b in nearest:
-        one, other = (
-            views[a][: 180 // TURN_DEG : 3],
-            views[b],
-        )  # half a turn of both changes nothing
-        squares = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * one @ other.T
-        least = max(float(squares.min()), 0.0)
-        ids = landmarks.ids[a], landmarks.ids[b]
-        found.append(Distance(ids, drawn, min(least / cells, drawn)))
-    return sorted(found, key=lambda d: (d.seen, d.drawn))
-
-
-def _views(landmarks: LandmarkSet, k: int, smear: float) -> FloatArray:
-    """(360 / TURN_DEG, cells) a disc at every rotation, as beams show it. smear: width of a beam in
-    disc radii, which lies across the line of sight."""
+        plate = _enlarged(landmarks.drawings()[k])[None]
+        views = [_smeared(view[0], beam_m, landmarks) for view in _views(plate, landmarks)]
+        return np.stack(views).reshape(len(views), -1) / PLATE_GRID
     across = (np.arange(3 * GRID) + 0.5) * 2 / GRID - 3  # wider than the disc, for what is smeared
     inside = across[GRID : 2 * GRID]
-    beam = np.exp(-4 * math.log(2) * ((inside[:, None] - across) / max(smear, 1e-3)) ** 2)
+    smear = max(beam_m / landmarks.radius_m, 1e-3)  # it lies across the line of sight
+    beam = np.exp(-4 * math.log(2) * ((inside[:, None] - across) / smear) ** 2)
     beam /= beam.sum(axis=1, keepdims=True)
     x, y = np.meshgrid(inside, inside)
     degree, radius = np.floor(np.degrees(np.arctan2(y, x))).astype(int), np.hypot(x, y)
     turn = np.arange(0, 360, TURN_DEG)[:, None, None]
     # Two rounds: the indices go from -535 to 179, and negative ones count from the end.
     drawn = landmarks.codes(np.radians(np.arange(720) + 0.5))[k, degree - turn]
-    drawn *= (radius >= landmarks.symbol[0]) & (radius <= landmarks.symbol[1])
+    inner, outer = landmarks.symbol
+    drawn *= (radius >= inner) & (radius <= outer)
     drawn += (radius > landmarks.ring[0]) & (radius <= landmarks.ring[1])
-    return np.asarray((drawn @ beam).astype(np.float32).reshape(len(turn), -1))
+    cells = math.pi * (outer**2 - inner**2) / (2 / GRID) ** 2
+    return np.asarray((drawn @ beam).reshape(len(turn), -1) / math.sqrt(cells), np.float32)
+
+
+def _views(plates: BoolArray | ByteImage, landmarks: DrawnSet) -> Iterator[np.ndarray]:
+    """(K, n, n) plates in every quarter turn, and hand where both may show."""
+    hands = [plates, plates[:, :, ::-1]] if landmarks.mirrored == "either" else [plates]
+    yield from (np.rot90(hand, turn, axes=(1, 2)) for hand in hands for turn in range(4))
+
+
+def _enlarged(drawing: BoolArray) -> ByteImage:
+    size = (PLATE_GRID, PLATE_GRID)
+    return np.asarray(cv2.resize(drawing.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST))
+
+
+def _smeared(plate: np.ndarray, beam_m: float, landmarks: DrawnSet) -> FloatImage:
+    """(n, n) what beams, across the columns, leave of a plate. beam_m: at half power."""
+    sigma = max(beam_m / HALF_POWER / (2 * landmarks.radius_m) * len(plate), 1e-3)
+    smeared = cv2.GaussianBlur(plate.astype(np.float32), (0, 0), sigmaX=sigma, sigmaY=1e-3)
+    return np.asarray(smeared)
 
 
 def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[str]:
     """What makes a set hard to recognise, a few words each. near: from `distances`."""
-    least, of_what, seen = NEAR, "an eighth of their symbol", NEAR_SEEN
     if isinstance(landmarks, DrawnSet):
-        found = plate_doubts(landmarks, beam_m)
-        least, of_what, seen = NEAR_PLATES, f"{NEAR_PLATES:.0%} of their cells", NEAR_PLATES_SEEN
+        found, of_what = _doubts_of_plates(landmarks, beam_m), f"{PLATES_NEAR:.0%} of their cells"
+        least, least_seen = PLATES_NEAR, PLATES_NEAR_SEEN
     else:
-        found = _doubts_of_discs(landmarks, beam_m)
+        found, of_what = _doubts_of_discs(landmarks, beam_m), "an eighth of their symbol"
+        least, least_seen = NEAR, NEAR_SEEN
+    close = [d for d in near if d.drawn < least]
+    blurred = [d for d in near if d.seen < least_seen and d.drawn >= least]
     for alike, how in (
-        ([d for d in near if d.drawn < least], f"differ in less than {of_what}"),
-        (
-            [d for d in near if d.seen < seen and d.drawn >= least],
-            "look alike through the beams",
-        ),
+        (close, f"differ in less than {of_what}"),
+        (blurred, "look alike through the beams"),
     ):
         pairs = ", ".join(f"{d.ids[0]} and {d.ids[1]}" for d in alike[:3])
         more = f" and {len(alike) - 3} more pairs" if len(alike) > 3 else ""
@@ -123,8 +160,7 @@ def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[
 
 def _doubts_of_discs(landmarks: LandmarkSet, beam_m: float) -> list[str]:
     """What makes discs hard to recognise, whatever else there is in the set."""
-    found = []
-    width = landmarks.ring[1] - landmarks.ring[0]
+    found, width = [], landmarks.ring[1] - landmarks.ring[0]
     if width < THINNEST_SHARE:
         found.append(f"there is no ring to speak of: it is {width:.2g} of the radius wide")
     elif width * landmarks.radius_m < THINNEST_BEAMS * beam_m:
@@ -139,18 +175,67 @@ def _doubts_of_discs(landmarks: LandmarkSet, beam_m: float) -> list[str]:
     return found
 
 
+def _doubts_of_plates(landmarks: DrawnSet, beam_m: float) -> list[str]:
+    """What makes plates hard to read, whatever else there is in the set."""
+    wide = f"beams are {1000 * beam_m:.0f} mm wide there"
+    widest_m = HALF_POWER * WIDEST_SIGMA * landmarks.radius_m
+    if beam_m > widest_m:
+        share = widest_m / beam_m
+        return [f"{wide}, too wide for the plates: no ID is read beyond {share:.2f} of this range"]
+    cells = max(len(d) for d in landmarks.drawings())
+    cell_m = 2 * landmarks.radius_m / cells
+    if cells == IMAGE_CELLS or cell_m > THINNEST_CELL * beam_m:  # an image's are no cells
+        return []
+    return [f"{wide}, and cells of {1000 * cell_m:.0f} mm too small for them"]
+
+
 def draw_landmarks(landmarks: LandmarkSet, beam_m: float) -> ByteImage:
-    """(rows, columns, 3) uint8 BGR: every disc as drawn, and below it as beams show it."""
-    if isinstance(landmarks, DrawnSet):
-        return draw_plates(landmarks, beam_m)
-    points = (np.arange(2 * DISC_PX) + 0.5) / DISC_PX - 1
+    """(rows, columns, 3) uint8 BGR: discs or plates as drawn, and below each as beams show it."""
+    ids = landmarks.ids[:MOST_DRAWN]
+    columns, cell, height = min(len(ids), COLUMNS), SIDE_PX + MARGIN_PX, 2 * (SIDE_PX + MARGIN_PX)
+    pen = Pen(np.zeros((-(-len(ids) // columns) * height, columns * cell, 3), np.uint8), 1.0)
+    points = (np.arange(2 * SIDE_PX) + 0.5) / SIDE_PX - 1  # twice as fine as the picture
     x, y = np.meshgrid(points, -points)
-    sigma = max(beam_m / landmarks.radius_m * DISC_PX / 2.355, 1e-3)
-    pairs = []
-    for k in range(len(landmarks.ids)):
-        disc = (np.where(np.hypot(x, y) > 1, 0.15, 0.05) + 0.9 * landmarks.pattern(k, x, y)) * 255
-        shown = np.clip(disc, 0, 255).astype(np.float32)
+    outside = np.hypot(x, y) > 1 if not isinstance(landmarks, DrawnSet) else np.zeros_like(x)
+    sigma = max(beam_m / landmarks.radius_m * SIDE_PX / HALF_POWER, 1e-3)
+    for k, number in enumerate(ids):
+        top, left = k // columns * height + MARGIN_PX, k % columns * cell + MARGIN_PX // 2
+        levels = 0.05 + 0.1 * outside + 0.9 * landmarks.pattern(k, x, y)
+        drawn = np.clip(255 * levels, 0, 255).astype(np.float32)
+        mirrored = isinstance(landmarks, DrawnSet) and landmarks.mirrored == "yes"
+        shown = np.ascontiguousarray(drawn[:, ::-1]) if mirrored else drawn
         seen = cv2.GaussianBlur(shown, (0, 0), sigmaX=sigma, sigmaY=1)
-        size = (DISC_PX, DISC_PX)
-        pairs.append([cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in (shown, seen)])
-    return draw_pairs(landmarks.ids, pairs, MOST_COLUMNS)
+        for n, picture in enumerate((drawn, seen)):
+            row = top + n * (SIDE_PX + MARGIN_PX // 3)
+            small = cv2.resize(picture, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA)
+            pen.canvas[row : row + SIDE_PX, left : left + SIDE_PX] = small[..., None].round()
+        pen.text(f"ID {number}", (left, top - 8), TRUTH)
+    return pen.canvas
+
+
+def sheet(landmarks: DrawnSet) -> str:
+    """An SVG in millimetres, to scale: each plate with its rough cells black, to cut out."""
+    size, columns = 2000 * landmarks.radius_m, min(len(landmarks.ids), 4)
+    step = size + 3 * MARGIN_MM
+    rows = -(-len(landmarks.ids) // columns)
+    wide, high = columns * step, rows * step
+    lines = [
+        SHEET_MARK,
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide:g}mm" height="{high:g}mm" '
+        f'viewBox="0 0 {wide:g} {high:g}">',
+    ]
+    for k, drawing in enumerate(landmarks.drawings()):
+        x, y = MARGIN_MM + k % columns * step, 2 * MARGIN_MM + k // columns * step
+        cell = size / len(drawing)
+        path = "".join(
+            f"M{x + c * cell:.3f} {y + r * cell:.3f}h{cell:.3f}v{cell:.3f}h{-cell:.3f}z"
+            for r, c in np.argwhere(drawing).tolist()
+        )
+        lines += [
+            f'<path d="{path}"/>',
+            f'<rect x="{x:g}" y="{y:g}" width="{size:g}" height="{size:g}" fill="none" '
+            'stroke="#888" stroke-width=".3"/>',
+            f'<text x="{x:g}" y="{y - 3:g}" font-size="8">{escape(landmarks.name)} '
+            f"ID {landmarks.ids[k]}, {size:g} mm</text>",
+        ]
+    return "\n".join([*lines, "</svg>", ""])

@@ -5,9 +5,8 @@ These correspond to the paper's Figure 13 (frames) and Figure 14 (probabilities 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.pen import (
     TRUTH,
     UNNAMED,
-    Colour,
     Pen,
     disc_outline,
     landmark_colours,
@@ -33,7 +31,6 @@ STRIP_FRAMES = 120
 """How far back trails and the probability strip reach."""
 
 _TICK_FRAMES = 20  # between ticks of the strip's time axis
-Numbers = TypeVar("Numbers", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,17 +67,14 @@ def trails(history: Sequence[Moment]) -> dict[int, FloatArray]:
     return {number: np.array(path) for number, path in paths.items()}
 
 
-def probability(estimate: Estimate, landmarks: LandmarkSet) -> float:
-    """The probability of the most probable ID."""
-    return float(estimate.probabilities[landmarks.ids.index(estimate.landmark)])
-
-
 def caption(estimate: Estimate, landmarks: LandmarkSet, *, score: bool = False) -> str:
     """What is written at an object: "ID.3  0.97", with "?" undeclared, "" for none of these.
 
     score: the number is the score, as in tables of results, in place of the probability.
     """
-    number = estimate.score if score else probability(estimate, landmarks)
+    number = estimate.score
+    if not score:
+        number = float(estimate.probabilities[landmarks.ids.index(estimate.landmark)])
     if estimate.declared:
         return f"ID.{estimate.landmark}  {number:.2f}"
     if np.argmax(estimate.probabilities) == len(landmarks.ids):
@@ -108,8 +102,7 @@ def draw_frame(
     """The frame with an outline, ID and probability for every estimate: one method's (Figure 13).
 
     image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
-    and grey. paths: as `trails` gives them. truth: dashed white.
-    below all that. score: scores in place of probabilities.
+    and grey. paths: as `trails` gives them. truth: dashed white. score: in place of probabilities.
     Returns (rows, columns, 3) uint8 BGR, both sides `enlargement` times the fan's.
     """
     pen = pen_on(image, fan)
@@ -137,87 +130,62 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     ID is declared; methods that do not follow objects give points.
     Returns (rows, width, 3) uint8 BGR.
     """
-    unit = pixel_unit(width)
+    unit, newest = pixel_unit(width), history[-1]
     colours = landmark_colours(landmarks.ids)
     left, right = 34 * unit, width - 10 * unit
     # A legend of many IDs takes more lines.
     per_line = max(1, int((right - left - 210 * unit) / (46 * unit)))
     top = (24 + 16 * ((len(colours) - 1) // per_line)) * unit
-    bottom = top + 92 * unit
+    bottom, step = top + 92 * unit, (right - left) / (STRIP_FRAMES - 1)
     pen = Pen(np.zeros((round(bottom + 24 * unit), width, 3), np.uint8), unit)
     for n, (landmark, colour) in enumerate(colours.items()):
         corner = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
         pen.text(f"ID.{landmark}", corner, colour)
-    axes = _StripAxes(left, right, top, bottom, unit)
-    latest = [m for m in history if history[-1].index - m.index < STRIP_FRAMES]
-    _draw_axes(pen, axes, latest)
-    _draw_beliefs(pen, axes, latest, colours)
-    return pen.canvas
-
-
-@dataclass(frozen=True, slots=True)
-class _StripAxes:
-    """The axes of a strip: pixels of its edges. unit: as from `pixel_unit`."""
-
-    left: float
-    right: float
-    top: float
-    bottom: float
-    unit: float
-
-    def x(self, frames_ago: Numbers) -> Numbers:
-        """The column of a frame; the newest is at the right edge."""
-        return self.right - frames_ago * self.step
-
-    def y(self, share: Numbers) -> Numbers:
-        """The row of a probability."""
-        return self.bottom - share * (self.bottom - self.top)
-
-    @property
-    def step(self) -> float:
-        """Pixels from frame to frame."""
-        return (self.right - self.left) / (STRIP_FRAMES - 1)
-
-
-def _draw_axes(pen: Pen, axes: _StripAxes, history: Sequence[Moment]) -> None:
-    """Draw the title with frame and time, lines at three probabilities, and ticks of time."""
-    unit, newest = axes.unit, history[-1]
     title = f"frame {newest.index}  {_clock(newest.timestamp_ns)}"
-    pen.text(title, (axes.right, 15 * unit), UNNAMED, align_right=True)
+    pen.text(title, (right, 15 * unit), UNNAMED, align_right=True)
     for share in (0.0, 0.5, 1.0):
-        level = axes.y(share)
-        pen.lines(np.array([[[axes.left, level], [axes.right, level]]]), (70, 70, 70), 1)
+        level = bottom - share * (bottom - top)
+        pen.lines(np.array([[[left, level], [right, level]]]), (70, 70, 70), 1)
         pen.text(f"{share:g}", (6 * unit, level + 5 * unit), UNNAMED)
-    for moment in history:
+    latest = [m for m in history if newest.index - m.index < STRIP_FRAMES]
+    for moment in latest:
         if moment.index % _TICK_FRAMES == 0:
-            tick, bottom = axes.x(newest.index - moment.index), axes.bottom
+            tick = right - (newest.index - moment.index) * step
             text = _clock(moment.timestamp_ns, short=True)
             pen.note(text, (tick, bottom + 21 * unit), UNNAMED, centred=True)
             pen.lines(np.array([[[tick, bottom], [tick, bottom + 5 * unit]]]), UNNAMED, 1)
+    scale = np.array([step, -(bottom - top)])
+    for start, end, landmark, thick in _steps(latest, landmarks):
+        lines = np.stack([start, end], axis=1) * scale + (right, bottom)
+        pen.lines(lines, colours[landmark], 1 + thick)
+    return pen.canvas
 
 
-def _draw_beliefs(
-    pen: Pen, axes: _StripAxes, history: Sequence[Moment], colours: Mapping[int, Colour]
-) -> None:
-    """Draw the probability of each ID along every track. colours: by ID, in the set's order."""
+def _steps(
+    history: Sequence[Moment], landmarks: LandmarkSet
+) -> Iterator[tuple[FloatArray, FloatArray, int, bool]]:
+    """Steps of the probability of each ID along every track, thin ones first.
+
+    (begin, end, ID, whether it is declared): (n, 2) frames since the newest, and probability.
+    """
+    # Sorted by track and time, each estimate is joined to the one before it on the same track.
     rows = [(moment.index, e) for moment in history for e in moment.estimates]
+    rows.sort(key=lambda row: (row[1].object, row[0]))
     if not rows:
         return
-    # Sorted by track and time, each estimate is joined to the one before it on the same track.
-    rows.sort(key=lambda row: (row[1].object, row[0]))
-    frame = np.array([index for index, _ in rows], dtype=float)
+    frame = np.array([index - history[-1].index for index, _ in rows], dtype=float)
     track = np.array([e.object if e.followed else -1 for _, e in rows])
-    id_named = np.array([e.landmark if e.declared else None for _, e in rows])
+    named = np.array([e.landmark if e.declared else None for _, e in rows])
+    beliefs = np.array([e.probabilities for _, e in rows])
     joined = np.append(False, (track[1:] == track[:-1]) & (track[1:] >= 0))
     before = np.arange(len(rows)) - joined
-    x = axes.x(history[-1].index - frame)
-    beliefs = np.array([e.probabilities for _, e in rows])
-    for thick in (False, True):
-        for k, (landmark, colour) in enumerate(colours.items()):
-            y = axes.y(beliefs[:, k])
-            start = np.where(joined, x[before], x - axes.step / 2)
-            lines = np.stack([[start, y[before]], [x, y]]).transpose(2, 0, 1)
-            pen.lines(lines[(id_named == landmark) == thick], colour, 1 + thick)
+    start = np.where(joined, frame[before], frame - 0.5)
+    for declared in (False, True):
+        for k, landmark in enumerate(landmarks.ids):
+            of = (named == landmark) == declared
+            begin = np.column_stack([start, beliefs[before, k]])
+            end = np.column_stack([frame, beliefs[:, k]])
+            yield begin[of], end[of], landmark, declared
 
 
 def _clock(timestamp_ns: int, *, short: bool = False) -> str:

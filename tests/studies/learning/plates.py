@@ -17,8 +17,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.config import preset
-from sonarrec.drawing.landmarks import distances
-from sonarrec.drawing.plates import NEAR, NEAR_SEEN
+from sonarrec.drawing.landmarks import PLATES_NEAR, PLATES_NEAR_SEEN, distances
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks
@@ -63,7 +62,7 @@ def apart(drawings: Iterable[BoolArray], count: int, mirrored: str) -> list[Bool
             near = distances(set_of([*taken, drawing], mirrored), WIDEST_BEAM_M)
         except SonarrecError:  # the same drawing, turned
             continue
-        if all(d.drawn >= NEAR and d.seen >= NEAR_SEEN for d in near):
+        if all(d.drawn >= PLATES_NEAR and d.seen >= PLATES_NEAR_SEEN for d in near):
             taken.append(drawing)
         if len(taken) == count:
             break
