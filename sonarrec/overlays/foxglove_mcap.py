@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,9 @@ from mcap.writer import CompressionType, Writer
 
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
-from sonarrec.drawing.results import AROUND, Mark, caption, outline_of
-from sonarrec.errors import SonarrecError
+from sonarrec.drawing.results import AROUND, Mark, Moment, caption, outline_of, trails
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Frame
+from sonarrec.nouns import Frame
 from sonarrec.readers.messages.foxglove import json_schema
 from sonarrec.tables.outputs import OVERLAY_LIBRARY, writing
 
@@ -25,79 +25,60 @@ ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
 LINE_LOOP, LINE_STRIP, LINE_LIST = 2, 3, 4
 
+WriteFrame = Callable[[Frame, Sequence[Moment], Sequence[Mark]], None]
+"""Appends a frame. Its history is that of one method and ends with the frame; then its truth."""
 
-class FoxgloveFile:
+
+@contextmanager
+def foxglove_file(path: Path, landmarks: LandmarkSet, with_images: bool) -> Iterator[WriteFrame]:
     """Annotations of every frame, and its fan image if `with_images`.
 
-    Use it as a context manager. After an exception the file keeps what was written but gets no
-    footer.
+    After an exception the file keeps what was written but gets no footer. Raises SonarrecError
+    where it cannot be written.
     """
+    with writing(path):
+        file = path.open("wb")
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(library=OVERLAY_LIBRARY)
 
-    def __init__(self, path: Path, landmarks: LandmarkSet, *, with_images: bool) -> None:
-        """Raises SonarrecError where the file cannot be made."""
-        self._path, self._landmarks = path, landmarks
-        with writing(path):
-            self._file = path.open("wb")
-            self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-            self._writer.start(library=OVERLAY_LIBRARY)
-        self._annotations = self._channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")
-        self._images = self._channel(FAN_TOPIC, "foxglove.CompressedImage") if with_images else None
+    def channel(topic: str, message: str) -> int:
+        schema = json.dumps(json_schema(message)).encode()
+        number = writer.register_schema(message, "jsonschema", schema)
+        return writer.register_channel(topic, "json", number)
 
-    def write(
-        self,
-        frame: Frame,
-        estimates: Sequence[Estimate],
-        paths: Mapping[int, FloatArray],
-        truth: Sequence[Mark],
-    ) -> None:
-        """Append one frame. Raises SonarrecError where the disk takes no more."""
+    annotations = channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")
+    images = channel(FAN_TOPIC, "foxglove.CompressedImage") if with_images else None
+
+    def write(frame: Frame, history: Sequence[Moment], truth: Sequence[Mark]) -> None:
         logged = frame.timestamp_ns if frame.stamps.log is None else frame.stamps.log
         # Foxglove pairs annotations with the image whose own stamp is the same to the nanosecond.
         stamp = logged if frame.stamps.header is None else frame.stamps.header
-        if self._images is not None:
+        messages = {}
+        if images is not None:
             png = cv2.imencode(".png", np.asarray(frame.image))[1].tobytes()
-            image = {
-                "timestamp": _time(stamp),
-                "frame_id": "sonar",
-                "data": base64.b64encode(png).decode(),
-                "format": "png",
-            }
-            self._add(self._images, _json(image), logged)
-        message = annotations_message(frame, stamp, self._landmarks, estimates, paths, truth)
-        self._add(self._annotations, _json(message), logged)
+            image = {"frame_id": "sonar", "data": base64.b64encode(png).decode(), "format": "png"}
+            messages[images] = {"timestamp": _time(stamp), **image}
+        messages[annotations] = _annotations(frame, stamp, landmarks, history, truth)
+        with writing(path):
+            for to, message in messages.items():
+                writer.add_message(to, logged, json.dumps(message).encode(), logged)
 
-    def _channel(self, topic: str, message: str) -> int:
-        data = json.dumps(json_schema(message)).encode()
-        number = self._writer.register_schema(message, "jsonschema", data)
-        return self._writer.register_channel(topic, "json", number)
-
-    def _add(self, channel: int, message: bytes, log_time: int) -> None:
-        with writing(self._path):
-            self._writer.add_message(channel, log_time, message, log_time)
-
-    def __enter__(self) -> FoxgloveFile:
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        """Close the file. Raises SonarrecError where the disk takes no more."""
-        try:
-            with self._file:
-                if kind is None:
-                    self._writer.finish()  # type: ignore[no-untyped-call]
-                else:
-                    self._writer.flush()  # type: ignore[no-untyped-call]
-        except OSError as fault:
-            if kind is None:  # else the first fault is reported
-                raise SonarrecError(f"{self._path}: cannot be written ({fault.strerror})") from None
+    try:
+        yield write
+    except BaseException:
+        with suppress(OSError), file:  # the first fault is reported
+            writer.flush()  # type: ignore[no-untyped-call]
+        raise
+    with writing(path), file:
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
-def annotations_message(
+def _annotations(
     frame: Frame,
     stamp_ns: int,
     landmarks: LandmarkSet,
-    estimates: Sequence[Estimate],
-    paths: Mapping[int, FloatArray],
-    truth: Sequence[Mark] = (),
+    history: Sequence[Moment],
+    truth: Sequence[Mark],
 ) -> dict[str, Any]:
     """A foxglove.ImageAnnotations message, in pixels of the fan image.
 
@@ -105,7 +86,7 @@ def annotations_message(
     back the image of a frame without any.
     """
     fan, size = frame.fan, pixel_unit(max(frame.fan.rows, frame.fan.columns))
-    colours = landmark_colours(landmarks.ids)
+    colours, paths = landmark_colours(landmarks.ids), trails(history)
     stamp, lines, texts = {"timestamp": _time(stamp_ns)}, [], []
 
     def line(kind: int, points: FloatArray, colour: Colour, width: float) -> None:
@@ -130,7 +111,7 @@ def annotations_message(
         texts.append(stamp | written)
 
     text(f"frame {frame.index}", 4 * size, 18 * size, UNNAMED)
-    for e in estimates:
+    for e in history[-1].estimates:
         colour = colours[e.landmark] if e.declared else UNNAMED
         outline = outline_of(e, fan, landmarks)
         line(LINE_LOOP, outline, colour, 2 if e.declared else 1)
@@ -145,10 +126,6 @@ def annotations_message(
         left, bottom = outline[:, 0].min(), outline[:, 1].max()
         text(f"ID.{mark.landmark}", left, bottom + 18 * size, TRUTH)
     return {**stamp, "circles": [], "points": lines, "texts": texts, "metadata": []}
-
-
-def _json(message: Mapping[str, Any]) -> bytes:
-    return json.dumps(message).encode()
 
 
 def _time(stamp_ns: int) -> dict[str, int]:

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections import deque
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
-from sonarrec.drawing.pen import draw_picture
+from sonarrec.arrays import ByteImage
+from sonarrec.drawing.pen import draw_picture, write_png
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
 from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, local, number_of
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame
-from sonarrec.overlays.foxglove_mcap import FoxgloveFile
-from sonarrec.overlays.video import ImageFolder, VideoFile
+from sonarrec.overlays.foxglove_mcap import WriteFrame, foxglove_file
 from sonarrec.readers import open_log
+from sonarrec.readers.containers.video import opencv_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.results.folders import part_of, possible_names
@@ -33,12 +36,13 @@ from sonarrec.results.read import (
 )
 from sonarrec.results.run_file import LogOptions, frame_span, read_run, span_text
 from sonarrec.sonar import Sonar, sonar_from
-from sonarrec.tables.outputs import Kind, check_output, writing
+from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_output, writing
 from sonarrec.truth.check import misfit, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
 
-Output = FoxgloveFile | VideoFile | ImageFolder
+KINDS: dict[str, Kind] = {".mcap": "overlay", ".mp4": "video"}
+"""By how the output's name ends; else it is a folder of pictures."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -79,7 +83,11 @@ def overlay(
     """
     path, out = Path(log), Path(local(out))
     truth_file = None if ground_truth is None else Path(local(ground_truth))
-    _check(out, path, truth_file)
+    kind = KINDS.get(out.suffix.lower(), "picture")
+    if kind == "picture" and out.is_dir():  # then it is checked picture by picture
+        check_output(out / "000000.png", kind, [path])
+    else:
+        check_output(out, kind, [path, truth_file])
     source = find_log(path)
     folder = _results_folder(path, source, Path(results))
     run = read_run(folder / "run.toml")
@@ -89,12 +97,10 @@ def overlay(
         same_log=source.reader.has_topics,  # else a topic in run.toml is another log's
     )
     # By its text, as of --frames: what that could not state is refused.
-    span = frame_span(span_text(frames)) if frames else run.span() or (0, None)
-    table = folder / "estimates.csv"
-    method = choose_method(table, method)
-    with open_log(source, **log_options.arguments()) as recording:
+    begin, end = frame_span(span_text(frames)) if frames else run.span() or (0, None)
+    method, told = choose_method(folder / "estimates.csv", method), Diagnostics()
+    with open_log(source, **log_options.arguments()) as recording, ExitStack() as stack:
         check_same_log(recording, folder, run)
-        told = Diagnostics()
         if not run.finished:
             last = read_frames(folder)["frame"].max(initial=-1)
             told.problem(f"{folder}: the run was cut short; frames after {last} have no results")
@@ -103,70 +109,54 @@ def overlay(
         truth: dict[int, list[Mark]] = {}
         if truth_file is not None:
             truth = _truth_marks(truth_file, folder, landmarks, recording.sonar, first.fan, told)
-        rows = read_estimates(table, method, landmark_set, first.fan)
+        rows = read_estimates(folder / "estimates.csv", method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
-        output: Output | None = None
-        written = 0
-        with ExitStack() as stack:
-            index, of_index = -1, tuple[Estimate, ...]()
-            for frame in chain([first], rest):
-                if span[1] is not None and frame.index >= span[1]:
-                    break
-                while index < frame.index:  # both come in rising order
-                    index, of_index = next(rows, (sys.maxsize, ()))
-                estimates = of_index if index == frame.index else ()
-                # Frames before the span only show in the first strips.
-                history.append(Moment(frame.index, frame.timestamp_ns, estimates))
-                if observe:
-                    observe(recording.frame_count)
-                if frame.index < span[0]:
-                    continue
-                if output is None:  # an older overlay stays if there is nothing to write
-                    output = _opened(out, recording, first, landmark_set, folder)
-                    stack.push(output)
-                marks, paths = truth.get(frame.index, []), trails(history)
-                if isinstance(output, FoxgloveFile):
-                    output.write(frame, estimates, paths, marks)
-                else:
-                    picture = draw_frame(
-                        *(frame.image, frame.fan, landmark_set, estimates), paths=paths, truth=marks
+        write: WriteFrame | None = None
+        index, of_index, written = -1, tuple[Estimate, ...](), 0
+        for frame in chain([first], rest):
+            if end is not None and frame.index >= end:
+                break
+            while index < frame.index:  # both come in rising order
+                index, of_index = next(rows, (sys.maxsize, ()))
+            estimates = of_index if index == frame.index else ()
+            # Frames before the span only show in the first strips.
+            history.append(Moment(frame.index, frame.timestamp_ns, estimates))
+            if observe:
+                observe(recording.frame_count)
+            if frame.index >= begin:
+                if write is None:  # an older overlay stays if there is nothing to write
+                    write = stack.enter_context(
+                        _opened(out, kind, recording, first, landmark_set, folder)
                     )
-                    strip = draw_strip(history, landmark_set, max(picture.shape[1], 512))
-                    output.write(frame.index, draw_picture(picture, strip))
+                write(frame, history, truth.get(frame.index, ()))
                 written += 1
-            told.problem(*recording.diagnostics.problems)
-    if output is None:
+        told.problem(*recording.diagnostics.problems)
+    if write is None:
         raise UsageError(
-            f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}{recording.why_none()}"
+            f"{path}: no frame lies in --frames {begin}:{end or ''}{recording.why_none()}"
         )
     if topic and run.input.topic not in (None, topic):
         told.note(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
     return OverlayReport(method, written, told)
 
 
-def _check(out: Path, path: Path, ground_truth: Path | None) -> None:
-    """Raises UsageError if the output would replace a file of other origin."""
-    kinds: dict[str, Kind] = {".mcap": "overlay", ".mp4": "video"}
-    kind = kinds.get(out.suffix.lower(), "picture")
-    if kind == "picture" and out.is_dir():  # checked picture by picture
-        check_output(out / "000000.png", kind, [path])
-    else:
-        check_output(out, kind, [path, ground_truth])
-
-
-def _opened(out: Path, log: Log, first: Frame, landmarks: LandmarkSet, results: Path) -> Output:
-    """Open the output; a context manager."""
+def _opened(
+    out: Path, kind: Kind, log: Log, first: Frame, landmarks: LandmarkSet, results: Path
+) -> AbstractContextManager[WriteFrame]:
+    """The output. first: a frame of the log. results: their folder."""
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-    if out.suffix.lower() == ".mcap":
+    if kind == "overlay":
         # If Foxglove cannot show the recording as this fan, the overlay brings the fan images.
         unseen = first.stamps.log is None or log.sonar.layout == "polar" or bool(log.sonar.flip)
-        return FoxgloveFile(out, landmarks, with_images=unseen)
-    if out.suffix.lower() == ".mp4":
-        times = read_frames(results).get("timestamp_ns", ())
-        between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        return VideoFile(out, 1e9 / between if between > 0 else log.sonar.frame_rate_hz or 10.0)
-    return ImageFolder(out)
+        return foxglove_file(out, landmarks, unseen)
+    if kind == "picture":
+        return _image_folder(out, landmarks)
+    times = read_frames(results).get("timestamp_ns", ())
+    between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    return _video_file(
+        out, landmarks, 1e9 / between if between > 0 else log.sonar.frame_rate_hz or 10.0
+    )
 
 
 def _results_folder(path: Path, source: Source, results: Path) -> Path:
@@ -213,3 +203,69 @@ def _truth_marks(
     for frame, k, (x, y) in zip(frames, truth.landmark_index, positions.tolist(), strict=True):
         marks.setdefault(frame, []).append(Mark(log.landmarks.ids[k], x, y))
     return marks
+
+
+@contextmanager
+def _video_file(path: Path, landmarks: LandmarkSet, frame_rate_hz: float) -> Iterator[WriteFrame]:
+    """Frames as an MP4: MPEG-4 Part 2 is the most widely played that every OpenCV writes.
+
+    Raises SonarrecError if the name is not UTF-8, or where it did not become a whole video.
+    """
+    name, frames = opencv_name(path), 0
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are reported below
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    # MPEG-4 divides a second into 65,535 parts at the most; players want one frame a second.
+    rate = round(min(max(frame_rate_hz, 1.0), 60.0), 3)
+    video = cv2.VideoWriter()
+
+    def write(frame: Frame, history: Sequence[Moment], truth: Sequence[Mark]) -> None:
+        nonlocal frames
+        picture = _picture(frame, landmarks, history, truth)
+        if not frames:
+            size = (picture.shape[1], picture.shape[0])
+            if not video.open(name, cv2.VideoWriter.fourcc(*"mp4v"), rate, size):
+                raise SonarrecError(f"{path}: cannot be written")
+        video.write(picture)
+        frames += 1
+
+    try:
+        yield write
+    finally:
+        if video.isOpened():
+            video.release()
+            with suppress(OSError), path.open("ab") as file:
+                file.write(VIDEO_MARK)
+    # OpenCV does not report a failed write.
+    if cv2.VideoCapture(name).get(cv2.CAP_PROP_FRAME_COUNT) != frames:
+        raise SonarrecError(
+            f"{path}: {number_of(frames, 'frame')} did not become a whole video (is the disk full?)"
+        )
+
+
+@contextmanager
+def _image_folder(folder: Path, landmarks: LandmarkSet) -> Iterator[WriteFrame]:
+    """Frames as DIR/NNNNNN.png, NNNNNN the frame's number.
+
+    Raises SonarrecError where one cannot be written, UsageError for a picture of another kind.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def write(frame: Frame, history: Sequence[Moment], truth: Sequence[Mark]) -> None:
+        path = folder / f"{frame.index:06d}.png"
+        check_output(path, "picture")
+        write_png(path, _picture(frame, landmarks, history, truth))
+
+    yield write
+
+
+def _picture(
+    frame: Frame, landmarks: LandmarkSet, history: Sequence[Moment], truth: Sequence[Mark]
+) -> ByteImage:
+    """(rows, columns, 3) uint8 BGR: the frame with what is drawn on it, above its strip."""
+    drawn = draw_frame(
+        *(frame.image, frame.fan, landmarks, history[-1].estimates),
+        paths=trails(history),
+        truth=truth,
+    )
+    return draw_picture(drawn, draw_strip(history, landmarks, max(drawn.shape[1], 512)))
