@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +12,24 @@ import numpy as np
 
 from sonarrec.errors import local, number_of
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.match import Matched, ScoringOptions, scoring_options
+from sonarrec.evaluation.match import ScoringOptions, scoring_options
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.screen import protocols
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
-from sonarrec.reports.frames import Picture, PictureRequest
+from sonarrec.reports.frames import Picture, Shown, open_recording
 from sonarrec.reports.logs import (
     MOST_LOGS,
+    Episode,
     JudgedSighting,
     LogToShow,
     ReportedLog,
-    false_claim_text,
+    episodes,
+    in_words,
     judged_sightings,
     read_logs,
 )
-from sonarrec.reports.mistakes import Episode, episodes, in_words
 from sonarrec.reports.page import MOST_MISTAKES, render
-from sonarrec.reports.recordings import match_recordings, open_recording
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.sonar import Sonar
 from sonarrec.tables.outputs import check_output, write_page
@@ -85,170 +86,122 @@ def report(
     recordings = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
     check_output(path, "report", [truth_file, pairs and Path(pairs), *recordings])
     rows = None if pairs is None else read_pairs(Path(pairs))
-    folders, known, evaluation = _choose(Path(results), truth_file, rows, options)
-    shown_folders = folders[:MOST_LOGS]
-    of_shown = [row for row in known if row.results in shown_folders]
-    reported, unread = _with_panels(shown_folders, of_shown, evaluation, options)
-    mistakes = {}
-    matched = {log.results.name: log.matched for log in reported if log.matched is not None}
-    if evaluation is not None:
-        protocol = protocols(evaluation.counts)[0]
-        there = {method for log in matched.values() for method in log.methods}
-        methods = [method for method in evaluation.counts.methods if method in there]
-        mistakes = {method: episodes(matched, method, protocol) for method in methods}
+    evaluation: Evaluation | None = None
+    if rows is None and truth_file is None:
+        to_show = [LogToShow(folder) for folder in find_logs(Path(results))]
+        in_all = len(to_show)
+    else:
+        evaluation = evaluate_logs(rows or results, truth_file, options)
+        to_show, in_all = _scored_logs(evaluation, rows, truth_file), len(evaluation.folders)
+    reported, unread = read_logs(to_show, options)
+    mistakes = {} if evaluation is None else _mistakes(reported, evaluation)
     sonar = options.sonar or Sonar()
-    pictures, shown, missing = _draw_all(reported, matched, mistakes, recordings, sonar, topic)
+    pictures, shown, missing = _draw_all(reported, mistakes, recordings, sonar, topic)
     incomplete = (line for log in reported for line in not_whole(log.results, "shown"))
     unused = (*(incomplete if evaluation is None else evaluation.unused), *unread, *missing)
-    in_all = len(folders if evaluation is None else evaluation.folders)
     truth = Path(pairs) if pairs else truth_file
     write_page(path, render(reported, evaluation, mistakes, truth, pictures, shown, unused, in_all))
-    return Report(path, len(pictures), sum(len(s.frames) for s in shown), unused)
+    return Report(path, len(pictures), sum(len(log["frames"]) for log in shown), unused)
 
 
-def _choose(
-    results: Path,
-    ground_truth: Path | None,
-    rows: list[Pair] | None,
-    options: ScoringOptions,
-) -> tuple[list[Path], list[Pair], Evaluation | None]:
-    """(the folders of the logs, their truth if it is known, their scores).
-
-    rows: results and truth of each log, in place of the other two.
-    """
-    if rows is None:
-        folders = find_logs(results)
-        truth = [Pair(folder, ground_truth) for folder in folders] if ground_truth else []
-    else:
-        folders, truth = [row.results for row in rows], rows
-    if not truth:
-        return folders, [], None
-    evaluation = evaluate_logs(rows or results, ground_truth, options)
-    if len(folders) > MOST_LOGS:
-        folders = [*evaluation.folders]  # those that can be scored
-    return folders, truth, evaluation
+def _scored_logs(
+    evaluation: Evaluation, rows: Sequence[Pair] | None, truth_file: Path | None
+) -> list[LogToShow]:
+    """The first logs of an evaluation, which has distinct names, each recording once, and no log
+    that cannot be read. rows: its pairs, or truth_file: the truth of all logs."""
+    truth, to_show = cache(read_truth), list[LogToShow]()
+    pair_of = {row.results: row for row in reversed(rows or ())}  # a log may be named twice
+    for folder, name in zip(evaluation.folders, evaluation.counts.logs, strict=True):
+        if len(to_show) < MOST_LOGS:
+            pair = pair_of.get(folder) or Pair(folder, truth_file or folder)
+            to_show.append(LogToShow(folder, truth(pair.ground_truth), pair.log, name))
+    return to_show
 
 
-def _with_panels(
-    folders: Sequence[Path],
-    rows: Sequence[Pair],
-    evaluation: Evaluation | None,
-    options: ScoringOptions,
-) -> tuple[list[ReportedLog], list[str]]:
-    """The logs that have panels, and a line for each that cannot be read. rows: their truth."""
-    if evaluation is None:
-        return read_logs([LogToShow(folder) for folder in folders], options)
-    # The evaluation has distinct names, each recording once, and no log that cannot be read.
-    scored = dict(zip(evaluation.folders, evaluation.counts.logs, strict=True))
-    first: dict[Path, Pair] = {}
-    for row in rows:
-        if row.results in scored:
-            first.setdefault(row.results, row)  # a log may be named twice
-    truths = [*first.values()]
-    tables = {file: read_truth(file) for file in {row.ground_truth for row in truths}}
-    to_show = [LogToShow(row.results, tables[row.ground_truth], row.log) for row in truths]
-    logs, unread = read_logs(to_show, options)
-    named = (replace(log, results=replace(log.results, name=scored[log.folder])) for log in logs)
-    return list(named), unread
+def _mistakes(logs: Sequence[ReportedLog], evaluation: Evaluation) -> dict[str, list[Episode]]:
+    """The mistakes in some logs by each method that any of them has."""
+    matched = [log.matched for log in logs if log.matched is not None]
+    protocol = protocols(evaluation.counts)[0]
+    return {
+        method: episodes(matched, method, protocol)
+        for method in evaluation.counts.methods
+        if any(method in log.methods for log in matched)
+    }
 
 
 def _draw_all(
     logs: Sequence[ReportedLog],
-    matched: Mapping[str, Matched],
     mistakes: Mapping[str, Sequence[Episode]],
     recordings: Sequence[Path],
     sonar: Sonar,
     topic: str | None,
-) -> tuple[list[Picture], list[frames.ShownLog], list[str]]:
+) -> tuple[list[Picture], list[Shown], list[str]]:
     """Pictures and frames of the recordings given; a line for each recording not found."""
-    sources, missing = match_recordings(logs, recordings, sonar, topic)
-    recorded = [log for log in logs if log.results.name in sources]
-    passes = [(log, s) for log in recorded for s in judged_sightings(log)]
-    requests = _sighting_requests(recorded, passes)
+    sources, missing = frames.match_recordings(logs, recordings, sonar, topic)
+    recorded = [log for log in logs if log.name in sources]
+    passes = [s for log in recorded for s in judged_sightings(log)]
+    pictures = [*(_of_sightings(passes) if passes else _nearest_to_declared(recorded))]
     for method, of_method in mistakes.items():
         for e in [e for e in of_method if e.log in sources][:MOST_MISTAKEN]:
-            wrong = f"{in_words(e, matched[e.log])}."
-            requests.append(PictureRequest(e.log, method, e.worst, "mistake", "", wrong))
-    frames_held = frames.choose(recorded, _named_frames(passes, mistakes, requests))
-    most_bytes = frames.MOST_BYTES // max(1, sum(map(len, frames_held.values())))  # for each frame
-    pictures: dict[PictureRequest, Picture] = {}
-    shown_logs: list[frames.ShownLog] = []
+            wrong = f"{in_words(e)}."
+            pictures.append(Picture(e.log, method, e.worst, "mistake", "", wrong))
+    held = frames.choose(recorded, _named_frames(passes, mistakes, pictures))
+    most_bytes = frames.MOST_BYTES // max(1, sum(map(len, held.values())))  # for each frame
+    shown = []
     for log in recorded:
-        name = log.results.name
-        requested = [w for w in requests if w.log == name]
-        with open_recording(sources[name], log, sonar, topic) as recording:
-            taken, shown_log = frames.take(recording, log, requested, frames_held[name], most_bytes)
-        pictures |= taken
-        shown_logs.append(shown_log)
-    return [pictures[w] for w in requests], shown_logs, missing
+        mine = [picture for picture in pictures if picture.log == log.name]
+        with open_recording(sources[log.name], log, sonar, topic) as recording:
+            shown.append(frames.take(recording, log, mine, held[log.name], most_bytes))
+    return pictures, shown, missing
 
 
 def _named_frames(
-    passes: Sequence[tuple[ReportedLog, JudgedSighting]],
+    passes: Sequence[JudgedSighting],
     mistakes: Mapping[str, Sequence[Episode]],
-    requests: Sequence[PictureRequest],
+    pictures: Sequence[Picture],
 ) -> Iterator[tuple[str, int]]:
     """(log, frame) of all frames that the page names, the most interesting first."""
-    yield from ((w.log, w.frame) for w in requests)
-    yield from ((log.results.name, log.frame_of(s.surest)) for log, s in passes)
+    yield from ((picture.log, picture.frame) for picture in pictures)
+    yield from ((s.log.name, s.log.frame_of(s.surest)) for s in passes)
     for of_method in mistakes.values():
         yield from ((e.log, e.worst) for e in of_method[:MOST_MISTAKES])
-    for log, s in passes:
-        yield log.results.name, s.sighting.first_frame
-        yield log.results.name, s.sighting.last_frame
+    for s in passes:
+        yield s.log.name, s.sighting.first_frame
+        yield s.log.name, s.sighting.last_frame
 
 
-def _sighting_requests(
-    logs: Sequence[ReportedLog], passes: Sequence[tuple[ReportedLog, JudgedSighting]]
-) -> list[PictureRequest]:
+def _of_sightings(passes: Sequence[JudgedSighting]) -> Iterator[Picture]:
     """The surest frame of each declared landmark, then the shortest sightings."""
-    if logs and not passes:
-        return _nearest_to_declared(logs)
 
-    def sure(pair: tuple[ReportedLog, JudgedSighting]) -> tuple[float, bool, int]:
-        log, s = pair
+    def order(s: JudgedSighting) -> tuple[float, ...]:
         # Of scores that print alike: a true claim first, then the longest sighting.
-        return -round(log.results.score[s.surest], 2), s.is_false, -s.sighting.frames_declared
+        score = round(s.log.results.score[s.surest], 2)
+        return s.sighting.landmark, -score, bool(s.wrong), -s.sighting.frames_declared
 
-    best = {
-        k: min((pair for pair in passes if pair[1].sighting.landmark == k), key=sure)
-        for k in sorted({s.sighting.landmark for _, s in passes})
-    }
-    others = [pair for pair in passes if not any(pair is b for b in best.values())]
-    rare = sorted(others, key=lambda pair: pair[1].sighting.frames_declared)
-    return [
-        *(_sighting_request(log, s, "surest", "") for log, s in best.values()),
-        *(
-            _sighting_request(
-                log, s, "rarest", f", declared in {number_of(s.sighting.frames_declared, 'frame')}"
-            )
-            for log, s in rare[: max(0, MOST_SEEN - len(best))]
-        ),
-    ]
-
-
-def _sighting_request(
-    log: ReportedLog, judged: JudgedSighting, group: str, more: str
-) -> PictureRequest:
-    score, frame = log.results.score[judged.surest], log.frame_of(judged.surest)
-    wrong = f"False claim: {false_claim_text(log, judged.surest)}." if judged.is_false else ""
-    caption = f"ID.{judged.sighting.landmark} ({score:.2f}){more}."
-    return PictureRequest(log.results.name, log.tracker, frame, group, caption, wrong)
+    best: dict[int, JudgedSighting] = {}
+    for s in sorted(passes, key=order):
+        best.setdefault(s.sighting.landmark, s)
+    others = [s for s in passes if s is not best[s.sighting.landmark]]
+    rarest = sorted(others, key=lambda s: s.sighting.frames_declared)
+    for s in [*best.values(), *rarest[: max(0, MOST_SEEN - len(best))]]:
+        caption = f"ID.{s.sighting.landmark} ({s.log.results.score[s.surest]:.2f})"
+        is_best = s is best[s.sighting.landmark]
+        if not is_best:
+            caption += f", declared in {number_of(s.sighting.frames_declared, 'frame')}"
+        yield Picture(
+            *(s.log.name, s.log.tracker, s.log.frame_of(s.surest)),
+            *("surest" if is_best else "rarest", f"{caption}."),
+            f"False claim: {s.wrong}." if s.wrong else "",
+        )
 
 
-def _nearest_to_declared(logs: Sequence[ReportedLog]) -> list[PictureRequest]:
+def _nearest_to_declared(logs: Sequence[ReportedLog]) -> Iterator[Picture]:
     """The estimate of the highest score, for logs in which nothing was declared."""
-    nearest: tuple[float, ReportedLog, int] | None = None
-    for log in logs:
-        of_method = np.flatnonzero(log.of_method(log.tracker))
-        if len(of_method):
-            n = int(of_method[np.argmax(log.results.score[of_method])])
-            score = float(log.results.score[n])
-            if nearest is None or score > nearest[0]:
-                nearest = score, log, n
-    if nearest is None:
-        return []
-    score, log, n = nearest
-    landmark = log.ids[log.results.landmark_index[n]]
-    caption = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
-    return [PictureRequest(log.results.name, log.tracker, log.frame_of(n), "surest", caption)]
+    estimates = [
+        (log, n) for log in logs for n in np.flatnonzero(log.of_method(log.tracker)).tolist()
+    ]
+    if estimates:
+        log, n = max(estimates, key=lambda one: one[0].results.score[one[1]])
+        landmark, score = log.ids[log.results.landmark_index[n]], log.results.score[n]
+        caption = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
+        yield Picture(log.name, log.tracker, log.frame_of(n), "surest", caption)

@@ -1,47 +1,115 @@
-"""The charts of the report: timelines, tracks and ROC curves."""
+"""The charts of the report: timelines, tracks, ROC curves and landmarks, as SVG paths.
+
+Colours, sizes and fonts are set in the style sheet. The paths are written by hand because a chart
+library's SVG brings its own fonts, colours and size, ten times the bytes, or a script, and the page
+has none.
+
+Paths are drawn on a sheet of WIDTH x HEIGHT that the page stretches to any size, with strokes that
+keep their width. Tick labels are text beside the sheet, so charts stay legible on any screen.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.drawing.pen import Colour
 from sonarrec.errors import number_of
 from sonarrec.evaluation.count import Scored
 from sonarrec.evaluation.plots import roc as evaluation_roc
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.reports.logs import ReportedLog, Track, alongside, true_landmark
-from sonarrec.reports.svg import (
-    MOST_POINTS,
-    STYLES,
-    UNIT,
-    Axis,
-    Chart,
-    Dot,
-    Shape,
-    bars,
-    frames_a_bar,
-    polyline,
-    thinned,
-)
 
+WIDTH, HEIGHT = 2000, 1000
+STYLES = 4
+"""Line styles in the style sheet. They tell methods apart where one line covers another."""
+MOST_POINTS = 400
+"""Points of a line, or bars in a row, at most: about one per one to three screen pixels."""
+SILENT_POINTS = 100  # bars in the row of a track that was never declared
+FOLLOWED = 0.15  # height of bars that show only that a track was followed
 UNSEEN = 0.01  # a probability that stays below this along the whole track is not drawn
 
 
-def time_axis(log: ReportedLog) -> tuple[Axis, float]:
-    """The time axis of the whole log, and the median time between two frames."""
-    period = float(np.median(np.diff(log.time))) if len(log.time) > 1 else 1.0
-    return Axis(float(log.time[0]), float(log.time[-1]) + period), period
+Tick = tuple[float, str]
+"""A label on an axis: its position, % of the axis, and its text."""
 
 
-@dataclass(frozen=True, slots=True)
-class Lane:
+class Shape(NamedTuple):
+    """One path of a chart. colour: index of the ID or method; None: grey."""
+
+    path: str
+    colour: int | None
+    kind: str = "line"
+    label: str = ""
+
+
+class Dot(NamedTuple):
+    """A marked point, in % of the sheet from the left and from the bottom."""
+
+    x: float
+    y: float
+    label: str
+    colour: int | None
+    kind: str = "dot"
+
+
+class Chart(NamedTuple):
+    """One chart. description: what it shows, in words, for screen readers."""
+
+    description: str
+    shapes: Sequence[Shape]
+    x_ticks: Sequence[Tick] = ()
+    y_ticks: Sequence[Tick] = ()
+    dots: Sequence[Dot] = ()
+    x_label: str = ""
+    y_label: str = ""
+
+
+class Lane(NamedTuple):
     """One row of a timeline: truth or a method, for one ID or one track."""
 
     name: str
     chart: Chart
     is_truth: bool
+
+
+class Axis(NamedTuple):
+    """An axis from low to high; positions on it are shares of the sheet, 0 to 1."""
+
+    low: float
+    high: float
+
+    def share(self, values: FloatArray | float) -> FloatArray:
+        """Where values lie on the axis: 0 at low, 1 at high."""
+        return np.asarray((np.asarray(values, dtype=float) - self.low) / (self.high - self.low))
+
+    def ticks(self, most: int = 6) -> list[Tick]:
+        """Round values along the axis."""
+        values = MaxNLocator(nbins=most, steps=[1, 2, 2.5, 5, 10]).tick_values(self.low, self.high)
+        shares = zip(self.share(np.asarray(values)).tolist(), values, strict=True)
+        inside = [(share, value) for share, value in shares if -1e-9 < share < 1 + 1e-9]
+        return [(round(100 * share, 2), f"{value:.12g}") for share, value in inside]
+
+
+UNIT = Axis(0.0, 1.0)
+
+
+def time_axis(log: ReportedLog) -> Axis:
+    """The time axis of the whole log."""
+    return Axis(float(log.time[0]), float(log.time[-1]) + log.period)
+
+
+def track_axis(log: ReportedLog, track: Track) -> Axis:
+    """The time axis of a track, half a frame longer at both ends."""
+    time = log.time[track.frame_index]
+    return Axis(float(time[0]) - log.period / 2, float(time[-1]) + log.period / 2)
+
+
+# Charts
 
 
 def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
@@ -51,67 +119,54 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
     bar represents several frames: the best score is drawn faintly, and the mean over it, since the
     best alone would look the same for one frame of hundreds as for all.
     """
-    results = log.results
+    results, axis, rows = log.results, time_axis(log), []
     order = sorted(results.methods, key=lambda m: (m != log.tracker, results.methods.index(m)))
-    axis, period = time_axis(log)
-    rows = []
-    for k in range(len(results.landmarks.ids)):
-        declared = [
-            log.of_method(method) & results.declared & (results.landmark_index == k)
-            for method in order
-        ]
-        in_view = None if log.in_view is None else log.in_view[:, k]
-        if (in_view is not None and in_view.any()) or any(map(np.any, declared)):
-            lanes = []
-            if in_view is not None:
-                frames = f"{int(in_view.sum())} of {number_of(len(in_view), 'frame')}"
-                bar = Shape(bars(axis, log.time, period, in_view.astype(float)), None, "bar")
-                text = f"ID.{log.ids[k]} is in view in {frames}"
-                lanes.append(Lane("truth", Chart(text, [bar]), True))
-            lanes += [_method_lane(log, k, *pair) for pair in zip(order, declared, strict=True)]
+    for k, landmark in enumerate(log.ids):
+        mine = results.declared & (results.landmark_index == k)
+        lanes, there = [], mine.any()
+        if log.in_view is not None:
+            in_view = log.in_view[:, k]
+            there |= in_view.any()
+            frames = f"{int(in_view.sum())} of {number_of(len(in_view), 'frame')}"
+            bar = Shape(bars(axis, log.time, log.period, in_view.astype(float)), None, "bar")
+            lanes.append(Lane("truth", Chart(f"ID.{landmark} is in view in {frames}", [bar]), True))
+        for method in order:
+            lanes.append(_method_lane(log, k, method, mine & log.of_method(method)))
+        if there:
             rows.append((k, lanes))
     return rows
 
 
 def _method_lane(log: ReportedLog, k: int, method: str, declared: BoolArray) -> Lane:
     """The row of a method for the k-th ID. declared: (N,) its declarations of that ID."""
-    results = log.results
+    results, axis = log.results, time_axis(log)
     surest = np.zeros(len(results.frame))
     np.maximum.at(surest, results.frame_index[declared], results.score[declared])
-    claims = len(np.unique(results.frame_index[declared]))
-    axis, period = time_axis(log)
-    shapes = [Shape(bars(axis, log.time, period, surest), k, "bar")]
+    shapes = [Shape(bars(axis, log.time, log.period, surest), k, "bar")]
     if frames_a_bar(len(log.time)) > 1:
-        mean = bars(axis, log.time, period, surest, mean=True)
-        shapes = [replace(shapes[0], kind="bar faint"), Shape(mean, k, "bar")]
+        mean = bars(axis, log.time, log.period, surest, mean=True)
+        shapes = [shapes[0]._replace(kind="bar faint"), Shape(mean, k, "bar")]
+    claims = len(np.unique(results.frame_index[declared]))
     frames = number_of(len(surest), "frame")
     text = f"{method} declares ID.{log.ids[k]} in {claims} of {frames}"
     return Lane(method, Chart(text, shapes), False)
 
 
-FOLLOWED = 0.15  # height of bars that show only that a track was followed
-SILENT_POINTS = 100  # bars in the row of a track that was never declared
-
-
 def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
     """A row per track that was never declared: low grey bars for the frames in which it was
     followed, and bars for the score of its most probable ID, in the colour of that ID."""
-    axis, period = time_axis(log)
-    results = log.results
-    lanes = []
+    results, axis, lanes = log.results, time_axis(log), []
     for track in silent:
-        followed = np.full(len(track.estimates), FOLLOWED)
-        start = log.time[track.frame_index]
-        shapes = [Shape(bars(axis, start, period, followed, SILENT_POINTS), None, "bar")]
+        start, score = log.time[track.frame_index], results.score[track.estimates]
+        followed = np.full(len(start), FOLLOWED)
+        shapes = [Shape(bars(axis, start, log.period, followed, SILENT_POINTS), None, "bar")]
         named = results.landmark_index[track.estimates]
         for k in np.unique(named).tolist():
-            height = np.where(named == k, results.score[track.estimates], 0.0)
-            path = bars(axis, start, period, height, SILENT_POINTS)
-            shapes.append(Shape(path, k, "bar", f"ID.{results.landmarks.ids[k]}"))
-        truth = true_landmark(log, track)
-        best = float(results.score[track.estimates].max())
-        frames = number_of(len(track.estimates), "frame")
-        text = f"track {track.number}, {frames}, best score {best:.2f}"
+            height = np.where(named == k, score, 0.0)
+            path = bars(axis, start, log.period, height, SILENT_POINTS)
+            shapes.append(Shape(path, k, "bar", f"ID.{log.ids[k]}"))
+        truth, frames = true_landmark(log, track), number_of(len(start), "frame")
+        text = f"track {track.number}, {frames}, best score {float(score.max()):.2f}"
         name = f"{track.number}" + ("" if truth is None else f" (on ID.{truth})")
         lanes.append(Lane(name, Chart(text, shapes), truth is not None))
     return lanes
@@ -136,83 +191,173 @@ def roc(scored: Sequence[Scored]) -> Chart:
     return Chart(text, shapes, axis.ticks(5), UNIT.ticks(5), dots, "FPR", "TPR")
 
 
-@dataclass(frozen=True, slots=True)
-class TrackPanel:
-    """The probabilities of one method for one track, and its declarations."""
-
-    method: str
-    chart: Chart
-    declared: Chart
-
-
-def track_axis(log: ReportedLog, track: Track) -> Axis:
-    """The time axis of a track, half a frame longer at both ends."""
-    _, period = time_axis(log)
-    time = log.time[track.frame_index]
-    return Axis(float(time[0]) - period / 2, float(time[-1]) + period / 2)
-
-
-def track_panels(log: ReportedLog, track: Track) -> list[TrackPanel]:
-    """Probability over time for each method (the paper's Figure 14), the leading one first."""
+def track_panels(log: ReportedLog, track: Track) -> list[tuple[str, Chart, Chart]]:
+    """Probability over time for each method (the paper's Figure 14), the leading one first, and the
+    frames in which the method declares an ID."""
     panels = []
     for method in log.results.methods:
         estimates = track.estimates if method == log.tracker else alongside(log, track, method)
         if (estimates >= 0).any():
-            panels.append(_panel(log, track, method, estimates))
+            panels.append((method, *_panel(log, track, method, estimates)))
     return panels
 
 
-def _panel(log: ReportedLog, track: Track, method: str, estimates: IntArray) -> TrackPanel:
-    """The panel of a method. estimates: (n,) its one in each frame of the track, -1 for none."""
-    results = log.results
+def _panel(log: ReportedLog, track: Track, method: str, estimates: IntArray) -> tuple[Chart, Chart]:
+    """The charts of a method. estimates: (n,) its one in each frame of the track, -1 for none."""
+    results, axis = log.results, track_axis(log, track)
     assert results.probability is not None
-    axis = track_axis(log, track)
-    _, period = time_axis(log)
     # One element per frame of the log, so that lines break where the object was not seen.
-    rows = np.arange(track.frame_index[0], track.frame_index[-1] + 1)
-    seen = estimates >= 0
-    belief = np.full((len(rows), results.probability.shape[1]), np.nan)
-    belief[track.frame_index[seen] - rows[0]] = results.probability[estimates[seen]]
-    shapes, text = _probabilities(log, axis.share(log.time[rows]), belief)
-    declared = []
-    for k in range(len(log.ids)):
-        claims = np.zeros(len(rows))
-        mine = seen & results.declared[estimates] & (results.landmark_index[estimates] == k)
-        claims[track.frame_index[mine] - rows[0]] = 1
+    first, end = track.frame_index[[0, -1]] + [0, 1]
+    time, seen = log.time[first:end], estimates >= 0
+    index, estimates = track.frame_index[seen] - first, estimates[seen]
+    belief = np.full((len(time), len(log.ids) + 1), np.nan)
+    belief[index] = results.probability[estimates]
+    shapes, means, declared = [], [], []
+    # "none" first, so that IDs lie over it.
+    for k, name in [(len(log.ids), "none"), *enumerate(f"ID.{i}" for i in log.ids)]:
+        if np.nanmax(belief[:, k]) >= UNSEEN:
+            keep, colour = thinned(belief[:, k]), k if k < len(log.ids) else None
+            line = polyline(axis.share(time[keep]), belief[keep, k])
+            shapes.append(Shape(line, colour, "line thin" if colour is None else "line", name))
+            means.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
+        mine = results.declared[estimates] & (results.landmark_index[estimates] == k)
         if mine.any():
-            path = bars(axis, log.time[rows] - period / 2, period, claims)
+            claims = np.zeros(len(time))
+            claims[index[mine]] = 1
+            path = bars(axis, time - log.period / 2, log.period, claims)
             declared.append(Shape(path, k, "bar"))
     frames = number_of(int(seen.sum()), "frame")
-    text = f"{method}, mean probability over {frames}: {text}"
-    claims_chart = Chart(f"frames in which {method} declares an ID", declared)
-    return TrackPanel(method, Chart(text, shapes, y_ticks=UNIT.ticks(2)), claims_chart)
-
-
-def _probabilities(log: ReportedLog, x: FloatArray, belief: FloatArray) -> tuple[list[Shape], str]:
-    """A line per ID and for "none", and their means as text. belief: (n, K + 1), NaN for a gap."""
-    shapes, text = [], []
-    for k in [len(log.ids), *range(len(log.ids))]:  # "none" first, so that IDs lie over it
-        if np.nanmax(belief[:, k]) < UNSEEN:
-            continue
-        name, colour, kind = "none", None, "line thin"
-        if k < len(log.ids):
-            name, colour, kind = f"ID.{log.ids[k]}", k, "line"
-        keep = thinned(belief[:, k])
-        shapes.append(Shape(polyline(x[keep], belief[keep, k]), colour, kind, name))
-        text.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
-    return shapes, ", ".join(text)
+    text = f"{method}, mean probability over {frames}: {', '.join(means)}"
+    claims_text = f"frames in which {method} declares an ID"
+    return Chart(text, shapes, y_ticks=UNIT.ticks(2)), Chart(claims_text, declared)
 
 
 def truth_strip(log: ReportedLog, track: Track) -> Chart | None:
     """The true landmark beneath the track, frame by frame; None if not known."""
     if log.truth_near is None:
         return None
-    axis = track_axis(log, track)
-    _, period = time_axis(log)
     beneath = log.truth_near[track.estimates]
-    start = log.time[track.frame_index] - period / 2
+    axis, start = track_axis(log, track), log.time[track.frame_index] - log.period / 2
     shapes = [
-        Shape(bars(axis, start, period, (beneath == k) * 1.0), k, "bar")
+        Shape(bars(axis, start, log.period, (beneath == k) * 1.0), k, "bar")
         for k in np.unique(beneath[beneath >= 0]).tolist()
     ]
     return Chart("the landmark that truly lies here", shapes)
+
+
+# Paths
+
+
+def polyline(x: FloatArray, y: FloatArray) -> str:
+    """A path through points given as shares of the sheet from the bottom left; NaN breaks it."""
+    drawn = np.isfinite(x) & np.isfinite(y)
+    points = np.stack([np.where(drawn, x, 0), np.where(drawn, 1 - y, 0)], axis=1)
+    pixels = np.rint(points * (WIDTH, HEIGHT)).astype(int)
+    runs = np.split(np.arange(len(y)), np.flatnonzero(np.diff(drawn)) + 1)
+    parts = []
+    for run in runs:
+        if len(run) and drawn[run[0]]:
+            # A point alone is a line of no length: round caps make a dot of it.
+            corners = pixels[run] if len(run) > 1 else pixels[[run[0], run[0]]]
+            parts.append("M" + "L".join(f"{a} {b}" for a, b in corners.tolist()))
+    return "".join(parts)
+
+
+def thinned(y: FloatArray, most: int = MOST_POINTS) -> IntArray:
+    """Indices of at most `most` values that keep every peak and dip.
+
+    They are the least and the greatest value of each of `most` / 2 equal stretches.
+    """
+    if len(y) <= most:
+        return np.arange(len(y))
+    size = -(-len(y) // (most // 2))
+    padded = np.append(y, np.full(-len(y) % size, np.nan)).reshape(-1, size)
+    low = np.argmin(np.where(np.isnan(padded), np.inf, padded), axis=1)
+    high = np.argmax(np.where(np.isnan(padded), -np.inf, padded), axis=1)
+    start = np.arange(len(padded)) * size
+    return np.unique(np.concatenate([start + low, start + high]))
+
+
+def frames_a_bar(frames: int, most: int = MOST_POINTS) -> int:
+    """How many frames share a bar, in a row of at most `most` bars."""
+    return -(-frames // most)
+
+
+def bars(
+    axis: Axis,
+    start: FloatArray,
+    width: float,
+    height: FloatArray,
+    most: int = MOST_POINTS,
+    *,
+    mean: bool = False,
+) -> str:
+    """A path of one bar per value above 0, from the bottom up.
+
+    start: (n,) left edges, rising. height: (n,) 0 to 1. If there are more than `most`,
+    neighbours are drawn as one bar: as high as the tallest or, with `mean`, as their mean.
+    Neighbouring bars of equal height become one shape.
+    """
+    size = frames_a_bar(len(start), most)
+    first = np.arange(0, len(start), size)
+    last = np.minimum(first + size, len(start)) - 1
+    if mean:
+        tall = np.add.reduceat(height, first) / (last + 1 - first)
+    else:
+        tall = np.maximum.reduceat(height, first)
+    top = np.rint(tall * HEIGHT).astype(int)
+    left = np.minimum(np.rint(axis.share(start[first]) * WIDTH).astype(int), WIDTH - 1)
+    right = np.append(start[1:], np.inf)[last]
+    right = np.rint(axis.share(np.minimum(right, start[last] + width)) * WIDTH).astype(int)
+    right = np.maximum(right, left + 1)  # visible even if a long pause takes up the axis
+    joins = np.zeros(len(first), dtype=bool)
+    joins[1:] = (top[1:] == top[:-1]) & (left[1:] == right[:-1])
+    begin = np.flatnonzero(~joins)
+    end = np.append(begin[1:], len(first)) - 1
+    return "".join(
+        f"M{left[b]} {HEIGHT}v{-top[b]}h{right[e] - left[b]}v{top[b]}z"
+        for b, e in zip(begin.tolist(), end.tolist(), strict=True)
+        if top[b]
+    )
+
+
+def glyph(landmarks: LandmarkSet, k: int) -> str:
+    """A path that draws the k-th landmark, seen from above at orientation 0, on a 100 x 100 sheet.
+
+    To be filled by the even-odd rule.
+    """
+    if isinstance(landmarks, DrawnSet):
+        drawing = landmarks.drawings()[k]
+        side = 98 / len(drawing)
+        square = f"h{side:g}v{side:g}h{-side:g}z"
+        cells = np.argwhere(drawing).tolist()
+        return "".join(f"M{1 + c * side:g} {1 + r * side:g}{square}" for r, c in cells)
+    ring = "".join(
+        f"M{50 - r:g} 50a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0z"
+        for r in (49 * share for share in landmarks.ring)
+    )
+    inner, outer = (49 * share for share in landmarks.symbol)
+    sectors, path = landmarks.sectors[k], ring
+    for n in range(2 * len(sectors)):
+        if sectors[n // 2]:  # in halves: an arc from a point to itself would be no arc
+            angle = np.array([n, n + 1, n + 1, n]) * np.pi / len(sectors)
+            radius = np.array([outer, outer, inner, inner])
+            x, y = 50 + radius * np.cos(angle), 50 - radius * np.sin(angle)
+            a, b, c, d = (f"{px:.1f} {py:.1f}" for px, py in zip(x, y, strict=True))
+            path += f"M{a}A{outer:.1f} {outer:.1f} 0 0 0 {b}"
+            path += f"L{c}A{inner:.1f} {inner:.1f} 0 0 1 {d}z"
+    return path
+
+
+def darkened(colour: Colour) -> str:
+    """The colour, in hexadecimal, as dark as it has to be to stand out on white.
+
+    The overlay's colours are made for black. Its hue stays; its luminance (WCAG 2) falls to what
+    gives a contrast of 3.1 to 1, where 3 is asked of what is drawn.
+    """
+    share = np.array(colour) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    luminance = float(linear @ (0.2126, 0.7152, 0.0722))
+    linear = linear * min(1.0, (1.05 / 3.1 - 0.05) / max(luminance, 1e-9))
+    share = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return "#{:02x}{:02x}{:02x}".format(*np.rint(255 * share).astype(int).tolist())

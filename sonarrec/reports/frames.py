@@ -5,31 +5,52 @@ shows. Both are read in one pass over each log.
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import os
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import disc_outline
 from sonarrec.drawing.results import AROUND, Mark, caption, draw_frame
-from sonarrec.errors import SonarrecError
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.geometry import pixel_from_plane
 from sonarrec.nouns import Estimate, Frame
+from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
+from sonarrec.readers.open import find_log, log_name, names_a_log, results_name
 from sonarrec.reports.logs import ReportedLog
 from sonarrec.results.read import check_same_log, read_estimates
+from sonarrec.results.run_file import LogOptions
+from sonarrec.sonar import Sonar
 
 PICTURE_PX = 640  # pixels of the longer side; draw_frame lays its text out for this
 PICTURE_QUALITY = 80
+MOST_FRAMES = 200
+MOST_BYTES = 3_000_000  # of the images of all frames together, as text
+MOST_MARKED = 20  # estimates drawn per method and frame: declared ones first, then the best
+LARGEST = 400  # pixels of the longer side
+QUALITIES = (60, 40, 20)
+
+Shown = dict[str, Any]
+"""One log for the page's script. name; unit: of the times, "s" or none; methods; in_all: number of
+its frames; frames: of each its number, time, image (a data URI) and size, and outlines: `said` by
+each method, and `truth`. An outline has ellipse (centre, half axes in pixels, rotation in deg),
+label, colour (index of the ID) and declared."""
 
 
-@dataclass(frozen=True, slots=True)
-class PictureRequest:
-    """A frame to draw with the estimates of one method.
+@dataclass(slots=True)
+class Picture:
+    """A frame drawn with the estimates of one method.
 
     log: name. frame: its number in the log. group: "surest", "rarest" or "mistake". wrong: its
-    mistake in words; then the truth is drawn too.
+    mistake in words; then the truth is drawn too. Once drawn: source, a data URI of size (width,
+    height), and alt, a description.
     """
 
     log: str
@@ -38,39 +59,231 @@ class PictureRequest:
     group: str
     caption: str
     wrong: str = ""
+    source: str = ""
+    size: tuple[int, int] = (0, 0)
+    alt: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A drawn frame. source: a data URI. alt: a description."""
+# Which recording is which log's
 
-    request: PictureRequest
-    source: str
-    width: int
-    height: int
-    alt: str
+
+def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None) -> Log:
+    """The recording, read as the run read it."""
+    source = find_log(path)
+    log_options = log.results.run.complete(LogOptions(sonar, topic=topic), same_log=True)
+    if not source.reader.has_topics:  # then the topic in run.toml is of another log
+        log_options = replace(log_options, topic=topic, time=None)
+    return open_log(source, **log_options.arguments())
+
+
+def match_recordings(
+    logs: Sequence[ReportedLog], paths: Sequence[Path], sonar: Sonar, topic: str | None
+) -> tuple[dict[str, Path], list[str]]:
+    """The recording of each log, by the log's name, and a line for each that was not found.
+
+    paths: recordings, or folders with recordings. A recording belongs to the log of its name, of
+    several to the one that it is by its contents; if there is one of each, they belong together.
+    Raises UsageError if it belongs to no log.
+    """
+    sources: dict[str, Path] = {}
+    missing: dict[str, str] = {}
+    for path in paths:
+        inside, known = _inside(path), set(sources)
+        here = _possible_names(path)
+        named = [log for log in logs if log.name in here]
+        named = named or [log for log in logs if _names(log) & here]
+        if len(logs) == 1 and not inside:
+            named = [*logs]
+        elif any(_names(log) & inside.keys() for log in logs):
+            named = []  # a folder of the log's name that holds it
+        if len(named) == 1:  # whether it is that log is checked when it is read
+            sources[named[0].name] = path
+            continue
+        for log in named or [log for log in logs if log.name not in sources]:
+            candidates = [p for name in sorted(_names(log)) for p in inside.get(name, [])]
+            problem = f"no log of the name {log.name} in it"
+            for candidate in [path] if named else dict.fromkeys(candidates):
+                try:
+                    with open_recording(candidate, log, sonar, topic) as recording:
+                        check_same_log(recording, log.folder, log.results.run)
+                except SonarrecError as error:
+                    problem = f"{candidate} is not the log of {log.name} ({error})"
+                else:
+                    sources[log.name] = candidate
+                    break
+            missing[log.name] = f"--log {path}: {problem}; the page has no frames of it"
+        if sources.keys() == known:
+            listed = ", ".join(log.name for log in logs)
+            raise UsageError(f"--log {path}: neither one of these logs nor holds any: {listed}")
+    return sources, [line for name, line in missing.items() if name not in sources]
+
+
+def _names(log: ReportedLog) -> set[str]:
+    """Possible names of the log's recording: as it was given to the run, or as its folder."""
+    source = log.results.run.table.get("input", {})
+    path = Path(str(source.get("path", log.folder.resolve().name)))
+    return {path.name, str(source.get("name", log_name(path))), log.name} - {""}
+
+
+def _possible_names(path: Path) -> set[str]:
+    """Possible names of a recording in run.toml: its file, the target of a link, or its results."""
+    names = name_as_text(path.name), name_as_text(path.resolve().name)
+    return {*names, results_name(log_name(path))}
+
+
+def _inside(folder: Path) -> dict[str, list[Path]]:
+    """Folders and log files below a folder, by their possible names."""
+    by_name: dict[str, list[Path]] = defaultdict(list)
+    for root, folders, files in os.walk(folder):
+        folders.sort()
+        for file in (*folders, *filter(names_a_log, sorted(files))):
+            for name in _possible_names(path := Path(root, file)):
+                by_name[name].append(path)
+    return by_name
+
+
+# Which frames are shown, and what is drawn on them
+
+
+def choose(
+    logs: Sequence[ReportedLog], wanted: Iterable[tuple[str, int]], most: int = MOST_FRAMES
+) -> dict[str, list[int]]:
+    """The numbers of the frames to hold, per log.
+
+    wanted: (log, frame), the most important first; each log gets at least one. The rest of `most`
+    is filled with frames at equal steps through every log.
+    """
+    known = [one for one in wanted if one[0] in {log.name for log in logs}]
+    first = {log.name: int(log.results.frame[0]) for log in logs} | dict(reversed(known))
+    chosen: dict[str, set[int]] = {log.name: set() for log in logs}
+    for name, frame in list(dict.fromkeys([*first.items(), *known]))[:most]:
+        chosen[name].add(frame)
+    room = most - sum(map(len, chosen.values()))
+    # Short logs first, so that longer ones get what they do not need.
+    for n, log in enumerate(sorted(logs, key=lambda log: len(log.results.frame))):
+        new = [f for f in log.results.frame.tolist() if f not in chosen[log.name]]
+        share = min(room // (len(logs) - n), len(new))
+        steps = np.linspace(0, len(new) - 1, share).round().astype(int)
+        chosen[log.name].update(new[step] for step in steps.tolist())
+        room -= share
+    return {name: sorted(frames) for name, frames in chosen.items()}
+
+
+def take(
+    log: Log,
+    reported: ReportedLog,
+    pictures: Sequence[Picture],
+    held: Sequence[int],
+    most_bytes: int,
+) -> Shown:
+    """Draw the pictures of a log, and return the frames to hold, in one pass over its recording.
+
+    most_bytes: of each frame held. Raises SonarrecError if the results are of another log, or if
+    it lacks a frame.
+    """
+    check_same_log(log, reported.folder, reported.results.run)
+    methods, landmarks = list(reported.results.methods), reported.results.landmarks
+    numbers = {picture.frame for picture in pictures} | set(held)
+    of_method: dict[str, dict[int, tuple[Estimate, ...]]] = {}
+    shown: Shown = {
+        "name": reported.name,
+        "unit": "s" if reported.clock == "s" else "",
+        "methods": methods,
+        "in_all": len(reported.results.frame),
+        "frames": [],
+    }
+    for frame in log:
+        if not of_method:  # the fan of the first frame gives the positions of the estimates
+            table = reported.folder / "estimates.csv"
+            for m in dict.fromkeys([*methods, *(picture.method for picture in pictures)]):
+                every = read_estimates(table, m, landmarks, frame.fan)
+                of_method[m] = {n: estimates for n, estimates in every if n in numbers}
+        if frame.index in numbers:
+            numbers.remove(frame.index)
+            said = {m: by_frame.get(frame.index, ()) for m, by_frame in of_method.items()}
+            truth = list(_truth_in(frame, reported))
+            for picture in pictures:
+                if picture.frame == frame.index:
+                    _draw(picture, frame, reported, said[picture.method], truth)
+            if frame.index in held:
+                shown["frames"].append(
+                    _held(frame, reported, [said[m] for m in methods], truth, most_bytes)
+                )
+        if not numbers:
+            break
+    if numbers:
+        raise SonarrecError(
+            f"{log.path}: no frame {min(numbers)}, which the results have; "
+            "give the log that they came from"
+        )
+    return shown
+
+
+def _truth_in(frame: Frame, log: ReportedLog) -> Iterator[Mark]:
+    """The landmarks that are at least partly in view, if the truth has positions."""
+    if log.matched is not None:
+        here = log.results.frame[log.matched.truth_frame_index] == frame.index
+        places = pixel_from_plane(frame.fan, log.matched.truth_position[here]).tolist()
+        for k, place in zip(log.matched.truth_landmark_index[here], places, strict=True):
+            if not np.isnan(place).any():
+                yield Mark(log.ids[k], *place)
 
 
 def _draw(
+    picture: Picture,
     frame: Frame,
-    reported: ReportedLog,
-    requests: Sequence[PictureRequest],
-    estimates: Mapping[str, Sequence[Estimate]],
-    marks: Sequence[Mark],
-) -> dict[PictureRequest, Picture]:
-    """The frame drawn for each request. estimates: its estimates by method. marks: its truth."""
-    pictures = {}
-    for request in requests:
-        said, truth = estimates[request.method], marks if request.wrong else ()
-        landmarks = reported.results.landmarks
-        image = draw_frame(frame.image, frame.fan, landmarks, said, truth=truth, score=True)
-        image = _shrunk(image, PICTURE_PX)
-        parts = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in said if e.declared]
-        parts += [f"truth holds ID.{mark.landmark}" for mark in truth]
-        alt = f"Sonar image, frame {frame.index}: {'; '.join(parts) or 'nothing declared'}"
-        rows, columns = image.shape[:2]
-        pictures[request] = Picture(request, as_webp(image, PICTURE_QUALITY), columns, rows, alt)
-    return pictures
+    log: ReportedLog,
+    said: Sequence[Estimate],
+    truth: Sequence[Mark],
+) -> None:
+    """Draw a picture. said: the estimates of its method."""
+    truth = truth if picture.wrong else ()
+    landmarks = log.results.landmarks
+    drawn = draw_frame(frame.image, frame.fan, landmarks, said, truth=truth, score=True)
+    image = _shrunk(drawn, PICTURE_PX)
+    parts = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in said if e.declared]
+    parts += [f"truth holds ID.{mark.landmark}" for mark in truth]
+    picture.source, picture.size = as_webp(image, PICTURE_QUALITY), image.shape[1::-1]
+    picture.alt = f"Sonar image, frame {frame.index}: {'; '.join(parts) or 'nothing declared'}"
+
+
+def _held(
+    frame: Frame,
+    log: ReportedLog,
+    said: Sequence[Sequence[Estimate]],
+    truth: Sequence[Mark],
+    most_bytes: int,
+) -> Shown:
+    """One of a log's frames for the page's script. said: the estimates of each method."""
+    image, landmarks = _shrunk(frame.image, LARGEST), log.results.landmarks
+
+    def outlines(marked: Iterable[tuple[Estimate | Mark, str, bool]], size: float) -> list[Shown]:
+        found = []
+        for one, label, declared in marked:
+            edge = disc_outline(frame.fan, size * landmarks.radius_m, one.x_px, one.y_px)
+            edge = (edge + 0.5) * image.shape[1] / frame.fan.columns
+            if np.isfinite(edge).all():
+                (x, y), (a, b), rotation = cv2.fitEllipse(edge.astype(np.float32))
+                ellipse = [round(v, 1) for v in (x, y, a / 2, b / 2, rotation)]
+                colour = landmarks.ids.index(one.landmark)
+                if np.isfinite(ellipse).all():
+                    outline = {"ellipse": ellipse, "label": label, "colour": colour}
+                    found.append({**outline, "declared": declared})
+        return found
+
+    by_method = []
+    for estimates in said:
+        most_sure = sorted(estimates, key=lambda e: (e.declared, e.score))[-MOST_MARKED:]
+        labelled = ((e, caption(e, landmarks, score=True), e.declared) for e in most_sure)
+        by_method.append(outlines(labelled, 1))
+    return {
+        "frame": frame.index,
+        "at": round(float(log.time[np.searchsorted(log.results.frame, frame.index)]), 3),
+        "image": _within(image, most_bytes),
+        "size": image.shape[1::-1],
+        "said": by_method,
+        "truth": outlines(((m, f"ID.{m.landmark}", False) for m in truth), AROUND),
+    }
 
 
 def as_webp(image: ByteImage, quality: int) -> str:
@@ -87,172 +300,6 @@ def _shrunk(image: ByteImage, largest: int) -> ByteImage:
         return image
     size = (max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share)))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _ellipse(outline: FloatArray) -> tuple[float, ...] | None:
-    """Centre, half axes and rotation (deg) of an ellipse fitted to (n, 2) points; None if none."""
-    if not np.isfinite(outline).all():
-        return None
-    (x, y), (a, b), rotation = cv2.fitEllipse(outline.astype(np.float32))
-    found = tuple(round(v, 1) for v in (x, y, a / 2, b / 2, rotation))
-    return found if np.isfinite(found).all() else None
-
-
-MOST_FRAMES = 200
-MOST_BYTES = 3_000_000  # of the images of all frames together, as text
-MOST_MARKED = 20  # estimates drawn per method and frame: declared ones first, then the best
-LARGEST = 400  # pixels of the longer side
-QUALITIES = (60, 40, 20)
-
-
-@dataclass(frozen=True, slots=True)
-class Outline:
-    """The outline of a disc on a frame. ellipse: centre, half axes (pixels), rotation (deg)."""
-
-    ellipse: tuple[float, ...]
-    label: str
-    colour: int
-    """Index of the ID."""
-    declared: bool
-
-
-@dataclass(frozen=True, slots=True)
-class ShownFrame:
-    """One frame. at: position on the log's time axis. image: a data URI of size (width, height).
-    said: the outlines of each method of the log."""
-
-    frame: int
-    at: float
-    image: str
-    size: tuple[int, int]
-    said: list[list[Outline]]
-    truth: list[Outline]
-
-
-@dataclass(frozen=True, slots=True)
-class ShownLog:
-    """The frames of one log. unit: of `at`, "s" or none. in_all: number of frames of the log."""
-
-    name: str
-    unit: str
-    methods: list[str]
-    in_all: int
-    frames: list[ShownFrame] = field(default_factory=list)
-
-
-def choose(
-    logs: Sequence[ReportedLog], requests: Iterable[tuple[str, int]], most: int = MOST_FRAMES
-) -> dict[str, list[int]]:
-    """The numbers of the frames to hold, per log.
-
-    requests: (log, frame), the most important first; each log gets at least one. The rest of `most`
-    is filled with frames at equal steps through every log.
-    """
-    first = {log.results.name: int(log.results.frame[0]) for log in logs}
-    chosen: dict[str, set[int]] = {name: set() for name in first}
-    known_requests = [w for w in requests if w[0] in first]
-    first |= reversed(known_requests)
-    for name, frame in list(dict.fromkeys([*first.items(), *known_requests]))[:most]:
-        chosen[name].add(frame)
-    room = most - sum(map(len, chosen.values()))
-    # Short logs first, so that longer ones get what they do not need.
-    for n, log in enumerate(sorted(logs, key=lambda log: len(log.results.frame))):
-        chosen_here, all_frames = chosen[log.results.name], log.results.frame
-        share = room // (len(logs) - n)
-        new = [f for f in all_frames.tolist() if f not in chosen_here]
-        if len(new) > share:
-            steps = np.linspace(0, len(new) - 1, max(share, 0)).round().astype(int)
-            new = [new[step] for step in steps.tolist()]
-        chosen_here.update(new)
-        room -= len(new)
-    return {name: sorted(frames) for name, frames in chosen.items()}
-
-
-def take(
-    log: Log,
-    reported: ReportedLog,
-    requests: Sequence[PictureRequest],
-    frames_held: Sequence[int],
-    most_bytes: int,
-) -> tuple[dict[PictureRequest, Picture], ShownLog]:
-    """The pictures wanted and the frames to hold, from one pass over the log.
-
-    most_bytes: of each frame. Raises SonarrecError if the results are of another log, or if the log
-    lacks a frame.
-    """
-    check_same_log(log, reported.folder, reported.run)
-    pictures: dict[PictureRequest, Picture] = {}
-    methods = list(reported.results.methods)
-    unit, in_all = "s" if reported.clock == "s" else "", len(reported.results.frame)
-    shown_log = ShownLog(reported.results.name, unit, methods, in_all)
-    truth, landmarks = reported.truth, reported.results.landmarks
-    numbers_of, hold = reported.results.frame, set(frames_held)
-    numbers = {w.frame for w in requests} | hold
-    of_method: dict[str, dict[int, tuple[Estimate, ...]]] = {}
-    for frame in log:
-        if not of_method:  # the fan of the first frame gives the positions of the estimates
-            table = reported.folder / "estimates.csv"
-            for m in dict.fromkeys([*methods, *(w.method for w in requests)]):
-                every = read_estimates(table, m, landmarks, frame.fan)
-                of_method[m] = {n: estimates for n, estimates in every if n in numbers}
-        if frame.index in numbers:
-            numbers.remove(frame.index)
-            estimates = {m: by_frame.get(frame.index, ()) for m, by_frame in of_method.items()}
-            marks: list[Mark] = []  # landmarks at least partly in view, if truth has positions
-            positions = None if truth is None else truth.pixels(frame.fan)
-            if truth is not None and positions is not None:
-                here = np.flatnonzero(numbers_of[truth.frame_index] == frame.index)
-                ids = [landmarks.ids[truth.landmark_index[n]] for n in here]
-                marks = [Mark(i, *positions[n].tolist()) for i, n in zip(ids, here, strict=True)]
-            requests_here = [w for w in requests if w.frame == frame.index]
-            pictures |= _draw(frame, reported, requests_here, estimates, marks)
-            if frame.index in hold:
-                shown_log.frames.append(_shown_frame(frame, reported, estimates, marks, most_bytes))
-        if not numbers:
-            break
-    if numbers:
-        raise SonarrecError(
-            f"{log.path}: no frame {min(numbers)}, which the results have; "
-            "give the log that they came from"
-        )
-    return pictures, shown_log
-
-
-def _shown_frame(
-    frame: Frame,
-    reported: ReportedLog,
-    estimates: Mapping[str, Sequence[Estimate]],
-    marks: Sequence[Mark],
-    most_bytes: int,
-) -> ShownFrame:
-    log = reported.results
-    image = _shrunk(frame.image, LARGEST)
-    scale = image.shape[1] / frame.fan.columns
-    row = int(np.searchsorted(log.frame, frame.index))
-
-    def outlines(marked: Sequence[tuple[Estimate | Mark, str, bool]], size: float) -> list[Outline]:
-        found_outlines = []
-        for one, label, declared in marked:
-            edge = disc_outline(frame.fan, size * log.landmarks.radius_m, one.x_px, one.y_px)
-            around = _ellipse((edge + 0.5) * scale)
-            if around is not None:
-                colour = log.landmarks.ids.index(one.landmark)
-                found_outlines.append(Outline(around, label, colour, declared))
-        return found_outlines
-
-    said = []
-    for method in log.methods:
-        most_sure = sorted(estimates[method], key=lambda e: (e.declared, e.score))[-MOST_MARKED:]
-        labelled = [(e, caption(e, log.landmarks, score=True), e.declared) for e in most_sure]
-        said.append(outlines(labelled, 1))
-    return ShownFrame(
-        frame=frame.index,
-        at=round(float(reported.time[row]), 3),
-        image=_within(image, most_bytes),
-        size=(image.shape[1], image.shape[0]),
-        said=said,
-        truth=outlines([(m, f"ID.{m.landmark}", False) for m in marks], AROUND),
-    )
 
 
 def _within(image: ByteImage, most_bytes: int) -> str:

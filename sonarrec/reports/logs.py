@@ -1,57 +1,107 @@
-"""One log's results for the page: sightings, tracks, and the truth near estimates."""
+"""One log's results for the page: sightings, tracks, mistakes, and the truth near estimates."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.match import Matched, ScoringOptions, match, truth_beneath
+from sonarrec.evaluation.match import Matched, ScoringOptions, judge, match, truth_beneath
 from sonarrec.nouns import follows
 from sonarrec.results.columns import chosen, leading
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, of_methods, read_log
-from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.sightings import Sighting, read_sightings
-from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable
 
+GAP = 4  # an episode of mistakes may have gaps of so many frames: neighbouring ones are alike
 MOST_LOGS = 8  # logs with panels of their own: each adds some 40 kB to the page
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ReportedLog:
-    """One log's results and, where it is known, its truth. N estimates over F frames."""
+    """One log's results and, where it is known, its truth. N estimates over F frames.
+
+    tracker: the method whose tracks are shown. matched: with the truth; None if that is not known.
+    sightings: the tracker's, in order of first sight.
+    """
 
     folder: Path
-    """The results folder."""
     results: LogResults
     tracker: str
-    """The method whose tracks are shown."""
-    truth: Truth | None
     matched: Matched | None
-    """The results with their truth; None without one."""
-    run: RunFile
-    time: FloatArray
-    """(F,) seconds since the first frame, or frame numbers if there are no times."""
-    clock: str
-    """Unit of `time`: "s" or "frame"."""
-    truth_near: IntArray | None
-    """(N,) index of the ID of the truth nearest to each estimate, -1 if none is within half a disc
-    diameter; None without truth or positions."""
-    in_view: BoolArray | None
-    """(F, K) which landmarks count as in view; None without truth."""
     sightings: list[Sighting]
-    """Of the tracker, in order of first sight."""
+
+    @property
+    def name(self) -> str:
+        """The log's."""
+        return self.results.name
 
     @property
     def ids(self) -> tuple[int, ...]:
         """The landmark set's."""
         return self.results.landmarks.ids
+
+    @property
+    def clock(self) -> str:
+        """Unit of `time`: "s", or "frame" if there are no times that rise."""
+        stamps = self.results.timestamp_ns
+        return "frame" if stamps is None or (np.diff(stamps) <= 0).any() else "s"
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """(F,) seconds since the first frame, or frame numbers."""
+        stamps = self.results.timestamp_ns
+        if stamps is None or self.clock == "frame":
+            return self.results.frame.astype(float)
+        return np.asarray((stamps - stamps[0]) / 1e9)
+
+    @property
+    def period(self) -> float:
+        """The median of `time` between two frames."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 1.0
+
+    @cached_property
+    def truth_near(self) -> IntArray | None:
+        """(N,) index of the ID of the truth nearest to each estimate, -1 if none is within half a
+        disc diameter; None without truth or positions."""
+        if self.matched is None or not self.matched.placed:
+            return None
+        truth = truth_beneath(self.matched)
+        return np.asarray(np.append(self.matched.truth_landmark_index, -1)[truth])
+
+    @cached_property
+    def in_view(self) -> BoolArray | None:
+        """(F, K) which landmarks count as in view; None without truth."""
+        if self.matched is None:
+            return None
+        return self._present(self.matched, self.matched.truth_positive)
+
+    @cached_property
+    def false(self) -> BoolArray | None:
+        """(N,) whether each estimate, if declared, is false; None without truth. Landmarks partly
+        in view count as present."""
+        results, of = self.results, self.matched
+        if of is None:
+            return None
+        if self.truth_near is not None:
+            return np.asarray(self.truth_near != results.landmark_index)
+        present = self._present(of, np.ones(len(of.truth_positive), dtype=bool))
+        return ~present[results.frame_index, results.landmark_index]
+
+    def _present(self, matched: Matched, rows: BoolArray) -> BoolArray:
+        """(F, K) which landmarks are in which frame, by some rows of the truth."""
+        present = np.zeros((len(self.results.frame), len(self.ids)), dtype=bool)
+        present[matched.truth_frame_index[rows], matched.truth_landmark_index[rows]] = True
+        return present
 
     def frame_of(self, estimate: int) -> int:
         """The number of an estimate's frame."""
@@ -69,32 +119,17 @@ class ReportedLog:
         return np.asarray(self.results.method == self.results.methods.index(name))
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
-    """One object followed by the tracker."""
-
-    number: int
-    """Its number in estimates.csv."""
-    estimates: IntArray
-    """(n,) indices of its estimates, in frame order."""
-    frame_index: IntArray
-    """(n,) into the log's frames, rising."""
-
-
-@dataclass(frozen=True, slots=True)
-class LogToShow:
-    """One log to be read for the page.
-
-    name: also for the log column of its truth; None: the name of the folder.
-    """
+class LogToShow(NamedTuple):
+    """A log to be read. log: its name in the truth; name: on the page; None: its folder's."""
 
     folder: Path
     truth: TruthTable | None = None
+    log: str | None = None
     name: str | None = None
 
 
 def read_logs(
-    logs_to_show: Sequence[LogToShow], options: ScoringOptions
+    logs_to_show: Iterable[LogToShow], options: ScoringOptions
 ) -> tuple[list[ReportedLog], list[str]]:
     """The first MOST_LOGS logs that can be read, and a line for each that cannot.
 
@@ -105,7 +140,6 @@ def read_logs(
     logs: list[ReportedLog] = []
     unread: list[tuple[str, SonarrecError]] = []
     there: set[str] = set()
-    wanted = options.methods
     for one in logs_to_show:
         if len(logs) == MOST_LOGS:
             break
@@ -113,72 +147,48 @@ def read_logs(
             results = read_log(one.folder, options.landmarks, options.sonar)
             sightings = list(read_sightings(one.folder, options.landmarks, options.sonar))
         except SonarrecError as error:
-            unread.append((one.name or log_of(one.folder), error))
+            unread.append((one.log or log_of(one.folder), error))
             continue
         there.update(results.methods)
-        results = of_methods(results, wanted)
-        results = results if one.name is None else replace(results, name=one.name)
-        truth = None
+        results = of_methods(results, options.methods)
+        matched = truth = None
+        tracker = [*options.methods, leading(results.methods)][0]
         if one.truth is not None:
-            truth = match_truth(one.truth, results, options.tolerance_s)
-        tracker = wanted[0] if wanted else leading(results.methods)
+            truth_of = results if one.log is None else replace(results, name=one.log)
+            truth = match_truth(one.truth, truth_of, options.tolerance_s)
+        results = replace(results, name=one.name or results.name)
+        if truth is not None:
+            matched = match(results, truth, options.min_visible, within_m=options.within_m)
         passes = [s for s in sightings if s.method == tracker]
-        logs.append(_reported_log(one.folder, results, truth, options, tracker, passes))
+        passes.sort(key=lambda s: (s.first_frame, s.last_frame))
+        logs.append(ReportedLog(one.folder, results, tracker, matched, passes))
     if not logs:
         raise unread[0][1]
     for log in logs:
-        if log.results.landmarks.ids != logs[0].results.landmarks.ids:
+        if log.ids != logs[0].ids:
             raise SonarrecError(
-                f"logs {logs[0].results.name} and {log.results.name} were run with different "
-                "landmark IDs; report them one by one, or give --landmarks"
+                f"logs {logs[0].name} and {log.name} were run with different landmark IDs; "
+                "report them one by one, or give --landmarks"
             )
-    chosen(there, wanted, logs_to_show[0].folder)  # raises for one that no log has
+    chosen(there, options.methods, logs[0].folder)  # raises for one that no log has
     return logs, [f"{error}; {name} is not shown" for name, error in unread]
 
 
-def _reported_log(
-    folder: Path,
-    log: LogResults,
-    truth: Truth | None,
-    options: ScoringOptions,
-    tracker: str,
-    passes: Sequence[Sighting],
-) -> ReportedLog:
-    time, clock = log.frame.astype(float), "frame"
-    stamps = log.timestamp_ns
-    if stamps is not None and (np.diff(stamps) > 0).all():
-        time, clock = (stamps - stamps[0]) / 1e9, "s"
-    in_view = matched = near = None
-    if truth is not None:
-        matched = match(log, truth, options.min_visible, within_m=options.within_m)
-        if matched.placed:
-            beneath = truth_beneath(matched)
-            near = np.full(len(beneath), -1, dtype=np.int64)
-            near[beneath >= 0] = matched.truth_landmark_index[beneath[beneath >= 0]]
-        in_view = np.zeros((len(log.frame), len(log.landmarks.ids)), dtype=bool)
-        whole = truth.visible >= options.min_visible
-        in_view[truth.frame_index[whole], truth.landmark_index[whole]] = True
-    run = read_run(folder / "run.toml")
-    ordered = sorted(passes, key=lambda s: (s.first_frame, s.last_frame))
-    return ReportedLog(
-        folder, log, tracker, truth, matched, run, time, clock, near, in_view, sightings=ordered
-    )
+class JudgedSighting(NamedTuple):
+    """A sighting and whether it is true.
 
+    estimates: (n,) its declarations, in frame order. surest: the one of the best score; of equal
+    printed scores a true one, then that nearest to the middle of the fan (or of the pass, if
+    positions are not known). right: how many are true; None if truth is not known. wrong: if
+    `surest` is a false claim, why.
+    """
 
-@dataclass(frozen=True, slots=True)
-class JudgedSighting:
-    """A sighting and whether it is true. n declarations, indices into the estimates."""
-
+    log: ReportedLog
     sighting: Sighting
     estimates: IntArray
-    """(n,) in frame order."""
     surest: int
-    """The declaration of the best score. Of equal printed scores a true claim, then that nearest to
-    the middle of the fan (or of the pass, if positions are not known)."""
     right: int | None
-    """How many declarations are true; None if truth is not known."""
-    is_false: bool
-    """Whether `surest` is known to be a false claim."""
+    wrong: str
 
 
 def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
@@ -186,90 +196,64 @@ def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
     results = log.results
     declared = np.flatnonzero(log.of_method(log.tracker) & results.declared)
     declared = declared[np.argsort(results.frame_index[declared], kind="stable")]
-    frame, false = results.frame[results.frame_index[declared]], _false(log)
-    judged = []
+    frame, judged = results.frame[results.frame_index[declared]], []
     for s in log.sightings:
-        if s.landmark not in log.ids:
-            continue
         first, end = np.searchsorted(frame, [s.first_frame, s.last_frame + 1])
         rows = declared[first:end]
-        of_landmark = results.landmark_index[rows] == log.ids.index(s.landmark)
+        rows = rows[np.take(log.ids, results.landmark_index[rows]) == s.landmark]
         if s.track is not None:
-            of_landmark &= results.object[rows] == s.track
-        if of_landmark.any():
-            rows = rows[of_landmark]
-            frames, position = results.frame_index[rows], results.position
-            offset = frames - (frames[0] + frames[-1]) / 2
-            if position is not None:
-                offset = np.arctan2(*position[rows].T)
-            wrong = np.zeros(len(rows), dtype=bool) if false is None else false[rows]
-            best = np.lexsort((np.abs(offset), wrong, -results.score[rows].round(2)))[0]
-            right = None if false is None else int((~wrong).sum())
-            judged.append(JudgedSighting(s, rows, int(rows[best]), right, bool(wrong[best])))
+            rows = rows[results.object[rows] == s.track]
+        if len(rows):
+            offset = results.frame_index[rows] - results.frame_index[rows[[0, -1]]].mean()
+            if results.position is not None:
+                offset = np.arctan2(*results.position[rows].T)
+            false = np.zeros(len(rows), dtype=bool) if log.false is None else log.false[rows]
+            best = np.lexsort((np.abs(offset), false, -results.score[rows].round(2)))[0]
+            surest, right = int(rows[best]), None if log.false is None else int((~false).sum())
+            wrong = "" if not false[best] else "the landmark is not in view"
+            if wrong and log.truth_near is not None:
+                k = int(log.truth_near[surest])
+                wrong = "no landmark lies there" if k < 0 else f"it is ID.{log.ids[k]}"
+            judged.append(JudgedSighting(log, s, rows, surest, right, wrong))
     return judged
 
 
-def _false(log: ReportedLog) -> BoolArray | None:
-    """(N,) whether each estimate, if declared, is false; None if truth is not known. Landmarks
-    partly in view count as present."""
-    results, truth = log.results, log.truth
-    if truth is None:
-        return None
-    if log.truth_near is not None:
-        return np.asarray(log.truth_near != results.landmark_index)
-    in_view = np.zeros((len(results.frame), len(results.landmarks.ids)), dtype=bool)
-    in_view[truth.frame_index, truth.landmark_index] = True
-    return ~in_view[results.frame_index, results.landmark_index]
+class Track(NamedTuple):
+    """One object followed by the tracker, by its number in estimates.csv.
+
+    estimates: (n,) indices, in frame order. frame_index: (n,) into the log's frames, rising.
+    """
+
+    number: int
+    estimates: IntArray
+    frame_index: IntArray
 
 
-def false_claim_text(log: ReportedLog, estimate: int) -> str:
-    """A false claim in words."""
-    if log.truth_near is None:
-        return "the landmark is not in view"
-    beneath = int(log.truth_near[estimate])
-    return "no landmark lies there" if beneath < 0 else f"it is ID.{log.ids[beneath]}"
+def tracks(log: ReportedLog) -> tuple[list[Track], list[Track]]:
+    """The tracks with a declaration, and those without any.
 
-
-@dataclass(frozen=True, slots=True)
-class Tracks:
-    """The tracks to show, in order of first sight, and how many there are."""
-
-    declared: list[Track]
-    """Tracks with a declaration."""
-    declared_in_all: int
-    silent: list[Track]
-    """Tracks without any."""
-    silent_in_all: int
-
-
-def tracks(log: ReportedLog, most: int, most_silent: int) -> Tracks:
-    """At most so many of each kind: those with the most frames that are declared or on a landmark,
-    then the longest."""
+    First those with the most frames that are declared or on a landmark, then the longest.
+    """
     results = log.results
     if results.probability is None or not follows(log.tracker):
-        return Tracks([], 0, [], 0)
-    of_tracker = np.flatnonzero(log.of_method(log.tracker) & (results.object >= 0))
-    numbers, track_index = np.unique(results.object[of_tracker], return_inverse=True)
-    claims = np.bincount(track_index, weights=results.declared[of_tracker], minlength=len(numbers))
-    telling = results.declared[of_tracker]
+        return [], []
+    rows = np.flatnonzero(log.of_method(log.tracker) & (results.object >= 0))
+    rows = rows[np.lexsort((results.frame_index[rows], results.object[rows]))]
+    number, frame = results.object[rows], results.frame_index[rows]
+    new = np.diff(number, prepend=-1) != 0
+    rows = rows[new | (np.diff(frame, prepend=-1) != 0)]  # one for each frame
+    begins = np.flatnonzero(np.diff(results.object[rows])) + 1
+    found = [
+        Track(int(results.object[of[0]]), of, results.frame_index[of])
+        for of in np.split(rows, begins)
+        if len(of)
+    ]
+    telling = results.declared
     if log.truth_near is not None:
-        telling = telling | (log.truth_near[of_tracker] >= 0)
-    worth = np.bincount(track_index, weights=telling, minlength=len(numbers))
-    length = np.bincount(track_index, minlength=len(numbers))
-    order = np.lexsort((-length, -worth))
-    declared, silent = order[claims[order] > 0], order[claims[order] == 0]
-
-    def tracks_of(of: IntArray) -> list[Track]:
-        tracks = []
-        for n in of.tolist():
-            rows = of_tracker[track_index == n]
-            rows = rows[np.unique(results.frame_index[rows], return_index=True)[1]]
-            tracks.append(Track(int(numbers[n]), rows, results.frame_index[rows]))
-        return sorted(tracks, key=lambda track: (int(track.frame_index[0]), track.number))
-
-    return Tracks(
-        tracks_of(declared[:most]), len(declared), tracks_of(silent[:most_silent]), len(silent)
-    )
+        telling = telling | (log.truth_near >= 0)
+    found.sort(key=lambda track: (-telling[track.estimates].sum(), -len(track.estimates)))
+    declared = [track for track in found if results.declared[track.estimates].any()]
+    return declared, [track for track in found if not results.declared[track.estimates].any()]
 
 
 def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
@@ -295,6 +279,132 @@ def true_landmark(log: ReportedLog, track: Track) -> int | None:
     if log.truth_near is None:
         return None
     beneath = log.truth_near[track.estimates]
-    if not (beneath >= 0).any():
-        return None
-    return log.results.landmarks.ids[int(np.bincount(beneath[beneath >= 0]).argmax())]
+    beneath = beneath[beneath >= 0]
+    return log.ids[int(np.bincount(beneath).argmax())] if len(beneath) else None
+
+
+# Mistakes
+
+
+class Episode(NamedTuple):
+    """One mistake over neighbouring frames, as one method made it.
+
+    kind: "claim" (a false claim) or "miss" (in view and not declared). landmark: the ID claimed or
+    missed. first, last, worst: frame numbers. times: mistakes in it. wrongness: of the worst frame,
+    0 to 1; of a claim its score, of a miss 1 - the best score that the method gave that ID in that
+    frame. which: of its log's, that claim, or the truth that was missed.
+    """
+
+    protocol: str
+    method: str
+    kind: str
+    landmark: int
+    matched: Matched
+    first: int
+    last: int
+    worst: int
+    times: int
+    wrongness: float
+    which: int
+
+    @property
+    def log(self) -> str:
+        """The log's name."""
+        return self.matched.name
+
+
+def episodes(logs: Sequence[Matched], method: str, protocol: str) -> list[Episode]:
+    """A method's mistakes at its operating point, as a protocol that was scored counts them.
+
+    The worst first: wrongness summed over the episode. The counts of all episodes add up to the
+    FP and FN of the method's table.
+    """
+    found = [_mistakes(log, method, protocol).assign(log=n) for n, log in enumerate(logs)]
+    wrong = pd.concat(found, ignore_index=True)
+    wrong = wrong.sort_values(["kind", "k", "log", "at"], kind="stable")
+    gap = wrong.groupby(["kind", "k", "log"], sort=False)["at"].diff()
+    wrong["episode"] = (~(gap <= GAP + 1)).cumsum()  # the first one of a group has no gap
+    grouped = wrong.groupby("episode").agg(
+        first=("frame", "min"),
+        last=("frame", "max"),
+        times=("at", "size"),
+        sum=("wrongness", "sum"),
+    )
+    worst = wrong.sort_values("wrongness", ascending=False, kind="stable")
+    worst = worst.drop_duplicates("episode").set_index("episode")
+    ordered = grouped.join(worst).sort_values("sum", ascending=False, kind="stable")
+    return [
+        Episode(
+            *(
+                protocol,
+                method,
+                row.kind,
+                row.landmark,
+                logs[row.log],
+                row.first,
+                row.last,
+                row.frame,
+            ),
+            *(row.times, float(row.wrongness), row.which),
+        )
+        for row in ordered.itertuples()
+    ]
+
+
+def _mistakes(log: Matched, method: str, protocol: str) -> pd.DataFrame:
+    """A row per false claim, then per landmark in view that was not claimed.
+
+    which, at, k: indices into Matched's claims or truths, its frames and its IDs.
+    """
+    judged = judge(log, method, protocol)
+    false = judged.declared_claim[judged.declared_effect[:, 2] > 0]
+    missed = judged.positive[~judged.positive_is_claimed]
+    best = np.zeros((len(log.frame), len(log.ids)))
+    mine = _of_method(log, method)
+    cell = log.claim_frame_index[mine], log.claim_landmark_index[mine]
+    np.maximum.at(best, cell, log.score[mine])
+    at, k = log.truth_frame_index[missed], log.truth_landmark_index[missed]
+    rows = pd.DataFrame(
+        {
+            "kind": np.repeat(["claim", "miss"], [len(false), len(missed)]),
+            "which": np.append(judged.claim[false], missed),
+            "at": np.append(judged.frame_index[false], at),
+            "k": np.append(judged.landmark_index[false], k),
+            "wrongness": np.append(judged.score[false], 1 - best[at, k]),
+        }
+    )
+    return rows.assign(frame=log.frame[rows["at"]], landmark=np.take(log.ids, rows["k"]))
+
+
+def in_words(episode: Episode) -> str:
+    """A sentence on the worst frame of an episode."""
+    log = episode.matched
+    beneath = truth_beneath(log)
+    if episode.kind == "claim":
+        sentence = f"ID.{episode.landmark} declared ({episode.wrongness:.2f})"
+        if episode.protocol == "paper":
+            return f"{sentence} while it is not in view"
+        truth = beneath[episode.which]
+        if truth < 0:
+            return f"{sentence} where no landmark lies"
+        landmark = log.ids[log.truth_landmark_index[truth]]
+        if landmark == episode.landmark:
+            return f"{sentence} a second time on the same landmark"
+        return f"{sentence} on what is ID.{landmark}"
+    sentence = f"ID.{episode.landmark} in view and not declared"
+    if episode.protocol == "paper":
+        return sentence
+    claims = np.flatnonzero(_of_method(log, episode.method) & (beneath == episode.which))
+    if not len(claims):
+        return f"{sentence}: nothing found there"
+    best = claims[np.argmax(log.score[claims])]
+    guess = "called" if log.declared[best] else "best guess"
+    return (
+        f"{sentence}: {guess} ID.{log.ids[log.claim_landmark_index[best]]} ({log.score[best]:.2f})"
+    )
+
+
+def _of_method(log: Matched, method: str) -> BoolArray:
+    """(N,) which claims are the method's."""
+    index = log.methods.index(method) if method in log.methods else -1
+    return np.asarray(log.method_index == index)

@@ -7,9 +7,9 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from heapq import nlargest
 from importlib.resources import files
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,17 @@ from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.nouns import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts
-from sonarrec.reports.frames import Picture, ShownLog
-from sonarrec.reports.logs import ReportedLog, Track, judged_sightings, tracks, true_landmark
-from sonarrec.reports.mistakes import Episode, in_words
-from sonarrec.reports.svg import STYLES, darkened, frames_a_bar, glyph
+from sonarrec.reports.frames import Picture, Shown
+from sonarrec.reports.logs import (
+    Episode,
+    ReportedLog,
+    Track,
+    in_words,
+    judged_sightings,
+    tracks,
+    true_landmark,
+)
+from sonarrec.results.run_file import RunFile, flat
 from sonarrec.results.sightings import PASS_GAP, Sighting
 
 MOST_TRACKS = 12
@@ -48,7 +55,7 @@ def render(
     wrong: Mapping[str, Sequence[Episode]],
     truth: Path | None,
     pictures: Sequence[Picture],
-    shown: Sequence[ShownLog],
+    shown: Sequence[Shown],
     unused: Sequence[str],
     logs_in_all: int,
 ) -> str:
@@ -61,17 +68,28 @@ def render(
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
     methods = evaluation.counts.methods if evaluation else logs[0].results.methods
-    scores = None
-    if evaluation is not None:
-        scores = _scores(logs, evaluation, wrong)
+    scores = None if evaluation is None else _scores(logs, evaluation, wrong)
     # That of `sonarrec map` lies in the folder of one log's results, or in that of all.
-    homes = {log.run.path.parents[len(logs) > 1] for log in logs}
+    homes = {log.results.run.path.parents[len(logs) > 1] for log in logs}
     drawn, map_picture = min(homes) / "map" / "map.png", None
     if len(homes) == 1 and drawn.is_file():
-        map_picture = "data:image/png;base64," + base64.b64encode(drawn.read_bytes()).decode()
+        map_picture = f"data:image/png;base64,{_base64(drawn.read_bytes())}"
+    names = ", ".join(log.name for log in logs[:3]) + (", ..." if logs[3:] else "")
     colours = landmark_colours(landmarks.ids).values()
-    names = ", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else "")
-    frames = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
+    seen = {"seen": "What was seen, when and with what score"}
+    rates = {"rates": "Rates at the operating point"} if scores else {}
+    contents = {
+        # The page of one log begins with what was seen, that of several with the rates.
+        **(rates | seen if logs_in_all > 1 else seen | rates),
+        "sightings": "Sightings",
+        **({"tables": "The paper's tables"} if scores else {}),
+        **({"figures": "Figures and tests"} if scores and scores["others"] else {}),
+        **({"curves": "Curves", "mistakes": "Mistakes, the worst first"} if scores else {}),
+        "tracks": "Probability over time, per track",
+        **({"map": "Map"} if map_picture else {}),
+        "settings": "Settings",
+    }
+    frames = json.dumps(shown, separators=(",", ":"), allow_nan=False)
     script = (files("sonarrec.reports") / "report.js").read_text(encoding="utf-8")
     environment = Environment(
         loader=PackageLoader("sonarrec.reports", "."),
@@ -85,21 +103,16 @@ def render(
         time_of_day=time_text,
         version=VERSION,
         title=f"{logs_in_all} logs" if logs_in_all > len(logs) else names,
-        contents=_contents(
-            scores is not None,
-            bool(scores and scores["others"]),
-            several=logs_in_all > 1,
-            mapped=map_picture is not None,
-        ),
+        contents=contents,
         pass_gap=PASS_GAP,
         landmarks=landmarks,
         methods=methods,
         measured=_measured,
-        light_colours=[darkened(colour) for colour in colours],
+        light_colours=[charts.darkened(colour) for colour in colours],
         dark_colours=["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
-        glyphs=[glyph(landmarks, k) for k in range(len(landmarks.ids))],
+        glyphs=[charts.glyph(landmarks, k) for k in range(len(landmarks.ids))],
         method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
-        line_styles=STYLES,
+        line_styles=charts.STYLES,
         logs=[_log_view(log, most_tracks) for log in logs],
         tracker=logs[0].tracker,
         truth=None if truth is None else truth.name,
@@ -108,33 +121,20 @@ def render(
         unused=_first(unused),
         logs_in_all=logs_in_all,
         counts=evaluation and evaluation.counts,
-        surest=[p for p in pictures if p.request.group == "surest"],
-        rarest=[p for p in pictures if p.request.group == "rarest"],
-        mistake_pictures=[p for p in pictures if p.request.group == "mistake"],
-        held={log.name: n for n, log in enumerate(shown)},
+        surest=[p for p in pictures if p.group == "surest"],
+        rarest=[p for p in pictures if p.group == "rarest"],
+        mistake_pictures=[p for p in pictures if p.group == "mistake"],
+        held={log["name"]: n for n, log in enumerate(shown)},
         shown=shown,
         shown_json=frames.replace("<", "\\u003c"),  # safe inside a script element
         script=script,  # the page allows it by its hash
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        script_hash=_base64(hashlib.sha256(script.encode()).digest()),
         map_picture=map_picture,
     )
 
 
-def _contents(scored: bool, figures: bool, several: bool, mapped: bool) -> dict[str, str]:
-    """The sections by name, in the page's order, and their headings."""
-    seen = {"seen": "What was seen, when and with what score"}
-    rates = {"rates": "Rates at the operating point"} if scored else {}
-    return {
-        # The page of one log begins with what was seen, that of several with the rates.
-        **(rates | seen if several else seen | rates),
-        "sightings": "Sightings",
-        **({"tables": "The paper's tables"} if scored else {}),
-        **({"figures": "Figures and tests"} if figures else {}),
-        **({"curves": "Curves", "mistakes": "Mistakes, the worst first"} if scored else {}),
-        "tracks": "Probability over time, per track",
-        **({"map": "Map"} if mapped else {}),
-        "settings": "Settings",
-    }
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()
 
 
 def _first(lines: Sequence[str]) -> list[str]:
@@ -175,7 +175,7 @@ def _scores(
         "curves": [
             (p, charts.roc([s for s in counts.scored if s.protocol == p])) for p in protocols
         ],
-        "mistakes": _mistakes(logs, counts, wrong),
+        "mistakes": list(_mistakes(logs[0].tracker, counts, wrong)),
     }
 
 
@@ -185,32 +185,33 @@ def _log_view(log: ReportedLog, most_tracks: int) -> View:
     axis: of the whole log's time. measured: heads of columns with a value in any sighting. dated:
     whether the log's times are dates. silent: tracks that were never declared, on that axis.
     """
-    sightings = judged_sightings(log)
-    found_tracks = tracks(log, most_tracks, MOST_SILENT)
-    stamps = log.results.timestamp_ns
-    rows = charts.timeline(log)
-    ids_drawn = {k for k, _ in rows}
+    sightings, timeline = judged_sightings(log), charts.timeline(log)
+    (declared, silent), stamps = tracks(log), log.results.timestamp_ns
+    shown = nlargest(MOST_SIGHTINGS, sightings, key=lambda s: s.sighting.frames_declared)
+    shown.sort(key=lambda s: (s.sighting.first_frame, s.sighting.last_frame))
     valued = {head for s in sightings for head, value, _ in _measured(s.sighting) if value}
+    drawn = {k for k, _ in timeline}
+
+    def in_order(tracks: Sequence[Track]) -> list[Track]:
+        return sorted(tracks, key=lambda track: (int(track.frame_index[0]), track.number))
+
     return {
         "log": log,
         "facts": list(_facts(log)),
-        "problems": list(log.run.input.problems),
-        "timeline": rows,
-        "frames_a_bar": frames_a_bar(len(log.time)),
-        "axis": charts.time_axis(log)[0],
-        "unseen": [i for k, i in enumerate(log.results.landmarks.ids) if k not in ids_drawn],
-        "sightings": sorted(
-            nlargest(MOST_SIGHTINGS, sightings, key=lambda s: s.sighting.frames_declared),
-            key=lambda s: (s.sighting.first_frame, s.sighting.last_frame),
-        ),
-        "sightings_left": len(sightings[MOST_SIGHTINGS:]),
+        "problems": list(log.results.run.input.problems),
+        "timeline": timeline,
+        "frames_a_bar": charts.frames_a_bar(len(log.time)),
+        "axis": charts.time_axis(log),
+        "unseen": [landmark for k, landmark in enumerate(log.ids) if k not in drawn],
+        "sightings": shown,
+        "sightings_left": len(sightings) - len(shown),
         "measured": [head for head, *_ in MEASURED if head in valued],
         "dated": stamps is not None and is_date(int(stamps[0])),
-        "tracks": [_track_view(log, track) for track in found_tracks.declared],
-        "tracks_in_all": found_tracks.declared_in_all,
-        "silent": charts.silent_lanes(log, found_tracks.silent),
-        "silent_in_all": found_tracks.silent_in_all,
-        "settings": list(settings_tables(log.run.table)),
+        "tracks": [_track_view(log, track) for track in in_order(declared[:most_tracks])],
+        "tracks_in_all": len(declared),
+        "silent": charts.silent_lanes(log, in_order(silent[:MOST_SILENT])),
+        "silent_in_all": len(silent),
+        "settings": list(_settings(log.results.run)),
     }
 
 
@@ -236,35 +237,33 @@ def _measured(sighting: Sighting) -> Iterator[tuple[str, str, str]]:
 
 def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
     """(name, value) of facts about the recording."""
-    results, run = log.results, log.run
+    results = log.results
     yield "frames", f"{len(results.frame):,}"
     if log.clock == "s" and len(log.time) > 1:
-        axis, period = charts.time_axis(log)
-        yield "length", f"{axis.high - axis.low:,.1f} s at {1 / period:.3g} Hz"
+        axis = charts.time_axis(log)
+        yield "length", f"{axis.high - axis.low:,.1f} s at {1 / log.period:.3g} Hz"
     if results.timestamp_ns is not None and is_date(int(results.timestamp_ns[0])):
         yield "start", f"{date_text(int(results.timestamp_ns[0]))} UTC"
     if results.fan is not None:
         yield "range window", f"{results.fan.range_min_m:g} to {results.fan.range_max_m:g} m"
         yield "tilt", f"{results.fan.tilt_deg:g} deg"
     yield "landmark set", f"{results.landmarks.name}, radius {results.landmarks.radius_m:g} m"
-    presets = [str(config["preset"]) for config in run.configs if "preset" in config]
+    presets = [str(config["preset"]) for config in results.run.configs if "preset" in config]
     if presets:
         yield "preset" + "s" * (len(presets) > 1), ", ".join(presets)
 
 
 def _track_view(log: ReportedLog, track: Track) -> View:
     """One track: its facts, the strip of truth and a panel per method."""
-    results = log.results
-    ids = results.landmarks.ids
-    declared = results.landmark_index[track.estimates[results.declared[track.estimates]]]
+    declared = track.estimates[log.results.declared[track.estimates]]
+    counts = np.bincount(log.results.landmark_index[declared], minlength=len(log.ids)).tolist()
     frames = number_of(len(track.estimates), "frame")
-    counts = np.bincount(declared, minlength=len(ids)).tolist()
-    claims = [f"ID.{i} in {n} of {frames}" for i, n in zip(ids, counts, strict=True) if n]
-    first, last = int(track.frame_index[0]), int(track.frame_index[-1])
+    claims = [f"ID.{i} in {n} of {frames}" for i, n in zip(log.ids, counts, strict=True) if n]
+    first, last = track.frame_index[[0, -1]].tolist()
     return {
         "track": track,
         "claims": ", ".join(claims),
-        "frames": _span(int(results.frame[first]), int(results.frame[last])),
+        "frames": _span(int(log.results.frame[first]), int(log.results.frame[last])),
         "times": f"{log.time[first]:.1f} to {log.time[last]:.1f} s" if log.clock == "s" else "",
         "axis": charts.track_axis(log, track),
         "truth": true_landmark(log, track),
@@ -273,54 +272,27 @@ def _track_view(log: ReportedLog, track: Track) -> View:
     }
 
 
-def _mistakes(
-    logs: Sequence[ReportedLog], counts: Counts, wrong: Mapping[str, Sequence[Episode]]
-) -> list[View]:
-    """Each method's episodes, the worst first."""
-    matched = {log.results.name: log.matched for log in logs}
-    mistakes = []
-    for method in sorted(counts.methods, key=lambda m: m != logs[0].tracker):
-        count = counts.scored_by(method, screen.protocols(counts)[0]).count()
+def _mistakes(first: str, counts: Counts, wrong: Mapping[str, Sequence[Episode]]) -> Iterator[View]:
+    """Each method's episodes, the worst first. first: the method that comes first."""
+    for method in sorted(counts.methods, key=lambda m: m != first):
         episodes = wrong.get(method, [])  # the method may be in other logs only
-        shown = [
-            {
-                "episode": episode,
-                "sentence": in_words(episode, log),
-                "frames": _span(episode.first, episode.last),
-            }
-            for episode in episodes[:MOST_MISTAKES]
-            if (log := matched[episode.log]) is not None
-        ]
-        left = len(episodes) - len(shown)
-        mistakes.append({"method": method, "count": count, "shown": shown, "left": left})
-    return mistakes
+        worst = episodes[:MOST_MISTAKES]
+        yield {
+            "method": method,
+            "count": counts.scored_by(method, screen.protocols(counts)[0]).count(),
+            "shown": [(e, in_words(e), _span(e.first, e.last)) for e in worst],
+            "left": len(episodes) - len(worst),
+        }
 
 
 def _span(first: int, last: int) -> str:
     return f"{first}" if first == last else f"{first} to {last}"
 
 
-def settings_tables(
-    table: Mapping[str, Any], name: str = "run"
-) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """run.toml as (table name, its keys and values); nested tables follow."""
-    plain = {key: value for key, value in table.items() if not _is_nested(value)}
-    if plain:
-        yield name, [(key, _plain(value)) for key, value in plain.items()]
-    for key, value in table.items():
-        if _is_nested(value):
-            label = key if name == "run" else f"{name}.{key}"
-            for n, part in enumerate(value if isinstance(value, list) else [value]):
-                yield from settings_tables(
-                    part, f"{label}[{n}]" if isinstance(value, list) else label
-                )
-
-
-def _is_nested(value: Any) -> bool:
-    """Whether a TOML value is a table, or several that hold tables."""
-    if isinstance(value, list):
-        return any(isinstance(part, dict) and any(map(_is_nested, part.values())) for part in value)
-    return isinstance(value, dict)
+def _settings(run: RunFile) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    """run.toml as (table name, its keys and values); settings are named as for --set."""
+    for name, rows in groupby(flat(run.table), key=lambda row: row[0].rpartition(".")[0]):
+        yield name or "run", [(key.rpartition(".")[2], _plain(value)) for key, value in rows]
 
 
 def _plain(value: Any) -> str:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.landmarks import load_landmarks
-from sonarrec.reports import charts, svg
+from sonarrec.reports import charts
 from sonarrec.reports.logs import ReportedLog, Track
 
 
@@ -20,7 +20,7 @@ from sonarrec.reports.logs import ReportedLog, Track
 @settings(max_examples=60)
 def test_thinning_keeps_peaks_and_dips(values: list[float], most: int) -> None:
     y = np.array(values)
-    kept = svg.thinned(y, most)
+    kept = charts.thinned(y, most)
     assert len(kept) <= max(most, 1)
     assert (np.diff(kept) > 0).all()
     if np.isfinite(y).any():
@@ -39,19 +39,23 @@ def drawn_points(path: str) -> list[list[tuple[int, int]]]:
 def test_lines_break_where_nothing_was_seen() -> None:
     x = np.array([0, 0.25, 0.5, 0.75, 1.0])
     y = np.array([0, 1, np.nan, 0.5, np.nan])
-    assert drawn_points(svg.polyline(x, y)) == [[(0, 1000), (500, 0)], [(1500, 500), (1500, 500)]]
-    assert svg.polyline(x, np.full(5, np.nan)) == ""
+    assert drawn_points(charts.polyline(x, y)) == [
+        [(0, 1000), (500, 0)],
+        [(1500, 500), (1500, 500)],
+    ]
+    assert charts.polyline(x, np.full(5, np.nan)) == ""
 
 
 def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
     """Grey where it was followed; above it, where the score is worth a bar, in the ID's colour."""
     log = SimpleNamespace(
         time=np.arange(10.0),
+        period=1.0,
+        ids=(1, 2),
         truth_near=None,
         results=SimpleNamespace(
             landmark_index=np.array([0, 0, 1, 1]),
             score=np.array([0.0, 0.0, 0.4, 0.0]),
-            landmarks=SimpleNamespace(ids=(1, 2)),
         ),
     )
     track = Track(7, np.arange(4), np.array([2, 3, 4, 5]))
@@ -67,7 +71,7 @@ def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
 
 def painted(path: str) -> np.ndarray:
     """(WIDTH,) height of the bars at every column of the sheet, by filling each rectangle."""
-    height = np.zeros(svg.WIDTH)
+    height = np.zeros(charts.WIDTH)
     for left, up, wide in re.findall(r"M(\d+) 1000v-(\d+)h(\d+)v\d+z", path):
         columns = slice(int(left), int(left) + int(wide))
         height[columns] = np.maximum(height[columns], int(up))
@@ -79,18 +83,18 @@ def test_bars_cover_their_frames(count: int) -> None:
     rng = np.random.default_rng(count)
     start = np.cumsum(rng.choice([1.0, 30.0], count, p=[0.95, 0.05])) - 1
     height = np.where(rng.random(count) < 0.6, rng.random(count).round(1), 0)
-    axis = svg.Axis(0.0, float(start[-1]) + 1)
-    path = svg.bars(axis, start, 1.0, height)
+    axis = charts.Axis(0.0, float(start[-1]) + 1)
+    path = charts.bars(axis, start, 1.0, height)
     columns = painted(path)
-    centre = np.floor(axis.share(start + 0.5) * svg.WIDTH).astype(int)
-    at = columns[np.minimum(centre, svg.WIDTH - 1)]
-    if count < svg.MOST_POINTS:
+    centre = np.floor(axis.share(start + 0.5) * charts.WIDTH).astype(int)
+    at = columns[np.minimum(centre, charts.WIDTH - 1)]
+    if count < charts.MOST_POINTS:
         assert at == pytest.approx(1000 * height)
         between = np.diff(start) > 2  # nothing is drawn over time without frames
-        gaps = np.floor(axis.share(start[:-1][between] + 15) * svg.WIDTH).astype(int)
+        gaps = np.floor(axis.share(start[:-1][between] + 15) * charts.WIDTH).astype(int)
         assert not columns[gaps].any()
     else:
-        assert path.count("M") <= svg.MOST_POINTS
+        assert path.count("M") <= charts.MOST_POINTS
         assert columns.max() == 1000 * height.max()
 
 
@@ -104,7 +108,7 @@ def test_the_landmark_drawn_is_the_landmark() -> None:
 
     for k in range(len(landmarks.ids)):
         inside = np.zeros(len(x), dtype=bool)
-        for part in svg.glyph(landmarks, k).split("M")[1:]:
+        for part in charts.glyph(landmarks, k).split("M")[1:]:
             inside ^= Outline(traced(part)).contains_points(
                 np.column_stack([50 + 49 * x, 50 - 49 * y])
             )

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from sonarrec.evaluation.match import PROTOCOLS
-from sonarrec.reports.logs import alongside, tracks
-from sonarrec.reports.mistakes import episodes, in_words
+from sonarrec.reports.logs import alongside, episodes, in_words, tracks
 from tests.support.claims import evaluate
 from tests.support.pages import PLACED, reported, tables
 
@@ -52,9 +51,9 @@ def test_mistakes_add_up_to_the_table(random_log: Path, tmp_path: Path, protocol
     matched = reported(random_log, truth).matched
     assert matched is not None
     for one in (s for s in found.scored if s.protocol == protocol):
-        count, wrong = one.count(), episodes({"log": matched}, one.method, protocol)
-        assert sum(e.count for e in wrong if e.kind == "claim") == count.fp > 50
-        assert sum(e.count for e in wrong if e.kind == "miss") == count.fn > 50
+        count, wrong = one.count(), episodes([matched], one.method, protocol)
+        assert sum(e.times for e in wrong if e.kind == "claim") == count.fp > 50
+        assert sum(e.times for e in wrong if e.kind == "miss") == count.fn > 50
         for e in wrong:
             assert e.first <= e.worst <= e.last
             assert 0 <= e.wrongness <= 1
@@ -73,8 +72,8 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
     )
     matched = reported(log, log / "gt.csv").matched
     assert matched is not None
-    found = episodes({"log": matched}, "mine", "strict")
-    shown = [(e.kind, e.landmark, e.first, e.last, e.worst, e.count) for e in found]
+    found = episodes([matched], "mine", "strict")
+    shown = [(e.kind, e.landmark, e.first, e.last, e.worst, e.times) for e in found]
     assert shown == [
         ("claim", 2, 0, 8, 8, 5),
         ("miss", 1, 20, 21, 20, 2),
@@ -82,7 +81,7 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
         ("claim", 3, 20, 20, 20, 1),
         ("claim", 2, 14, 14, 14, 1),
     ]
-    assert [in_words(e, matched) for e in found] == [
+    assert [in_words(e) for e in found] == [
         "ID.2 declared (0.58) where no landmark lies",
         "ID.1 in view and not declared: called ID.3 (0.80)",
         "ID.4 in view and not declared: nothing found there",
@@ -94,22 +93,19 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
 def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
     """Against loops over every pair."""
     log = reported(random_log)
-    found, truth = log.results, log.truth
+    found, truth = log.results, log.matched
     assert truth is not None
     assert log.truth_near is not None
     assert found.position is not None
-    assert truth.position is not None
     for n in range(0, len(found.frame_index), 7):
         best, beneath = found.landmarks.radius_m, -1
-        for t in np.flatnonzero(truth.frame_index == found.frame_index[n]):
-            away = np.linalg.norm(found.position[n] - truth.position[t])
+        for t in np.flatnonzero(truth.truth_frame_index == found.frame_index[n]):
+            away = np.linalg.norm(found.position[n] - truth.truth_position[t])
             if away <= best:
-                best, beneath = away, truth.landmark_index[t]
+                best, beneath = away, truth.truth_landmark_index[t]
         assert log.truth_near[n] == beneath
-    chosen = tracks(log, most=3, most_silent=0)
-    shown = chosen.declared
-    assert (len(shown), chosen.declared_in_all, chosen.silent_in_all) == (3, 4, 0)
-    assert {track.number for track in shown} < {100, 101, 102, 103}
+    shown, silent = tracks(log)
+    assert ({track.number for track in shown}, silent) == ({100, 101, 102, 103}, [])
     smi = np.flatnonzero(log.of_method("smi"))
     for track in shown:
         assert (np.diff(track.frame_index) > 0).all()
