@@ -56,7 +56,7 @@ class Container:
     channels: list[Channel]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Images:
     """One sequence of sonar images: those of a channel, or all in a folder or video.
 
@@ -75,24 +75,24 @@ class Images:
     """
 
     topic: str | None
-    frames: int | None
-    usable: int | None
-    rows: int | None
-    columns: int | None
-    pixels: str | None
-    start_ns: int | None
-    end_ns: int | None
-    rate_hz: float | None
-    layout: str
-    polar_messages: bool
-    header: dict[str, str | float | None]
-    geometry: dict[str, Any]
-    geometry_from: str | None
-    origins: dict[str, str]
-    assumed: dict[str, Any]
-    lacks: list[str]
-    notes: list[str]
-    problems: list[str]
+    frames: int | None = 0
+    usable: int | None = 0
+    rows: int | None = None
+    columns: int | None = None
+    pixels: str | None = None
+    start_ns: int | None = None
+    end_ns: int | None = None
+    rate_hz: float | None = None
+    layout: str = "polar"
+    polar_messages: bool = False
+    header: dict[str, str | float | None] = field(default_factory=dict)
+    geometry: dict[str, Any] = field(default_factory=dict)
+    geometry_from: str | None = None
+    origins: dict[str, str] = field(default_factory=dict)
+    assumed: dict[str, Any] = field(default_factory=dict)
+    lacks: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,41 +125,6 @@ class LogInfo:
         return bool(self.faults) or any(i.problems for i in self.images)
 
 
-@dataclass(slots=True)
-class _Counts:
-    """What the raw frames of a log are, by size, type and time. observe: as in `describe`."""
-
-    frame_count: int | None
-    observe: Observe | None
-    frames: int = 0
-    timed: int = 0
-    sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
-    pixels: Counter[str] = field(default_factory=Counter)
-    start_ns: int | None = None
-    end_ns: int | None = None
-
-    def add(self, frame: Frame) -> None:
-        """Count a frame."""
-        self.frames += 1
-        if frame.timestamp_ns is not None:
-            self.timed += 1
-            self.start_ns = frame.timestamp_ns if self.start_ns is None else self.start_ns
-            self.end_ns = frame.timestamp_ns
-        if frame.pixels is not None:
-            rows, columns, *channels = frame.pixels.shape
-            self.sizes[rows, columns] += 1
-            name = frame.pixels.dtype.newbyteorder("=").name
-            self.pixels[f"{channels[0]} x {name}" if channels else name] += 1
-        if self.observe is not None:
-            self.observe(self.frame_count)
-
-    def rate_hz(self) -> float | None:
-        """Frames per second between the first and the last time; None if unknown."""
-        if self.start_ns is None or self.end_ns is None or self.end_ns <= self.start_ns:
-            return None
-        return (self.timed - 1) / (self.end_ns - self.start_ns) * 1e9
-
-
 def describe(
     path: str | Path,
     *,
@@ -181,7 +146,7 @@ def describe(
     source = find_log(path, up_to)
     source.check_topic(topic, path)
     flags = sonar or Sonar()
-    stated, where = source.stated_sonar(flags, sonar_file)
+    stated = source.stated_sonar(flags, sonar_file)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
     if source.reader.has_topics:
@@ -193,22 +158,15 @@ def describe(
     images, faults = [], source.diagnostics.faults
     for name in [topic] if topic is not None else topics:
         of_topic = replace(source, diagnostics=Diagnostics(source.path))
-        images.append(_images(of_topic, of_topic.open(name), stated, where, flags, quick, observe))
+        images.append(_images(of_topic, of_topic.open(name), stated, flags, quick, observe))
         faults += [f for f in of_topic.diagnostics.faults if f not in faults]
     size = 0
     for file in source.files:
         with suppress(OSError):  # reported as an unusable frame
             size += file.stat().st_size
-    return LogInfo(
-        path=name_as_text(source.path),
-        kind="images" if source.reader.kind == "image" else source.reader.kind,
-        files=len(source.files),
-        size_bytes=size,
-        checked=not quick,
-        container=container,
-        images=images,
-        faults=faults,
-    )
+    kind = "images" if source.reader.kind == "image" else source.reader.kind
+    name, files = name_as_text(source.path), len(source.files)
+    return LogInfo(name, kind, files, size, not quick, container, images, faults)
 
 
 def _container(source: Source) -> Container:
@@ -222,32 +180,27 @@ def _container(source: Source) -> Container:
     decoders = image_decoders(log)
     channels = [
         Channel(
-            channel.topic,
-            channel.schema,
-            channel.schema_encoding,
-            channel.message_encoding,
-            log.counts.get(number, 0),
-            number in decoders,
+            *(c.topic, c.schema, c.schema_encoding, c.message_encoding),
+            *(log.counts.get(number, 0), number in decoders),
         )
-        for number, channel in sorted(log.channels.items(), key=lambda c: (c[1].topic, c[0]))
+        for number, c in sorted(log.channels.items(), key=lambda c: (c[1].topic, c[0]))
     ]
-    start, end = log.span or (None, None)
     chunks = dict(sorted(log.chunks.items()))
+    start, end = log.span or (None, None)
     return Container(log.profile, log.library, log.whole, chunks, start, end, channels)
 
 
 def _images(
     source: Source,
     raw: RawLog,
-    stated: Sonar,
-    where: str,
+    stated: tuple[Sonar, str],
     flags: Sonar,
     quick: bool,
     observe: Observe | None,
 ) -> Images:
     """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
-    stated: the geometry by file and flags. where: its name in messages. flags: what they state."""
-    sonar = raw.geometry(stated)
+    stated: the geometry by file and flags, its name in messages. flags: what they state."""
+    sonar, where = raw.geometry(stated[0]), stated[1]
     lacks = [key for key in sonar.missing() if key == "tilt_deg" or not raw.polar]
     # Which frames can be used does not depend on the stand-ins.
     stand_ins = {
@@ -257,9 +210,25 @@ def _images(
         "field_of_view_deg": 30.0,
     }
     complete = sonar.updated(sonar_from_table({k: stand_ins[k] for k in lacks}, "stand-ins"))
-    usable, plausibility, why = 0, Plausibility(), []
-    counts = _Counts(raw.frame_count, observe)
-    with Log(source, complete, raw, "log", counts.add) as log:
+    found = Images(raw.topic, lacks=lacks, polar_messages=raw.polar)
+    sizes, types, times = Counter[tuple[int, ...]](), Counter[str](), list[int]()
+    timed = count = usable = 0
+
+    def look(frame: Frame) -> None:
+        nonlocal timed, count
+        count += 1
+        if frame.timestamp_ns is not None:
+            timed += 1
+            times[1:] = [frame.timestamp_ns]  # the first and the last
+        if frame.pixels is not None:
+            shape, name = frame.pixels.shape, frame.pixels.dtype.newbyteorder("=").name
+            sizes[shape[:2]] += 1
+            types[f"{shape[2]} x {name}" if len(shape) > 2 else name] += 1
+        if observe is not None:
+            observe(raw.frame_count)
+
+    plausibility = Plausibility()
+    with Log(source, complete, raw, "log", look) as log:
         try:
             if not raw.polar:
                 complete.complete(where)
@@ -267,49 +236,35 @@ def _images(
                 usable += 1
                 plausibility.look(frame)
         except SonarrecError as error:
-            why = [] if log.diagnostics.problems else [error.line]
+            found.problems = [] if log.diagnostics.problems else [error.line]
+    found.problems = log.diagnostics.skipped or found.problems
+    found.frames = raw.frame_count if quick else count
+    found.usable = None if quick else usable
+    for (rows, columns), _ in sizes.most_common(1):
+        found.rows, found.columns, found.pixels = rows, columns, types.most_common(1)[0][0]
+    if times and not quick:
+        found.start_ns, found.end_ns = times[0], times[-1]
+        if times[-1] > times[0]:
+            found.rate_hz = (timed - 1) / (times[-1] - times[0]) * 1e9
     geometry = log.sonar.as_table()
     theirs = "header" if raw.header_info.values else "message" if raw.polar else "default"
-    origins = {
-        key: "flag" if getattr(flags, key) is not None
-        else where if getattr(stated, key) is not None
-        else theirs
-        for key in geometry
-        if key not in lacks
-    }  # fmt: skip
+    for key in (key for key in geometry if key not in lacks):
+        origin = where if getattr(stated[0], key) is not None else theirs
+        found.origins[key] = "flag" if getattr(flags, key) is not None else origin
     if log.order_from is not None:
-        origins["beam_order"] = log.order_from
+        found.origins["beam_order"] = log.order_from
     layout = geometry.pop("layout")
-    polar = raw.polar or layout == "polar"
-    doubts = [] if lacks else plausibility.contradictions()
-    assumed: dict[str, Any] = {}
-    if not lacks and log.fan is not None:
-        fan = log.fan
-        if not polar:
-            assumed["metres_per_pixel"] = fan.metres_per_pixel
-            assumed["apex_px"] = [fan.apex_column, fan.apex_row]
-        assumed["tilt_deg"], assumed["height_m"] = fan.tilt_deg, floor_depth(fan)
-        if not counts.timed:
-            assumed["frame_rate_hz"] = 1.0
-    rows, columns = next(iter(counts.sizes.most_common(1)), ((None, None), 0))[0]
-    return Images(
-        topic=raw.topic,
-        frames=raw.frame_count if quick else counts.frames,
-        usable=None if quick else usable,
-        rows=rows,
-        columns=columns,
-        pixels=next((name for name, _ in counts.pixels.most_common(1)), None),
-        start_ns=None if quick else counts.start_ns,
-        end_ns=None if quick else counts.end_ns,
-        rate_hz=None if quick else counts.rate_hz(),
-        layout="polar" if raw.polar else layout,
-        polar_messages=raw.polar,
-        header=dict(raw.header_info.values),
-        geometry={key: value for key, value in geometry.items() if key not in lacks},
-        geometry_from=where if where != name_as_text(source.path) else None,
-        origins=origins,
-        assumed={k: value for k, value in assumed.items() if getattr(log.sonar, k) is None},
-        lacks=lacks,
-        notes=[*log.diagnostics.notes, *doubts],
-        problems=log.diagnostics.skipped or why,
-    )
+    found.layout = "polar" if raw.polar else layout
+    found.header = dict(raw.header_info.values)
+    found.geometry = {key: value for key, value in geometry.items() if key not in lacks}
+    found.geometry_from = where if where != name_as_text(source.path) else None
+    found.notes = [*log.diagnostics.notes, *([] if lacks else plausibility.contradictions())]
+    if not lacks and (fan := log.fan) is not None:
+        if found.layout != "polar":
+            found.assumed["metres_per_pixel"] = fan.metres_per_pixel
+            found.assumed["apex_px"] = [fan.apex_column, fan.apex_row]
+        found.assumed |= {"tilt_deg": fan.tilt_deg, "height_m": floor_depth(fan)}
+        if not timed:
+            found.assumed["frame_rate_hz"] = 1.0
+        found.assumed = {k: v for k, v in found.assumed.items() if getattr(log.sonar, k) is None}
+    return found

@@ -38,11 +38,18 @@ SHARED = frozenset({SONAR_FILE, LANDMARKS_FILE})
 """Files of a sonar and a site, which serve several logs; they may lie beside a log's folder."""
 
 
+Open = Callable[[Sequence[Path], Diagnostics], RawLog]
+
+
 def _recorded(module: str, name: str) -> Callable[[Path, Diagnostics], Recording]:
     """A class of `containers`, whose libraries are loaded only where it is needed."""
-    return lambda path, diagnostics: getattr(
-        import_module(f"sonarrec.readers.containers.{module}"), name
-    )(path, diagnostics)
+    place = f"sonarrec.readers.containers.{module}"
+    return lambda path, told: getattr(import_module(place), name)(path, told)
+
+
+def _file(kind: Callable[[Path, Diagnostics], RawLog]) -> Open:
+    """The reader of a log that is one file."""
+    return lambda files, told: kind(files[0], told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +62,13 @@ class Reader:
 
     kind: str
     suffixes: frozenset[str]
-    open: Callable[[Sequence[Path], Diagnostics], RawLog] | None = None
+    open: Open | None = None
     recording: Callable[[Path, Diagnostics], Recording] | None = None
 
     @property
     def has_topics(self) -> bool:
         """Whether the log has channels, of which one can be chosen."""
         return self.recording is not None
-
-    def ending(self, name: str) -> str | None:
-        """The ending of a name of this kind; None for names of other kinds."""
-        return next((e for e in self.suffixes if name.lower().endswith(e)), None)
 
 
 _IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
@@ -74,19 +77,18 @@ _BAG_FOLDER = Reader(
 )
 READERS = (
     _IMAGES,
-    Reader("video", VIDEO_SUFFIXES, lambda files, told: VideoFrames(files[0], told)),
+    Reader("video", VIDEO_SUFFIXES, _file(VideoFrames)),
     Reader("MCAP", frozenset({".mcap"}), recording=_recorded("mcap", "McapRecording")),
     Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_recorded("db3", "Db3Recording")),
     Reader("ROS 1 bag", frozenset({".bag"}), recording=_recorded("ros_bag", "RosBag")),
     _BAG_FOLDER,
-    Reader("ARIS", frozenset({".aris"}), lambda files, told: DdfFrames(files[0], told)),
-    Reader("DIDSON", frozenset({".ddf"}), lambda files, told: DdfFrames(files[0], told)),
-    Reader(
-        "Oculus", frozenset({".oculus", ".raw"}), lambda files, told: OculusPings(files[0], told)
-    ),
-    Reader("Gemini", frozenset({".glf"}), lambda files, told: GeminiPings(files[0], told)),
+    Reader("ARIS", frozenset({".aris"}), _file(DdfFrames)),
+    Reader("DIDSON", frozenset({".ddf"}), _file(DdfFrames)),
+    Reader("Oculus", frozenset({".oculus", ".raw"}), _file(OculusPings)),
+    Reader("Gemini", frozenset({".glf"}), _file(GeminiPings)),
 )
-_LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.suffixes)
+_ENDINGS = {suffix: reader for reader in READERS for suffix in sorted(reader.suffixes)}
+_LOG_ENDINGS = tuple(e for e, reader in _ENDINGS.items() if reader is not _IMAGES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +149,7 @@ class Source:
         """Open the log as messages on channels. Raises SonarrecError if it cannot be read."""
         # If a glob matches one file, that file is the log; a bag is its folder.
         file = self.path if self.reader is _BAG_FOLDER else self.files[0]
-        return _recording(self.reader, file, self.diagnostics)
+        return open_recording(file, self.diagnostics, self.reader)
 
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """(the geometry that file and flags state, its name in error messages). Raises UsageError
@@ -165,16 +167,12 @@ class Source:
         return stated, name_as_text(file or self.path)
 
 
-def open_recording(path: Path, diagnostics: Diagnostics) -> Recording:
-    """Open one file of messages. Raises SonarrecError if it is another kind or cannot be read."""
-    reader = _reader_of(path)
+def open_recording(path: Path, diagnostics: Diagnostics, reader: Reader | None = None) -> Recording:
+    """Open a bag's folder or one file of messages. Raises SonarrecError if it is another kind or
+    cannot be read."""
+    reader = reader or _reader_of(path)
     if reader.recording is None:
         raise SonarrecError(f"{path}: not a file of messages")
-    return _recording(reader, path, diagnostics)
-
-
-def _recording(reader: Reader, path: Path, diagnostics: Diagnostics) -> Recording:
-    assert reader.recording is not None
     try:
         return reader.recording(path, diagnostics)
     except OSError as error:
@@ -218,8 +216,8 @@ def log_name(path: Path) -> str:
     """The name of a log: that of a folder, or of a file without its ending."""
     if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises where permission is lacking
         return path.resolve().name
-    ending = next((e for r in READERS if (e := r.ending(path.name)) is not None), path.suffix)
-    return path.name[: len(path.name) - len(ending)] if ending else path.name
+    ending = next((e for e in _ENDINGS if path.name.lower().endswith(e)), path.suffix)
+    return path.name[: len(path.name) - len(ending)]
 
 
 def names_a_log(name: str) -> bool:
@@ -243,23 +241,20 @@ def matches(pattern: str | Path) -> list[Path]:
 
 
 def _find(path: Path, up_to: Path | None) -> Source:
-    reader = None
     files: Sequence[Path]
     if not path.exists() and glob.has_magic(str(path)):
-        files = _glob_images(path)
+        files, reader = _glob_images(path), _IMAGES
         if is_log_file(files[0]):
             return _find(files[0], up_to)
         name = files[0].parent.resolve().name
-        reader = _IMAGES
     elif path.is_dir():
-        name = path.resolve().name
+        name, reader = path.resolve().name, _IMAGES
         if is_bag_folder(path):
             files, reader = bag_files(path), _BAG_FOLDER
-        else:
-            files, reader = _folder_images(path), _IMAGES
+        elif not (files := ImagePaths(filter(is_image, path.iterdir()))):
+            raise SonarrecError(_why_no_log(path))
     elif path.is_file():
-        files = [path]
-        name = log_name(path)
+        files, name, reader = [path], log_name(path), _reader_of(path)
     elif path.exists():  # a device, a pipe
         raise UsageError(f"{path}: neither a file nor a folder")
     elif path.is_symlink():
@@ -268,19 +263,7 @@ def _find(path: Path, up_to: Path | None) -> Source:
         server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
         only = "; from servers only run, info, evaluate and report read" if server else ""
         raise MissingError(f"{path}: no such file or folder{only}")
-    reader = reader or _reader_of(path)
     return Source(path, results_name(name), files, reader, Diagnostics(path), up_to)
-
-
-def results_name(name: str) -> str:
-    """The name of the results of a log: valid on this disk, and not that of an unfinished run."""
-    try:
-        os.fsencode(text := name_as_text(name))
-    except UnicodeEncodeError:  # the locale lacks a letter, so the bytes are used as they are
-        text = name
-    if text.endswith(PART):  # a run of a log without this ending would overwrite it
-        return f"{text}_"
-    return "log" if text in ("", ".", "..") else text
 
 
 def _glob_images(pattern: Path) -> Sequence[Path]:
@@ -299,31 +282,39 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
     return files
 
 
-def _folder_images(folder: Path) -> ImagePaths:
-    if files := ImagePaths(filter(is_image, folder.iterdir())):
-        return files
+def _why_no_log(folder: Path) -> str:
+    """Why a folder is no log."""
     entries = list(folder.iterdir())
-    if not entries:
-        raise SonarrecError(f"{folder}: the folder is empty")
     logs = sorted(filter(is_log_file, entries), key=natural_order)
-    if logs:
-        raise SonarrecError(
-            f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
-        )
-    raise SonarrecError(
-        f"{folder}: no log and no image in this folder ({', '.join(sorted(IMAGE_SUFFIXES))}); "
-        "--recursive looks into the folders below"
+    why = (
+        f"no log and no image in this folder ({', '.join(sorted(IMAGE_SUFFIXES))}); --recursive "
+        "looks into the folders below"
     )
+    if not entries:
+        why = "the folder is empty"
+    elif logs:
+        why = f"a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
+    return f"{folder}: {why}"
+
+
+def results_name(name: str) -> str:
+    """The name of the results of a log: valid on this disk, and not that of an unfinished run."""
+    try:
+        os.fsencode(text := name_as_text(name))
+    except UnicodeEncodeError:  # the locale lacks a letter, so the bytes are used as they are
+        text = name
+    if text.endswith(PART):  # a run of a log without this ending would overwrite it
+        return f"{text}_"
+    return "log" if text in ("", ".", "..") else text
 
 
 def _reader_of(path: Path) -> Reader:
-    for reader in READERS:
-        if reader.ending(path.name) is not None:
+    for ending, reader in _ENDINGS.items():
+        if path.name.lower().endswith(ending):
             if reader is not _IMAGES and not path.stat().st_size:
                 raise SonarrecError(f"{path}: the file is empty (zero bytes)")
             return reader
-    known = ", ".join(s for reader in READERS for s in sorted(reader.suffixes))
     raise SonarrecError(
         f"{path}: not a kind of log this program reads "
-        f"(a folder of images or a ROS 2 bag, or a file: {known})"
+        f"(a folder of images or a ROS 2 bag, or a file: {', '.join(_ENDINGS)})"
     )
