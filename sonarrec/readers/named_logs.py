@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import itertools
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -64,39 +65,29 @@ def _logs_below(name: str, recursive: bool) -> list[NamedLog]:
             return []
         paths = list(_below(path)) if recursive else _in_folder(path)
         return _sorted(paths, path) if paths != [path] else []
-    if glob.has_magic(name) and not path.exists():
-        paths = matches(path)
-        bags = {folder for folder in {f.parent for f in paths} if is_bag_folder(folder)}
-        paths = [f.parent if f.parent in bags and is_log_file(f) else f for f in paths]
-        logs = {log for log in paths if is_log_file(log) or (log.is_dir() and _is_log(log))}
-        images = [NamedLog(name)] if paths and not logs else []
-        return [*images, *_sorted(logs, _fixed(path))]
-    return []
+    if not glob.has_magic(name) or path.exists():
+        return []
+    paths = matches(path)
+    bags = {folder for folder in {f.parent for f in paths} if is_bag_folder(folder)}
+    paths = [f.parent if f.parent in bags and is_log_file(f) else f for f in paths]
+    logs = {p for p in paths if is_log_file(p) or (p.is_dir() and (_is_bag(p) or _is_images(p)))}
+    images = [NamedLog(name)] if paths and not logs else []
+    # The folder in front of the first wildcard: dives of dives/**/*.mcap.
+    fixed = itertools.takewhile(lambda part: not glob.has_magic(part), path.parts[:-1])
+    return [*images, *_sorted(logs, Path(*fixed))]
 
 
 def _sorted(logs: Iterable[Path], up_to: Path) -> list[NamedLog]:
     return [NamedLog(str(log), up_to) for log in sorted(logs, key=natural_order)]
 
 
-def _fixed(pattern: Path) -> Path:
-    """The folder in front of the first wildcard: dives of dives/**/*.mcap."""
-    folder = Path(pattern.anchor)
-    for part in pattern.relative_to(pattern.anchor).parts[:-1]:
-        if glob.has_magic(part):
-            break
-        folder /= part
-    return folder
-
-
-def _is_log(folder: Path) -> bool:
-    """Whether a folder is one log: a bag, or images that do not belong to results."""
-    if _is_bag(folder):
-        return True
-    return not _holds_results(folder) and any(is_image(e) for e in folder.iterdir())
-
-
 def _holds_results(folder: Path) -> bool:
     return any((folder / name).exists() for name in RESULTS)
+
+
+def _is_images(folder: Path) -> bool:
+    """Whether a folder holds images that do not belong to results."""
+    return not _holds_results(folder) and any(is_image(e) for e in folder.iterdir())
 
 
 def _is_bag(folder: Path) -> bool:
@@ -123,15 +114,15 @@ def _in_folder(folder: Path) -> list[Path]:
                 image = path
             elif entry.is_dir() and _is_bag(path):
                 bags.append(path)
-    logs.sort(key=natural_order)
-    if image is not None and logs:
+    if image is None:
+        return [*logs, *bags]
+    if logs:
+        first = min(logs, key=natural_order)
         raise UsageError(
-            f"{folder}: holds images and other logs ({len(logs)}, "
-            f"{logs[0].name} the first); choose with a quoted glob, as "
-            f"'{folder}/*{image.suffix}' or "
-            f"'{folder}/*{logs[0].suffix}'"
+            f"{folder}: holds images and other logs ({len(logs)}, {first.name} the first); choose "
+            f"with a quoted glob, as '{folder}/*{image.suffix}' or '{folder}/*{first.suffix}'"
         )
-    return [folder] if image is not None else [*logs, *bags]
+    return [folder]
 
 
 def _below(top: Path) -> Iterator[Path]:
@@ -145,9 +136,7 @@ def _below(top: Path) -> Iterator[Path]:
             folders.clear()
             continue
         met.add(real)
-        seen = [f for f in folders if f[0] != "."]
-        bags = [f for f in seen if _is_bag(folder / f)]
-        folders[:] = sorted(set(seen) - set(bags), key=lambda f: ((folder / f).is_symlink(), f))
-        logs = _in_folder(folder)
-        yield from (log for log in logs if log.name not in bags)
-        yield from (folder / bag for bag in bags)
+        shown = [f for f in folders if f[0] != "."]
+        bags = {f for f in shown if _is_bag(folder / f)}
+        folders[:] = sorted(set(shown) - bags, key=lambda f: ((folder / f).is_symlink(), f))
+        yield from {*_in_folder(folder), *(folder / bag for bag in bags)}

@@ -13,7 +13,6 @@ from pytritech.util.range import calculate_range
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
-from sonarrec.readers import open_log
 from sonarrec.readers.open import find_log
 from tests.readers.test_ddf import as_fan
 from tests.support import logs
@@ -111,18 +110,6 @@ def test_upside_down_left_is_right(tmp_path: Path, whole: list[np.ndarray]) -> N
     records = [gemini_record(k, x[:, ::-1], upside_down=True) for k, x in enumerate(IMAGES)]
     found, problems = read(gemini_log(tmp_path / "a.glf", records))
     assert problems == []
-    np.testing.assert_array_equal([frame.image for frame in found], whole)
-
-
-def test_left_and_right_can_be_exchanged(tmp_path: Path, whole: list[np.ndarray]) -> None:
-    """As a note says, for no recording was at hand to see which is which."""
-    records = [gemini_record(k, image[:, ::-1]) for k, image in enumerate(IMAGES)]
-    path = gemini_log(tmp_path / "a.glf", records)
-    with open_log(path, sonar=TILT) as log:
-        next(iter(log))
-        bearings = log.sonar.bearings_deg
-    assert bearings is not None
-    found, _ = read(path, bearings_deg=bearings[::-1])
     np.testing.assert_array_equal([frame.image for frame in found], whole)
 
 

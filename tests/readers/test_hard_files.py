@@ -90,18 +90,6 @@ def test_times_beyond_every_clock(tmp_path: Path) -> None:
     assert "beyond every clock" in opened.diagnostics.problems[0]
 
 
-def test_a_quoted_glob_of_logs(tmp_path: Path) -> None:
-    messages = [("/a", k, cdr_image(i)) for k, i in enumerate(IMAGES)]
-    pattern = str(tmp_path / "dives" / "*.mcap")
-    mcap_file(tmp_path / "dives" / "dive2.mcap", messages)
-    with open_log(pattern) as opened:
-        assert opened.name == "dive2"
-        assert len(list(opened)) == 6
-    mcap_file(tmp_path / "dives" / "dive10.mcap", messages)
-    with pytest.raises(SonarrecError, match=r"matches 2 logs, dive2.mcap the first; open each"):
-        open_log(pattern)
-
-
 def jpeg(number: int) -> bytes:
     noise = np.random.default_rng(number).integers(0, 256, (120, 160), dtype=np.uint8)
     return cv2.imencode(".jpg", cv2.GaussianBlur(noise, (0, 0), 2))[1].tobytes()

@@ -18,7 +18,6 @@ from sonarrec.readers.messages.types import decoder_for
 from sonarrec.readers.raw import UnusableError
 from tests.support.logs import (
     PERIOD_NS,
-    cdr_compressed_image,
     cdr_image,
     frames,
     mcap_file,
@@ -35,14 +34,6 @@ def one(tmp_path: Path, message: bytes, **options: str) -> np.ndarray:
 
 
 # Messages
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("length", [1, 2, 4, 7])
-def test_alignment_and_byte_order(order: str, length: int, tmp_path: Path) -> None:
-    frame_id = b"f" * (length - 1) + b"\0"
-    message = cdr_image(IMAGE, order=order, frame_id=frame_id)
-    np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
 
 
 BGR = np.random.default_rng(2).integers(0, 256, (*IMAGE.shape, 3), dtype=np.uint8)
@@ -75,14 +66,6 @@ def test_colour(encoding: str, tmp_path: Path) -> None:
 )
 def test_rows_with_padding_and_with_a_wrong_step(rows: dict[str, int], tmp_path: Path) -> None:
     np.testing.assert_array_equal(one(tmp_path, cdr_image(IMAGE, **rows)), IMAGE)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("text", ["mono8; png compressed mono8", "jpeg"])
-def test_compressed_formats(text: str, tmp_path: Path) -> None:
-    data = cv2.imencode(".png", IMAGE)[1].tobytes()  # the text may lie, the data do not
-    message = cdr_compressed_image(data, text)
-    image = one(tmp_path, message, schema="sensor_msgs/msg/CompressedImage")
-    np.testing.assert_array_equal(image, IMAGE)
 
 
 def test_unusable_messages_are_skipped(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import re
 import shutil
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -117,29 +116,6 @@ def test_images_and_logs_in_one_folder(campaign: Path) -> None:
     (campaign / "map.png").unlink()
     with pytest.raises(SonarrecError, match="a folder of 2 logs"):
         find_log(campaign)
-
-
-@pytest.mark.slow
-def test_a_geometry_serves_a_campaign(campaign: Path) -> None:
-    (campaign / "sonar.toml").write_text(SONAR_TOML)
-    (campaign / "day2" / "a.sonar.toml").write_text(SONAR_TOML.replace("20.0", "21.0"))
-    told = sonarrec("run", campaign, "--recursive", "-o", "out")
-    by = {line.split(": ")[1]: line for line in told.stderr.splitlines() if ": geometry" in line}
-    assert "tilt 20 deg, height 0.68 m (campaign/sonar.toml)" in by["day1-a"]
-    assert "tilt 21 deg, height 0.68 m (campaign/day2/a.sonar.toml)" in by["day2-a"]
-    assert by["day2-a"].endswith("not used: campaign/sonar.toml")
-    assert "7 done" in told.stdout
-    assert sorted(p.name for p in Path("out").iterdir() if p.is_dir()) == [
-        "day1-a", "day2-a", "dive10", "dive2", "long", "pings", "rosbag2_x",
-    ]  # fmt: skip
-    run = tomllib.loads(Path("out/day2-a/run.toml").read_text())
-    assert run["sonar"]["tilt_deg"] == 21
-    told = sonarrec("info", "campaign/day1/*.mcap", "--quick")
-    assert "lacks" in told.stdout or "missing" in told.stdout
-    told = sonarrec("info", "campaign/**/*.mcap", "--quick")
-    assert "from campaign/sonar.toml" in told.stdout
-    # A log that is given by itself has only what lies beside it.
-    assert "lacks range_min_m" in sonarrec("run", "campaign/day1/a.mcap", code=1).stderr
 
 
 @pytest.mark.parametrize("words", ["campaign --recursive", "campaign/*"])

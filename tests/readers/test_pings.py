@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from sonarrec.runs.one import process
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.sonar import Sonar
 from tests.support import messages
-from tests.support.command import sonarrec
 from tests.support.logs import PERIOD_NS, frames, image_folder, mcap_file
 from tests.support.messages import (
     BEAMS,
@@ -92,43 +90,6 @@ def test_a_window_that_changes(tmp_path: Path) -> None:
     assert (found[1].image[inside] == 200).all()
     assert (found[2].image[inside & (range_m > 1.26)] == 200).all()
     assert (found[2].image[range_m < 1.24] == 0).all()
-
-
-def test_a_range_that_is_changed_and_back(tmp_path: Path) -> None:
-    """The note's options read the pings between, where they are as in a log of them alone."""
-    image = polar_frames(1)[0]
-    near = (FIRST_BIN + np.arange(BINS) + 0.5) * BIN_M
-    far = np.linspace(0, 12, BINS, endpoint=False) + 0.1
-    pings = [
-        messages.projected_fields(k, image)
-        | {"ranges": (near if 5 <= k < 15 else far).astype(np.float32)}
-        for k in range(20)
-    ]
-    log = log_of(tmp_path / "log.mcap", pings)
-    alone = log_of(tmp_path / "alone.mcap", pings[5:15])
-    floor = ("--tilt-deg", "20", "--height-m", "0.5")
-    told = sonarrec("run", log, *floor, "--out", tmp_path / "out", code=3).stderr
-    (note,) = (line for line in told.splitlines() if "range was changed" in line)
-    assert "--height-m" not in note
-    flags = re.search(r"--range-min-m \S+ --range-max-m \S+", note)
-    assert flags is not None
-    span = ("--frames", "5:15")
-    told = sonarrec("run", log, *floor, *span, "--out", tmp_path / "out", code=2).stderr
-    assert "no frame lies in --frames 5:15, or none that can be used (message 5 of /a: " in told
-    sonarrec("run", log, *floor, *span, *flags[0].split(), "--out", tmp_path / "part")
-    sonarrec("run", alone, *floor, "--out", tmp_path / "alone")
-    part, whole = (
-        list(csv.DictReader((tmp_path / name).open()))
-        for name in ("part/log/estimates.csv", "alone/alone/estimates.csv")
-    )
-    for row in part:
-        row["frame"] = str(int(row["frame"]) - 5)
-        row["timestamp_ns"] = str(int(row["timestamp_ns"]) - 5 * PERIOD_NS)
-    assert whole
-    assert part == whole
-    notes = read(alone, sonar=TILT)[2]
-    assert not any("range was changed" in note for note in notes)
-    assert "--height-m H" in "".join(read(log, sonar=TILT)[2])
 
 
 def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:

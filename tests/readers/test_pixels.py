@@ -232,11 +232,6 @@ def test_16_bit_logarithms_stay_linear_and_dim_ones_are_noted(tmp_path, part):
     assert read(tmp_path, [image], full_scale=65535 * part) == ("linear", [])
 
 
-def test_16_bit_images_next_to_black_are_log_without_a_note(tmp_path):
-    image = np.rint(simulated() * 65535 / 32).astype(np.uint16)
-    assert read(tmp_path, [image, 0 * image]) == ("log", [])
-
-
 @pytest.mark.parametrize("stated", [None, "linear"])
 def test_8_bit_amplitudes_are_noted_and_what_is_stated_wins(tmp_path, stated):
     images = [speckle(k, log=False) for k in range(3)]

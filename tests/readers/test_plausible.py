@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
-from sonarrec.readers.info import describe
 from sonarrec.readers.plausible import FRAMES, Plausibility
 from sonarrec.sonar import Sonar
 from tests.support.command import sample_log, sonarrec
@@ -110,13 +108,6 @@ def test_a_picture_without_a_fan_is_asked_for_polar() -> None:
     assert "is it polar, --layout polar?" in line
 
 
-@pytest.mark.parametrize("make", [np.zeros, lambda shape, kind: np.full(shape, 90, kind)])
-def test_pictures_of_nothing_tell_nothing(make: Callable[..., np.ndarray]) -> None:
-    fan = make_fan(rows=120, height_m=2.5)
-    image = make((fan.rows, fan.columns), np.uint8)
-    assert not [line for line in of_picture(image, fan) if "outside" in line]
-
-
 # What the commands make of it
 
 
@@ -144,16 +135,3 @@ def test_no_candidate_in_a_picture_that_contradicts_nothing_is_told(tmp_path: Pa
     millimetres = ("--range-min-m", "1250", "--range-max-m", "3750", "--overwrite")
     told = sonarrec("run", log, "-o", tmp_path / "out", *millimetres).stderr
     assert "a disc of basin would be 0 px wide here (are the ranges in metres?); " in told
-
-
-def test_info_says_it_too(tmp_path: Path) -> None:
-    (images,) = describe(SAMPLE / "pan", quick=True, sonar=Sonar(field_of_view_deg=18.0)).images
-    assert "outside of the stated fan" in images.notes[0]
-    (images,) = describe(SAMPLE / "pan", quick=True).images
-    assert images.notes == []
-    # An incomplete geometry is nothing to be held against the picture.
-    bare = sample_log(tmp_path / "bare", 2)
-    (bare / "sonar.toml").unlink()
-    (images,) = describe(bare, sonar=Sonar(height_m=3.0)).images
-    assert images.lacks
-    assert images.notes == []

@@ -205,18 +205,6 @@ def test_a_stated_rate_that_a_video_overrides_is_noted(
         assert any("frame_rate_hz = 25 is not used" in note for note in told) == noted
 
 
-@pytest.mark.parametrize(
-    ("suffix", "codec"), [(".avi", "MJPG"), (".mp4", "mp4v"), (".mkv", "mp4v")]
-)
-def test_lossy_video(suffix: str, codec: str, tmp_path: Path) -> None:
-    images = [cv2.GaussianBlur(i, (0, 0), 5) for i in frames(5, 64, 80)]
-    found, problems = read(video_file(tmp_path / f"log{suffix}", images, codec))
-    assert not problems
-    assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(5)]
-    for frame, image in zip(found, images, strict=True):
-        assert np.abs(frame.image.astype(int) - image).mean() < 3
-
-
 def test_polar_becomes_a_fan(tmp_path: Path) -> None:
     images = frames(3, 60, 24)
     log = image_folder(tmp_path / "log", images)

@@ -26,12 +26,7 @@ from tests.support import messages
 from tests.support.logs import cdr_image, frames, mcap_file
 from tests.support.messages import (
     DEFINITIONS,
-    OCULUS,
-    PROJECTED,
-    RAW,
-    polar_frames,
     read,
-    serialised,
 )
 
 IMAGE = frames(1)[0]
@@ -272,12 +267,3 @@ def test_the_watch_sees_code_of_a_definition() -> None:
     with compiled() as sources:
         messages.store(False).register(get_types_from_msg("int32 MARKER", "pkg/msg/Name"))
     assert any("MARKER" in source for source in sources)
-
-
-def test_a_log_without_definitions_is_read_by_ours(tmp_path: Path) -> None:
-    image = polar_frames(1)[0]
-    for name in (PROJECTED, RAW, OCULUS, "sensor_msgs/msg/Image"):
-        message = serialised(name, messages.FIELDS[name](0, image))
-        path = mcap_file(tmp_path / "log.mcap", [("/a", 0, message)], schema=name,
-                         schema_encoding="ros2idl", schema_data=b"module x {}")  # fmt: skip
-        assert read(path)[0][0].image.any()

@@ -29,7 +29,6 @@ from sonarrec.readers.decode.height import height_from_images
 from sonarrec.readers.raw import UnusableError, showing
 from sonarrec.sonar import Geometry, Sonar
 
-MANY_SKIPPED = 10  # pings of another window: then the sonar was set to it, and a note says so
 MIN_SHARED_WINDOW = 0.5
 """A ping whose window covers less of the fan's is not used."""
 SAME_BINS = 0.25
@@ -69,7 +68,6 @@ class FrameMaker:
         self._to_fan: PolarToFan | None = None
         self._order: BeamOrder | None = None  # of polar samples; None before it is found
         self._noted_against = self._noted_cut = False
-        self._skipped = 0  # pings that show too little of the fan
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame with grey pixels in the fan. Raises UnusableError if it cannot be used,
@@ -103,8 +101,7 @@ class FrameMaker:
         """
         first = showing(first)
         coloured = [f.pixels for f in first if f.pixels is not None and _in_colour(f.pixels)]
-        if self._stated.colour_map is None and coloured:
-            self._in_colour = True
+        if coloured and not self._stated.colour_map:
             self._find_map(coloured)
         if self._stated.pixel_scale is None:
             self._find_amplitudes(first)
@@ -127,6 +124,7 @@ class FrameMaker:
 
     def _find_map(self, pictures: Sequence[np.ndarray], since: str = "") -> None:
         """Find the colour map of pictures; a note names it. since: the frame, if not the first."""
+        self._in_colour = True
         self.colour_map = find_map(pictures) or LUMINANCE
         how = f"read as levels of the colour map {self.colour_map}"
         if self.colour_map == LUMINANCE:
@@ -136,10 +134,8 @@ class FrameMaker:
     def _map_of(self, frame: Frame) -> str:
         """The colour map of the log. If the first frames were grey, the first coloured one tells
         it."""
-        if not self._stated.colour_map and not self._in_colour:
-            self._in_colour = _in_colour(frame.pixels)
-            if self._in_colour:
-                self._find_map([frame.pixels], f"begin at {frame.name} after grey frames, and are ")
+        if not self._stated.colour_map and not self._in_colour and _in_colour(frame.pixels):
+            self._find_map([frame.pixels], f"begin at {frame.name} after grey frames, and are ")
         return self.colour_map
 
     def _find_amplitudes(self, first: Sequence[Frame]) -> None:
@@ -259,7 +255,6 @@ class FrameMaker:
             raise UnusableError(str(error).partition("\n")[0]) from None
         fan = to_fan.fan
         if not _covers(_ranges(window), _ranges(fan)):
-            self._skip_other_window(window)
             raise UnusableError(
                 f"its window, {window.range_min_m:.3g} to {window.range_max_m:.3g} m, shows less "
                 f"than half of the log's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
@@ -275,19 +270,6 @@ class FrameMaker:
             self._noted_against = True
             self._note(f"stated against the {self._origin}: {', '.join(against)}")
         return sonar, to_fan
-
-    def _skip_other_window(self, window: Fan) -> None:
-        """Count a ping of another window than the log's; after MANY_SKIPPED a note tells why."""
-        self._skipped += 1
-        if self._skipped == MANY_SKIPPED:
-            flags = f"--range-min-m {window.range_min_m:.5g} --range-max-m {window.range_max_m:.5g}"
-            if self._stated.height_m is None:  # else that of the first pings would be estimated
-                flags += " --height-m H"
-            self._note(
-                f"the sonar's range was changed, and pings that show too little of that "
-                f"of the first ones are skipped; to read those, run them by themselves, with "
-                f"--frames A:B {flags} and an --out of their own"
-            )
 
     def _resampler(
         self, geometry: Geometry, shape: tuple[int, int], fan: Fan | None = None

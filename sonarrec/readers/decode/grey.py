@@ -66,9 +66,8 @@ class GreyScale:
 
     def as_table(self) -> dict[str, Any]:
         """The keys of the geometry that state this scale."""
-        table = {"pixel_scale": self.pixel_scale, "full_scale": self.full_scale}
-        linear = self.pixel_scale == "linear"
-        return table if linear else table | {"dynamic_range_db": self.dynamic_range_db}
+        keys = ["pixel_scale", "full_scale", "dynamic_range_db"]
+        return {key: getattr(self, key) for key in keys[: 2 if self.pixel_scale == "linear" else 3]}
 
 
 def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarray:

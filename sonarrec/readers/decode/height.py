@@ -35,8 +35,7 @@ def height_from_images(images: Sequence[ByteImage], fan: Fan) -> float | None:
     bright near the sonar may be noise, and a window may begin beyond the nearest floor.
     """
     assert fan.height_m is None
-    picture = np.mean([_as_polar(image, fan) for image in images], axis=0)
-    range_m, levels = _levels_by_range(picture, fan)
+    range_m, levels = _levels_by_range(images, fan)
     bright = float(quantile(levels, 0.9)) if levels.size else 0.0
     if bright < DARK:
         return None
@@ -49,32 +48,20 @@ def height_from_images(images: Sequence[ByteImage], fan: Fan) -> float | None:
     return float(f"{height:.3g}") or None
 
 
-def _rings_and_bearings(fan: Fan) -> tuple[FloatArray, FloatArray]:
-    """(rings, 1) slant ranges (m) and (beams,) bearings (deg), evenly over the fan."""
-    share = (np.arange(_RINGS) + 0.5) / _RINGS
-    across = (np.arange(_BEAMS) + 0.5) / _BEAMS
-    bearings = fan.bearing_min_deg + across * (fan.bearing_max_deg - fan.bearing_min_deg)
-    return (fan.range_min_m + share * fan.window_m)[:, None], bearings
-
-
-def _as_polar(picture: FloatArray | ByteImage, fan: Fan) -> FloatArray:
-    """(rings, beams) grey levels of the fan; NaN outside of the picture."""
+def _levels_by_range(images: Sequence[ByteImage], fan: Fan) -> tuple[FloatArray, FloatArray]:
+    """(n,) slant ranges (m) that the images show, and (n,) median grey levels there."""
+    ring, beam = (np.arange(_RINGS) + 0.5) / _RINGS, (np.arange(_BEAMS) + 0.5) / _BEAMS
+    range_m = fan.range_min_m + ring * fan.window_m
+    bearings = fan.bearing_min_deg + beam * (fan.bearing_max_deg - fan.bearing_min_deg)
     column, row = (
-        np.rint(at).astype(int) for at in pixel_from_polar(fan, *_rings_and_bearings(fan))
+        np.rint(at).astype(int) for at in pixel_from_polar(fan, range_m[:, None], bearings)
     )
     inside = (column >= 0) & (column < fan.columns) & (row >= 0) & (row < fan.rows)
-    cells = picture[np.clip(row, 0, fan.rows - 1), np.clip(column, 0, fan.columns - 1)]
-    return np.where(inside, cells, np.nan)
-
-
-def _levels_by_range(picture: FloatArray, fan: Fan) -> tuple[FloatArray, FloatArray]:
-    """(n,) slant ranges (m) that the picture shows, and (n,) median grey levels there. picture: as
-    `_as_polar` gives it."""
-    is_shown = ~np.isnan(picture).all(axis=1)
-    if not is_shown.any():
-        return np.empty(0), np.empty(0)
+    cells = np.clip(row, 0, fan.rows - 1), np.clip(column, 0, fan.columns - 1)
+    polar = np.where(inside, np.mean([image[cells] for image in images], axis=0), np.nan)
+    is_shown = inside.any(axis=1)
     # Sorting puts NaN last. nanmedian would load numpy.ma, and nanquantile goes row by row.
-    ordered = np.sort(picture[is_shown], axis=1)
-    row, count = np.arange(len(ordered)), np.count_nonzero(~np.isnan(ordered), axis=1)
-    lower, upper = ordered[row, (count - 1) // 2], ordered[row, count // 2]
-    return _rings_and_bearings(fan)[0][is_shown, 0], upper - (upper - lower) / 2
+    ordered, count = np.sort(polar[is_shown], axis=1), np.count_nonzero(inside[is_shown], axis=1)
+    rows = np.arange(len(ordered))
+    lower, upper = ordered[rows, (count - 1) // 2], ordered[rows, count // 2]
+    return range_m[is_shown], upper - (upper - lower) / 2

@@ -17,10 +17,19 @@ import numpy as np
 from sonarrec.readers.raw import UnusableError
 
 
+@cache
+def _warnings_file() -> BinaryIO:
+    """The temporary file to which the decoders' warnings go."""
+    return tempfile.TemporaryFile(prefix="sonarrec_", buffering=0)
+
+
 @contextlib.contextmanager
-def _stderr_to(file: int) -> Iterator[None]:
-    """Sends file descriptor 2 to another: decoders write there past every logging setting."""
-    if file == 2:  # stderr was closed when the other was opened
+def _warnings_to(file: BinaryIO) -> Iterator[None]:
+    """Sends file descriptor 2 to an emptied file: decoders write there past every logging
+    setting."""
+    file.seek(0)
+    file.truncate()
+    if file.fileno() == 2:  # stderr was closed when the file was opened
         yield
         return
     try:
@@ -28,7 +37,7 @@ def _stderr_to(file: int) -> Iterator[None]:
     except OSError:  # it is closed
         saved = None
     try:
-        os.dup2(file, 2)
+        os.dup2(file.fileno(), 2)
         yield
     finally:
         if saved is None:
@@ -36,12 +45,6 @@ def _stderr_to(file: int) -> Iterator[None]:
         else:
             os.dup2(saved, 2)
             os.close(saved)
-
-
-@cache
-def _warnings_file() -> BinaryIO:
-    """The temporary file to which the decoders' warnings go."""
-    return tempfile.TemporaryFile(prefix="sonarrec_", buffering=0)
 
 
 _JPEG = b"\xff\xd8"
@@ -132,59 +135,43 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
             raise UnusableError("unreadable image")
         if not chunks & _TURNED_OR_TRANSPARENT and (plain := _plain_png(buffer.data)) is not None:
             return plain
-    is_tiff = buffer[:4].tobytes() in _TIFFS
+    is_tiff, several = buffer[:4].tobytes() in _TIFFS, False
     flags = cv2.IMREAD_UNCHANGED if is_tiff else _AS_SHOWN
-    several = False
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        warnings = _warnings_file()
-        with _stderr_to(warnings.fileno()):
+        with _warnings_to(told := _warnings_file()):
             image = cv2.imdecode(buffer, flags)
             if is_tiff:
                 several = cv2.imdecodemulti(buffer, cv2.IMREAD_REDUCED_GRAYSCALE_8, range=(1, 2))[0]
-        warning = b""
-        if warnings.tell():
-            warnings.seek(0)
-            warning = warnings.read(4096)
-            warnings.seek(0)
-            warnings.truncate()
     except cv2.error as error:
         if "CV_IO_MAX_IMAGE" in str(error):  # see sonarrec/__init__.py
             raise UnusableError("an image of more than 4096 x 4096 pixels") from None
-        image = None
+        raise UnusableError("unreadable image") from None
     if image is None:
         raise UnusableError("unreadable image")
-    if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
-        raise UnusableError("a JPEG that is damaged inside")
     if several:
         raise UnusableError("a TIFF of several images; one image a file is read")
+    if told.tell():
+        told.seek(0)
+        warning = told.read(4096)
+        if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
+            raise UnusableError("a JPEG that is damaged inside")
     return np.asarray(image)
 
 
+# Type of a sample without byte order, channels, and whether red is the first.
 _RAW_ENCODINGS: dict[str, tuple[str, int, bool]] = {
-    # encoding: (dtype without byte order, channels, red first)
-    "mono8": ("u1", 1, False),
-    "8UC1": ("u1", 1, False),
-    "mono16": ("u2", 1, False),
-    "16UC1": ("u2", 1, False),
-    "32FC1": ("f4", 1, False),
-    "64FC1": ("f8", 1, False),
-    "8UC3": ("u1", 3, False),
-    "8UC4": ("u1", 4, False),
-    "bgr8": ("u1", 3, False),
-    "rgb8": ("u1", 3, True),
-    "bgra8": ("u1", 4, False),
-    "rgba8": ("u1", 4, True),
+    **dict.fromkeys(("mono8", "8UC1"), ("u1", 1, False)),
+    **dict.fromkeys(("mono16", "16UC1"), ("u2", 1, False)),
+    **{"32FC1": ("f4", 1, False), "64FC1": ("f8", 1, False)},
+    **dict.fromkeys(("8UC3", "bgr8"), ("u1", 3, False)),
+    **dict.fromkeys(("8UC4", "bgra8"), ("u1", 4, False)),
+    **{"rgb8": ("u1", 3, True), "rgba8": ("u1", 4, True)},
 }
 
 
 def raw_pixels(
-    data: memoryview | bytes,
-    height: int,
-    width: int,
-    encoding: str,
-    step: int,
-    big_endian: bool,
+    data: memoryview, height: int, width: int, encoding: str, step: int, big_endian: bool
 ) -> np.ndarray:
     """The pixels of an uncompressed image message, without a copy if they are in BGR order.
 
@@ -206,13 +193,9 @@ def raw_pixels(
                 f"{width} x {height} {encoding} pixels do not fit {len(data)} bytes (step {step})"
             )
         step = row
-    step = min(step, len(data))  # with a single row it may be anything
-    pixels: np.ndarray = np.ndarray(
-        (height, width, channels),
-        dtype,
-        buffer=data,
-        strides=(step, channels * dtype.itemsize, dtype.itemsize),
-    )
+    # With a single row the step may be anything.
+    strides = min(step, len(data)), channels * dtype.itemsize, dtype.itemsize
+    pixels: np.ndarray = np.ndarray((height, width, channels), dtype, data, strides=strides)
     if red_first:
         pixels = pixels[:, :, [2, 1, 0, 3][:channels]]
     return pixels[:, :, 0] if channels == 1 else pixels
