@@ -9,7 +9,6 @@ here: tests/runs/test_remote.py has servers.
 from __future__ import annotations
 
 import csv
-import json
 import os
 import re
 import shlex
@@ -193,29 +192,6 @@ def test_help_lists_and_prints_the_pages() -> None:
         assert words[0] == words[1]
 
 
-def test_help_as_html(tmp_path: Path) -> None:
-    """Every page is there, its links lead to pages, and no file needs another or a network."""
-    folder = tmp_path / "manual"
-    for _ in range(2):
-        told = CliRunner().invoke(main, ["help", "--html", str(folder)]).stdout
-        assert told == f"{folder / 'index.html'}: {len(PAGES)} pages\n"
-    files = {path.stem: path.read_text(encoding="utf-8") for path in folder.iterdir()}
-    assert set(files) == {*PAGES, "index"}
-    for name, text in files.items():
-        links = re.findall(r' (?:href|src|action)="(.*?)"', text)
-        assert {link.partition(".html")[0] for link in links} <= set(files), name
-        assert not re.search(r"sonarrec help\s+[a-z]+</code>", text), name
-        assert "`" not in re.sub(r"<script>.*", "", text, flags=re.DOTALL), name
-    assert sum(map(len, files.values())) < 10**6
-    found, _ = json.JSONDecoder().raw_decode(files["index"].partition("const found = ")[2])
-    assert {row["page"] for row in found} == set(PAGES)
-    assert all(f'id="{row["at"]}"' in files[row["page"]] for row in found if row["at"])
-    (folder / "run.html").write_text("mine")
-    refused = CliRunner().invoke(main, ["help", "--html", str(folder)])
-    assert refused.exit_code == 2
-    assert "run.html: exists and is no manual of sonarrec" in refused.stderr
-
-
 def test_an_unknown_page_names_the_known_ones() -> None:
     result = CliRunner().invoke(main, ["help", "formts"])
     assert result.exit_code == 2
@@ -327,3 +303,11 @@ def test_what_is_gone_is_answered_with_what_to_use() -> None:
         done = CliRunner().invoke(main, [*words, gone])
         assert done.exit_code == 2
         assert f"`{gone}`" in done.stderr.partition(" Gone: ")[2].replace("run --tables", gone)
+
+
+def test_files_that_the_page_for_developers_names_are_there() -> None:
+    text = PAGES["develop"].read_text(encoding="utf-8").partition("## How to add")[0]
+    rows = "\n".join(line for line in text.splitlines() if line.startswith("    "))
+    named = re.findall(r"(?<![\w/])((?:[a-z_0-9]+/)*[a-z_0-9]+\.py)\b", rows)
+    assert len(named) > 20
+    assert not [file for file in named if not (ROOT / "sonarrec" / file).exists()]

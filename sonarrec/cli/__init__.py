@@ -52,8 +52,8 @@ class _Program(click.Group):
         except SonarrecError as error:
             tell([str(error)])
             ctx.exit(2 if isinstance(error, UsageError) else 1)
-        except KeyboardInterrupt as error:
-            tell(["; ".join(["stopped", *getattr(error, "__notes__", [])])])
+        except KeyboardInterrupt:
+            tell(["stopped"])
             ctx.exit(INTERRUPTED)
         except OSError as error:
             if error.filename is not None:  # usually a folder without permission

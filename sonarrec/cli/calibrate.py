@@ -51,7 +51,7 @@ def calibrate(
     check_output(out, "model", [*log, ground_truth])
     config = settings.config()
     # As in `run`, a run.toml also gives the landmark set and the geometry.
-    earlier = read_run(settings.file)
+    earlier = read_run(settings.config_file)
     log_options = earlier.complete(LogOptions(**reading), same_log=False)
     with progress(quiet) as step:
         report = learn(

@@ -95,7 +95,7 @@ def check(
     from sonarrec.evaluation.check_file import is_recorded, read_check
 
     one = read_check(file)
-    if update and any(value not in (None, ()) for value in settings.values.values()):
+    if update and settings != options.SettingsChoice(None, None, ()):
         raise UsageError(
             f"--update records what {file} says; write the settings there: preset, config, set"
         )
@@ -143,15 +143,14 @@ def _tasks(
     from sonarrec.runs.prepare import RunOptions
     from sonarrec.runs.task import Task
 
-    given, file = settings.values, one.file
+    file = one.file
     chosen = options.SettingsChoice(
-        {
-            "preset": given["preset"] or file.preset,
-            "config_file": given["config_file"] or one.beside(file.config),
-            "assignments": (*file.set, *given["assignments"]),
-        }
+        settings.preset or file.preset,
+        settings.config_file or one.beside(file.config),
+        (*file.set, *settings.assignments),
     )
-    run_options = RunOptions(chosen.configs(), one.landmarks, one.beside(file.model), chosen.file)
+    configs, model = chosen.configs(), one.beside(file.model)
+    run_options = RunOptions(configs, one.landmarks, model, chosen.config_file)
     run_options.check()
     # Anew in any case: it is the program that may have changed, not the settings.
     return [

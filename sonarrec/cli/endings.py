@@ -9,12 +9,11 @@ import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import NoReturn
 
 import click
 
-from sonarrec.errors import name_as_text, number_of, printable
+from sonarrec.errors import number_of, printable
 
 FAILED = 1  # nothing could be used
 MISUSED = 2  # an option is invalid, or an input does not exist
@@ -71,20 +70,6 @@ def leave(code: int) -> NoReturn:
 def styled(text: str, **style: object) -> str:
     """The text in a colour or in bold, which only a terminal shows (see no-color.org)."""
     return text if os.environ.get("NO_COLOR") else click.style(text, **style)  # type: ignore[arg-type]
-
-
-@contextmanager
-def naming_leftovers(*places: Path) -> Iterator[None]:
-    """If Ctrl-C stops the block, say which of these outputs exist.
-
-    The user must remove them before the next call, which refuses to overwrite them.
-    """
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        if leftovers := ", ".join(name_as_text(place) for place in places if place.exists()):
-            error.add_note(f"the output so far is in {leftovers}; remove it to start again")
-        raise
 
 
 @contextmanager

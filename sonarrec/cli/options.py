@@ -5,8 +5,8 @@ An option that stands for several, such as `settings`, hands the command one obj
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, get_args
 
@@ -35,6 +35,11 @@ if TYPE_CHECKING:
     from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.sonar import Sonar
+
+
+def _module(name: str) -> Any:
+    """A module of the package that is loaded only where it is needed."""
+    return import_module(f"sonarrec.{name}")
 
 
 # Logs: which, and how they are read
@@ -212,13 +217,10 @@ def numbers(flag: str, text: str, count: int | None = None) -> list[float]:
 # Landmarks, results and truth
 
 
-def _landmark_sets() -> list[str]:
-    from sonarrec.landmarks import BUILT_IN
-
-    return sorted(file.stem for file in BUILT_IN.glob("*.toml"))
-
-
-landmark_sets = names_of(_landmark_sets, or_files=True)
+landmark_sets = names_of(
+    lambda: sorted(file.stem for file in _module("landmarks").BUILT_IN.glob("*.toml")),
+    or_files=True,
+)
 landmarks = in_input(
     "--landmarks",
     shell_complete=landmark_sets,
@@ -339,23 +341,11 @@ limits = as_one("limits", _LIMITS, _limits)
 # Settings
 
 
-def _presets() -> tuple[str, ...]:
-    from sonarrec.config import PRESETS
-
-    return (*PRESETS,)
-
-
-def _settings() -> Iterator[str]:
-    from sonarrec.config import setting_names
-
-    return (f"{name}=" for name in setting_names())
-
-
 _SETTINGS = {
     "preset": in_settings(
         "--preset",
         metavar="NAME[,NAME]",
-        shell_complete=names_of(_presets),
+        shell_complete=names_of(lambda: _module("config").PRESETS),
         help="default (frame by frame), offline (results are revised by what the log shows later) "
         "or paper (every rule as published). `sonarrec run` takes several.",
     ),
@@ -368,7 +358,7 @@ _SETTINGS = {
         "--set assignments",
         multiple=True,
         metavar="STAGE.KEY=VALUE",
-        shell_complete=names_of(_settings),
+        shell_complete=names_of(lambda: [f"{name}=" for name in _module("config").setting_names()]),
         help="Change one setting; repeatable. All: `sonarrec config`.",
     ),
 }
@@ -378,21 +368,16 @@ _SETTINGS = {
 class SettingsChoice:
     """The settings as given on the command line."""
 
-    values: Mapping[str, Any]
-
-    @property
-    def file(self) -> Path | None:
-        """The settings file, or the run.toml of an earlier run."""
-        file: Path | None = self.values["config_file"]
-        return file
+    preset: str | None
+    config_file: Path | None  # of settings, or the run.toml of an earlier run
+    assignments: tuple[str, ...]
 
     def configs(self) -> list[Config]:
         """A Config per preset, changed by the file, then by --set."""
         from sonarrec import config
 
-        preset = self.values["preset"]
-        chosen = config.configs(preset.split(",") if preset else [], self.file)
-        return [config.with_assignments(c, self.values["assignments"]) for c in chosen]
+        chosen = config.configs(self.preset.split(",") if self.preset else [], self.config_file)
+        return [config.with_assignments(c, self.assignments) for c in chosen]
 
     def config(self) -> Config:
         """The only Config. Raises UsageError if several presets are given."""
@@ -402,7 +387,7 @@ class SettingsChoice:
         return first
 
 
-settings = as_one("settings", _SETTINGS, SettingsChoice)
+settings = as_one("settings", _SETTINGS, lambda values: SettingsChoice(**values))
 
 # Output
 

@@ -177,7 +177,7 @@ def run(
     log_options = LogOptions(
         **reading, odometry=odometry, odometry_topic=odometry_topic, frames=frames
     )
-    run_options = RunOptions(settings.configs(), landmarks, model, settings.file)
+    run_options = RunOptions(settings.configs(), landmarks, model, settings.config_file)
     run_options.check()
     logs = options.named_logs(log, from_file, recursive)
     if odometry is not None and len(logs) > 1:
@@ -416,18 +416,9 @@ class Printer:
         from sonarrec.results.sightings import sightings_in
 
         summary, file = outcome.summary, outcome.summary.folder / "sightings.csv"
-        sightings = sightings_in(file) if file.is_file() else summary.sightings  # on a server
-        return document | {
-            "folder": outcome.folder,
-            "up_to_date": summary.up_to_date,
-            "frames": summary.frames,
-            "candidates": summary.candidates,
-            "sightings": [
-                {k: None if v != v else v for k, v in asdict(one).items()} for one in sightings
-            ],
-            "problems": summary.problems,
-            "notes": summary.notes,
-        }
+        found = map(asdict, sightings_in(file) if file.is_file() else summary.sightings)
+        known = [{k: None if v != v else v for k, v in one.items()} for one in found]  # not nan
+        return document | asdict(summary) | {"folder": outcome.folder, "sightings": known}
 
     def exit_code(self) -> int:
         """The exit code of the call, after all have ended."""

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import naming_leftovers, progress, say
-from sonarrec.cli.groups import ANY, command, file_names, in_input, in_output
+from sonarrec.cli.endings import progress, say
+from sonarrec.cli.groups import ANY, command, file_names, in_input
 from sonarrec.errors import number_of
 
 
@@ -26,11 +26,6 @@ from sonarrec.errors import number_of
     metavar="N",
     help="Number of frames, in place of that of the scene.",
 )
-@in_output(
-    "--format image_format",
-    type=click.Choice(["png", "mcap"]),
-    help="A folder of images, or one MCAP file.  [default: mcap if OUT ends in .mcap, else png]",
-)
 @options.out(
     ANY,
     "Folder for the recording, or NAME.mcap for one file with its companions beside it.",
@@ -41,7 +36,6 @@ def simulate(
     source: str,
     seed: int | None,
     frames: int | None,
-    image_format: str | None,
     out: Path,
     quiet: bool,
 ) -> None:
@@ -65,9 +59,7 @@ def simulate(
         scene = replace(scene, seed=seed)
     if frames is not None:
         scene = replace(scene, frames=frames)
-    image_format = image_format or ("mcap" if out.suffix == ".mcap" else "png")
-    outputs = [out, out.with_suffix(".gt.csv")] if out.suffix == ".mcap" else [out]
-    with naming_leftovers(*outputs), progress(quiet, scene.frames) as step:
-        write_recording(scene, out, image_format, progress=lambda _: step())
+    with progress(quiet, scene.frames) as step:
+        write_recording(scene, out, progress=lambda _: step())
     if not quiet:
         say(f"{out}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")

@@ -33,13 +33,14 @@ def simulate(
     *,
     seed: int | None = None,
     frames: int | None = None,
-    image_format: str = "png",
+    image_format: str | None = None,
 ) -> Path:
     """Render a recording with known truth into `out`, and return it.
 
     scene: the name of a built-in one, a TOML file or a Scene. out: a new folder, or NAME.mcap.
-    seed, frames: replace those of the scene. image_format: "png" or "mcap". Raises SonarrecError
-    if the scene cannot be used, or if `out` cannot be written or is in use.
+    seed, frames: replace those of the scene. image_format: "png" or "mcap"; default: by the ending
+    of `out`. Raises SonarrecError if the scene cannot be used, or if `out` cannot be written or is
+    in use.
     """
     chosen = load_scene(scene) if isinstance(scene, str | Path) else scene
     changed = {"seed": seed, "frames": frames}
@@ -51,7 +52,7 @@ def simulate(
 def write_recording(
     scene: AnyScene,
     out: Path,
-    image_format: str = "png",
+    image_format: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> None:
     """Write frames, sonar.toml, gt.csv and scene.toml; of plates corners.csv and no scene.toml.
@@ -64,6 +65,7 @@ def write_recording(
     """
     from sonarrec.simulation.mcap import McapWriter
 
+    image_format = image_format or ("mcap" if out.suffix == ".mcap" else "png")
     if image_format not in ("png", "mcap"):
         raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
     plates, mcap = isinstance(scene, PlateScene), image_format == "mcap"
@@ -71,7 +73,7 @@ def write_recording(
         raise UsageError("recordings of plates are written as PNGs; give a folder, not an MCAP")
     single_file = out.suffix == ".mcap"
     if single_file and not mcap:
-        raise UsageError(f"{out}: a name ending in .mcap needs --format mcap")
+        raise UsageError(f"{out}: a name ending in .mcap is of an MCAP, not of PNGs")
     if single_file and out.is_dir():
         raise SonarrecError(f"{out}: is a folder; choose another --out")
     sonar = scene_sonar(scene)

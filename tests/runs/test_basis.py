@@ -93,8 +93,7 @@ def test_a_scene_s_own_landmarks_need_not_be_named(out: str) -> None:
     )
     placed = "[[landmark]]\nid = 13\nground_m = 2.0\nazimuth_deg = 0.0\norientation_deg = 40.0\n"
     Path("mine.toml").write_text(SIX + text + placed)
-    form = ["--format", "mcap"] if out.endswith(".mcap") else []
-    sonarrec("simulate", "--scene", "mine.toml", "-o", out, *form)
+    sonarrec("simulate", "--scene", "mine.toml", "-o", out)
     (told,) = lines(sonarrec("run", out, "-o", "out").stderr)
     file = "log/landmarks.toml" if out == "log" else "log.landmarks.toml"
     assert f"landmarks six ({file})" in told

@@ -125,7 +125,7 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
             (f"map {TABLES} -o", "folder"),
             (f"truth propose {TABLES} -o", "gt.csv"),
             (f"overlay log {TABLES} -o", "o.mcap"),
-            ("simulate --frames 2 --scene basin --format mcap -o", "s.mcap"),
+            ("simulate --frames 2 --scene basin -o", "s.mcap"),
         ],
         4,
     ),
