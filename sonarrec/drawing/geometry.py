@@ -73,8 +73,7 @@ def draw_preview(
 
     image: (fan.rows, fan.columns) uint8. The near edge of the floor is drawn at the slant range of
     the height; nothing nearer can be floor. The discs are at a sixth, half and five sixths of the
-    window.
-    height_stated: whether the fan's height is stated, or was estimated.
+    window. height_stated: whether the fan's height is stated, or was estimated.
     Returns (rows, columns, 3) uint8 BGR: the frame as from draw_frame, with a legend below.
     """
     pen = pen_on(image, fan)
@@ -89,26 +88,20 @@ def draw_preview(
         column, row = pixel_from_polar(fan, fan.range_min_m + share * fan.window_m, bearing)
         outline = disc_outline(fan, landmarks.radius_m, float(column), float(row))
         pen.line(outline, TRUTH, 1, closed=True)
-    return draw_picture(
-        pen.canvas, _legend(fan, landmarks, max(pen.canvas.shape[1], 512), height_stated)
-    )
-
-
-def _legend(fan: Fan, landmarks: LandmarkSet, width: int, height_stated: bool) -> ByteImage:
-    """(rows, width, 3) lines that state the geometry, in the colours of what is drawn."""
-    unit = pixel_unit(width)
+    # A legend, in the colours of what is drawn.
     assumed = "" if height_stated else ", estimated (no height is stated)"
-    begins = floor_depth(fan)
     window = f"{fan.range_min_m:.4g} to {fan.range_max_m:.4g} m"
-    where = ": nearer than the window" if begins < fan.range_min_m else ""
+    where = ": nearer than the window" if near < fan.range_min_m else ""
     bearings = f"{fan.bearing_min_deg:.3g} to {fan.bearing_max_deg:.3g} deg"
     disc = f"{2 * landmarks.radius_m:.3g} m, {disc_width_px(fan, landmarks):.0f} px wide"
     lines = (
         (f"stated: {window}, {bearings}, tilt {fan.tilt_deg:g} deg", GRID),
-        (f"floor from {begins:.3g} m{where}{assumed}", FLOOR),
+        (f"floor from {near:.3g} m{where}{assumed}", FLOOR),
         (f"disc of {landmarks.name}: {disc} in mid-window", TRUTH),
     )
-    pen = Pen(np.zeros((round((len(lines) * 18 + 8) * unit), width, 3), np.uint8), unit)
+    width = max(pen.canvas.shape[1], 512)
+    unit = pixel_unit(width)
+    legend = Pen(np.zeros((round((len(lines) * 18 + 8) * unit), width, 3), np.uint8), unit)
     for n, (text, colour) in enumerate(lines):
-        pen.text(text, (6 * unit, (18 * n + 16) * unit), colour)
-    return pen.canvas
+        legend.text(text, (6 * unit, (18 * n + 16) * unit), colour)
+    return draw_picture(pen.canvas, legend.canvas)

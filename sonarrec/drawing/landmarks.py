@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from html import escape
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -39,8 +39,7 @@ SHEET_MARK = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Distance:
+class Distance(NamedTuple):
     """How far two IDs are apart, at the rotation (and hand) at which they differ least.
 
     drawn: share of the symbol's area, or of the plate's, in which they differ. seen: the same of
@@ -127,8 +126,8 @@ def _views(plates: BoolArray | ByteImage, landmarks: DrawnSet) -> Iterator[np.nd
 
 
 def _enlarged(drawing: BoolArray) -> ByteImage:
-    size = (PLATE_GRID, PLATE_GRID)
-    return np.asarray(cv2.resize(drawing.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST))
+    cells, size = drawing.astype(np.uint8), (PLATE_GRID, PLATE_GRID)
+    return np.asarray(cv2.resize(cells, size, interpolation=cv2.INTER_NEAREST))
 
 
 def _smeared(plate: np.ndarray, beam_m: float, landmarks: DrawnSet) -> FloatImage:

@@ -22,6 +22,7 @@ from sonarrec.tables.outputs import replaced, with_mark, writing
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
+Point = FloatArray | tuple[float, float]
 
 # Okabe and Ito's colours, distinct with any colour vision; first those that stand out on black.
 OKABE_ITO: tuple[Colour, ...] = (
@@ -67,11 +68,6 @@ def disc_outline(fan: Fan, radius_m: float, x_px: float, y_px: float) -> FloatAr
     outline = np.column_stack(pixel_from_polar(fan, range_m, np.degrees(np.arctan2(across, along))))
     drawn_at = np.array(pixel_from_polar(fan, floor_m, bearing_deg))
     return np.asarray(outline + np.array([x_px, y_px]) - drawn_at)
-
-
-def enlargement(fan: Fan) -> int:
-    """Whole number of times that draw_frame enlarges a fan image to be legible."""
-    return -(-_SMALLEST // max(fan.rows, fan.columns))
 
 
 def pixel_unit(longer_side: int) -> float:
@@ -125,13 +121,7 @@ class Pen:
         self.canvas[rows, max(0, round(x) - 3) : round(x + width) + 3] //= 4
         self.text(text, (x, y), colour)
 
-    def note(
-        self,
-        text: str,
-        point: FloatArray | tuple[float, float],
-        colour: Colour,
-        centred: bool = False,
-    ) -> None:
+    def note(self, text: str, point: Point, colour: Colour, centred: bool = False) -> None:
         """Write at a point of the image (its bottom left, or middle), inside the picture."""
         (width, height), _ = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
         x, y = self._enlarged(np.asarray(point, float))
@@ -142,9 +132,7 @@ class Pen:
         self.canvas[rows, max(0, round(x) - 1) : round(x + width) + 1] //= 3
         self.text(text, (x, y), colour)
 
-    def text(
-        self, text: str, corner: tuple[float, float], colour: Colour, align_right: bool = False
-    ) -> None:
+    def text(self, text: str, corner: Point, colour: Colour, align_right: bool = False) -> None:
         """Write from the bottom-left (or right) corner of the text, in pixels of the canvas."""
         width = int(cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)[0][0])
         left = round(corner[0]) - (width if align_right else 0)
@@ -154,7 +142,7 @@ class Pen:
 
 def pen_on(image: ByteImage, fan: Fan) -> Pen:
     """A pen that draws in fan pixels on the image, enlarged to be legible."""
-    scale = enlargement(fan)
+    scale = -(-_SMALLEST // max(fan.rows, fan.columns))
     size = (fan.columns * scale, fan.rows * scale)
     enlarged = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
     return Pen(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2BGR), pixel_unit(max(size)), scale)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,8 +34,7 @@ STRIP_FRAMES = 120
 _TICK_FRAMES = 20  # between ticks of the strip's time axis
 
 
-@dataclass(frozen=True, slots=True)
-class Mark:
+class Mark(NamedTuple):
     """A landmark of the ground truth, at (x_px, y_px) of the fan image."""
 
     landmark: int
@@ -56,15 +56,10 @@ def trails(history: Sequence[Moment]) -> dict[int, FloatArray]:
 
     Only of methods that follow objects: numbers of single-frame candidates say nothing.
     """
-    paths: dict[int, list[tuple[float, float]]] = {
-        e.object: [] for e in history[-1].estimates if e.followed
-    }
-    for result in history:
-        if history[-1].index - result.index <= TRAIL_FRAMES:
-            for e in result.estimates:
-                if e.object in paths:
-                    paths[e.object].append((e.x_px, e.y_px))
-    return {number: np.array(path) for number, path in paths.items()}
+    latest = [m for m in history if history[-1].index - m.index <= TRAIL_FRAMES]
+    known = [e for moment in latest for e in moment.estimates]
+    numbers = [e.object for e in history[-1].estimates if e.followed]
+    return {n: np.array([(e.x_px, e.y_px) for e in known if e.object == n]) for n in numbers}
 
 
 def caption(estimate: Estimate, landmarks: LandmarkSet, *, score: bool = False) -> str:
@@ -103,7 +98,7 @@ def draw_frame(
 
     image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
     and grey. paths: as `trails` gives them. truth: dashed white. score: in place of probabilities.
-    Returns (rows, columns, 3) uint8 BGR, both sides `enlargement` times the fan's.
+    Returns (rows, columns, 3) uint8 BGR, both sides a whole factor of the fan's.
     """
     pen = pen_on(image, fan)
     colours = landmark_colours(landmarks.ids)

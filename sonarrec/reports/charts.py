@@ -69,12 +69,8 @@ class Chart(NamedTuple):
     y_label: str = ""
 
 
-class Lane(NamedTuple):
-    """One row of a timeline: truth or a method, for one ID or one track."""
-
-    name: str
-    chart: Chart
-    is_truth: bool
+Lane = tuple[str, Chart, bool]
+"""One row of a timeline, for one ID or one track: its name, and whether it is of the truth."""
 
 
 class Axis(NamedTuple):
@@ -109,9 +105,6 @@ def track_axis(log: ReportedLog, track: Track) -> Axis:
     return Axis(float(time[0]) - log.period / 2, float(time[-1]) + log.period / 2)
 
 
-# Charts
-
-
 def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
     """For each ID (index) that is in view or declared: rows of truth, the tracker, other methods.
 
@@ -129,7 +122,7 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
             there |= in_view.any()
             frames = f"{int(in_view.sum())} of {number_of(len(in_view), 'frame')}"
             bar = Shape(bars(axis, log.time, log.period, in_view.astype(float)), None, "bar")
-            lanes.append(Lane("truth", Chart(f"ID.{landmark} is in view in {frames}", [bar]), True))
+            lanes.append(("truth", Chart(f"ID.{landmark} is in view in {frames}", [bar]), True))
         for method in order:
             lanes.append(_method_lane(log, k, method, mine & log.of_method(method)))
         if there:
@@ -149,7 +142,7 @@ def _method_lane(log: ReportedLog, k: int, method: str, declared: BoolArray) -> 
     claims = len(np.unique(results.frame_index[declared]))
     frames = number_of(len(surest), "frame")
     text = f"{method} declares ID.{log.ids[k]} in {claims} of {frames}"
-    return Lane(method, Chart(text, shapes), False)
+    return method, Chart(text, shapes), False
 
 
 def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
@@ -168,7 +161,7 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
         truth, frames = true_landmark(log, track), number_of(len(start), "frame")
         text = f"track {track.number}, {frames}, best score {float(score.max()):.2f}"
         name = f"{track.number}" + ("" if truth is None else f" (on ID.{truth})")
-        lanes.append(Lane(name, Chart(text, shapes), truth is not None))
+        lanes.append((name, Chart(text, shapes), truth is not None))
     return lanes
 
 
@@ -243,9 +236,6 @@ def truth_strip(log: ReportedLog, track: Track) -> Chart | None:
         for k in np.unique(beneath[beneath >= 0]).tolist()
     ]
     return Chart("the landmark that truly lies here", shapes)
-
-
-# Paths
 
 
 def polyline(x: FloatArray, y: FloatArray) -> str:

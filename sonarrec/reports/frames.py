@@ -238,8 +238,8 @@ def _draw(
 ) -> None:
     """Draw a picture. said: the estimates of its method."""
     truth = truth if picture.wrong else ()
-    landmarks = log.results.landmarks
-    drawn = draw_frame(frame.image, frame.fan, landmarks, said, truth=truth, score=True)
+    of = frame.image, frame.fan, log.results.landmarks
+    drawn = draw_frame(*of, said, truth=truth, score=True)
     image = _shrunk(drawn, PICTURE_PX)
     parts = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in said if e.declared]
     parts += [f"truth holds ID.{mark.landmark}" for mark in truth]

@@ -81,9 +81,8 @@ class ReportedLog:
     @cached_property
     def in_view(self) -> BoolArray | None:
         """(F, K) which landmarks count as in view; None without truth."""
-        if self.matched is None:
-            return None
-        return self._present(self.matched, self.matched.truth_positive)
+        of = self.matched
+        return None if of is None else self._present(of, of.truth_positive)
 
     @cached_property
     def false(self) -> BoolArray | None:

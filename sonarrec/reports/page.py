@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 import math
+from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from heapq import nlargest
 from importlib.resources import files
@@ -62,8 +62,8 @@ def render(
     """The whole page as HTML.
 
     logs: those with panels. evaluation: of all logs; it and truth are None without ground truth.
-    wrong: the mistakes of each method. pictures, shown: of the recordings. unused: a
-    line for each part of the input that could not be used. logs_in_all: also those without panels.
+    wrong: the mistakes of each method. pictures, shown: of the recordings. unused: a line for each
+    part of the input that could not be used. logs_in_all: also those without panels.
     """
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
@@ -73,7 +73,7 @@ def render(
     homes = {log.results.run.path.parents[len(logs) > 1] for log in logs}
     drawn, map_picture = min(homes) / "map" / "map.png", None
     if len(homes) == 1 and drawn.is_file():
-        map_picture = f"data:image/png;base64,{_base64(drawn.read_bytes())}"
+        map_picture = f"data:image/png;base64,{b64encode(drawn.read_bytes()).decode()}"
     names = ", ".join(log.name for log in logs[:3]) + (", ..." if logs[3:] else "")
     colours = landmark_colours(landmarks.ids).values()
     seen = {"seen": "What was seen, when and with what score"}
@@ -121,20 +121,14 @@ def render(
         unused=_first(unused),
         logs_in_all=logs_in_all,
         counts=evaluation and evaluation.counts,
-        surest=[p for p in pictures if p.group == "surest"],
-        rarest=[p for p in pictures if p.group == "rarest"],
-        mistake_pictures=[p for p in pictures if p.group == "mistake"],
+        pictures=pictures,
         held={log["name"]: n for n, log in enumerate(shown)},
         shown=shown,
         shown_json=frames.replace("<", "\\u003c"),  # safe inside a script element
         script=script,  # the page allows it by its hash
-        script_hash=_base64(hashlib.sha256(script.encode()).digest()),
+        script_hash=b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         map_picture=map_picture,
     )
-
-
-def _base64(data: bytes) -> str:
-    return base64.b64encode(data).decode()
 
 
 def _first(lines: Sequence[str]) -> list[str]:

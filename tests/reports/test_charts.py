@@ -59,8 +59,8 @@ def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
         ),
     )
     track = Track(7, np.arange(4), np.array([2, 3, 4, 5]))
-    (lane,) = charts.silent_lanes(cast(ReportedLog, log), [track])
-    followed, first, second = (painted(shape.path) for shape in lane.chart.shapes)
+    [(_, chart, _)] = charts.silent_lanes(cast(ReportedLog, log), [track])
+    followed, first, second = (painted(shape.path) for shape in chart.shapes)
     assert (followed[400:1200] == 150).all()
     assert not followed[:400].any()
     assert not followed[1200:].any()
