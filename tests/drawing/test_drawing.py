@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -14,9 +13,9 @@ import pytest
 from sonarrec.drawing.geometry import disc_width_px, draw_grid, draw_preview
 from sonarrec.drawing.pen import FLOOR, GRID, TRUTH, Pen, pixel_unit
 from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_strip
-from sonarrec.landmarks import BUILT_IN, load_landmarks
+from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Fan
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import sonarrec
 from tests.support.drawn import draw_on_floor, make_fan
 from tests.support.logs import PERIOD_NS, frames, image_folder
 
@@ -135,12 +134,6 @@ def test_ticks_stand_every_twenty_frames() -> None:
 # The commands
 
 
-def images(*arguments: str | Path) -> dict[str, Any]:
-    told = sonarrec("info", *arguments, "--json", "--quick").stdout
-    found: dict[str, Any] = json.loads(told)["logs"][0]["images"][0]
-    return found
-
-
 def test_info_writes_the_preview_of_the_first_frame_that_can_be_used(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(3, 48, 38))
     (log / "frame0.png").write_bytes(b"no image")
@@ -155,17 +148,6 @@ def test_info_writes_the_preview_of_the_first_frame_that_can_be_used(tmp_path: P
     shown = picture[: 48 * scale, left : left + 38 * scale, 0]
     middles = shown[scale // 2 :: scale, scale // 2 :: scale]
     assert np.mean(np.abs(middles.astype(int) - expected) < 12) > 0.7  # all but under the lines
-
-
-def test_info_uses_the_landmark_set_given(tmp_path: Path) -> None:
-    text = (BUILT_IN / "basin.toml").read_text()
-    (tmp_path / "big.toml").write_text(text.replace("0.15", "0.3").replace('"basin"', '"big"'))
-    pictures = []
-    for name in ("basin", str(tmp_path / "big.toml")):
-        out = tmp_path / "p.png"
-        sonarrec("info", SAMPLE, "--quick", "--preview", out, "--landmarks", name)
-        pictures.append(len(like(cv2.imread(str(out))[:512], TRUTH)))
-    assert pictures[1] > 1.6 * pictures[0]
 
 
 def test_a_preview_that_cannot_be_drawn_does_not_cost_the_account(tmp_path: Path) -> None:

@@ -82,13 +82,6 @@ def test_the_built_in_set_is_drawn(tmp_path: Path) -> None:
         assert (drawn[y, x] > 128) == load_landmarks("basin").sectors[k][quarter]
 
 
-def test_a_picture_does_not_go_over_the_set(tmp_path: Path) -> None:
-    file = tmp_path / "set.png"
-    file.write_text(tomli_w.dumps(BASIN))
-    assert "this command reads it" in sonarrec("landmarks", file, "-o", file, code=2).stderr
-    assert "must end in .png" in sonarrec("landmarks", "-o", tmp_path / "x.jpg", code=2).stderr
-
-
 def test_plates_are_as_far_apart_as_their_cells_say() -> None:
     """In whatever quarter turn or hand they are most alike."""
     tags = load_landmarks("actag24h10")

@@ -19,46 +19,28 @@ MOST_BYTES = 800_000
 """Of a page without pictures: 8 logs with panels of some 40 kB, tables and curves of 300 kB."""
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_logs(tmp_path_factory.mktemp("many") / "made", MANY, 200, 6)
-
-
-@pytest.fixture(scope="module")
-def page(made: Path) -> Path:
-    gt = made.parent / "gt.csv"
-    rows = ["log,frame,landmark,range_m,bearing_deg"]
-    for n in range(MANY):
-        own = (made.parent / f"kind{n % 6}" / "gt.csv").read_text(encoding="utf-8")
-        rows += [f"log{n:04d},{line}" for line in own.splitlines()[1:]]
-    gt.write_text("\n".join(rows) + "\n", encoding="utf-8")
-    page = made.parent / "page.html"
-    sonarrec("report", made.parent / "out", "--ground-truth", gt, "-o", page)
-    return page
-
-
 def section(text: str, name: str) -> str:
     return text[text.index(f'<section id="{name}"') :].partition("</section>")[0]
 
 
 @pytest.mark.slow
-def test_only_some_have_panels_and_the_figures_are_of_all(page: Path, made: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    shown = re.findall(r"<h3>(log\d{4})</h3>", section(text, "seen"))
-    assert len(shown) == MOST_LOGS
-    assert section(text, "rates").count('<th scope="row" class="text">log') == 40
-    found = evaluate_logs(made.parent / "out", made.parent / "gt.csv")
-    count = found.counts.scored_by("framework", "strict").count()
-    assert f"framework: {count.fp:,} false claims, {count.fn} missed" in section(text, "mistakes")
-
-
-@pytest.mark.slow
-def test_the_page_stays_small(page: Path, made: Path) -> None:
+def test_some_have_panels_the_figures_are_of_all_and_the_page_is_small(tmp_path: Path) -> None:
     """Without truth as well; then the logs that have no panel are not read."""
-    assert page.stat().st_size < MOST_BYTES
-    bare = made.parent / "bare.html"
-    sonarrec("report", made.parent / "out", "-o", bare)
-    assert bare.stat().st_size < MOST_BYTES
+    make_logs(made := tmp_path / "made", MANY, 200, 6)
+    rows = ["log,frame,landmark,range_m,bearing_deg"]
+    for n in range(MANY):
+        own = (made / f"kind{n % 6}" / "gt.csv").read_text(encoding="utf-8")
+        rows += [f"log{n:04d},{line}" for line in own.splitlines()[1:]]
+    (gt := tmp_path / "gt.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    page, bare = tmp_path / "page.html", tmp_path / "bare.html"
+    sonarrec("report", made / "out", "--ground-truth", gt, "-o", page)
+    text = page.read_text(encoding="utf-8")
+    assert len(re.findall(r"<h3>(log\d{4})</h3>", section(text, "seen"))) == MOST_LOGS
+    assert section(text, "rates").count('<th scope="row" class="text">log') == 40
+    count = evaluate_logs(made / "out", gt).counts.scored_by("framework", "strict").count()
+    assert f"framework: {count.fp:,} false claims, {count.fn} missed" in section(text, "mistakes")
+    sonarrec("report", made / "out", "-o", bare)
+    assert max(file.stat().st_size for file in (page, bare)) < MOST_BYTES
 
 
 PLACED = "frame,method,object,range_m,bearing_deg,landmark,score,declared"

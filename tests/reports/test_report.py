@@ -60,44 +60,32 @@ def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None
 def test_nothing_is_fetched_and_one_script_runs(pages: dict[str, Path]) -> None:
     """That one is the page's own, by the hash that its policy asks for; without frames none."""
     for name, path in pages.items():
-        page = Page(path)
-        names = {name for name, _ in page.elements}
-        assert not names & {"link", "iframe", "object", "embed", "base"}
-        text = path.read_text(encoding="utf-8")
+        page, text = Page(path), path.read_text(encoding="utf-8")
+        kinds = [kind for kind, _ in page.elements]
+        assert not {*kinds} & {"link", "iframe", "object", "embed", "base"}
         running = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
         assert len(running) == (name == "full")
-        assert sum(name == "script" for name, _ in page.elements) == 2 * len(running)
+        assert kinds.count("script") == 2 * len(running)
         policy = next(str(a["content"]) for _, a in page.elements if "http-equiv" in a)
         digests = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in running]
         assert re.findall(r"'sha256-(.*?)'", policy) == digests
-        for _, attributes in page.elements:
-            for key, value in attributes.items():
-                assert not key.startswith("on")
-                if key in ("src", "href", "srcset", "data", "poster"):
-                    assert value is not None
-                    assert value.startswith(("#", "data:image/"))
+        for key, value in (pair for _, a in page.elements for pair in a.items()):
+            assert not key.startswith("on")
+            if key in ("src", "href", "srcset", "data", "poster"):
+                assert str(value).startswith(("#", "data:image/"))
         text = text.replace('"http://www.w3.org/2000/svg"', "")  # a name, not an address
-        assert "http://" not in text
-        assert "https://" not in text
-        assert "url(" not in text
-        assert "@import" not in text
-
-
-def test_links_arrive_and_pictures_have_words_and_sizes(pages: dict[str, Path]) -> None:
-    for path in pages.values():
-        elements = Page(path).elements
-        there = [a["id"] for _, a in elements if "id" in a]
+        assert not re.search(r"https?://|url\(|@import", text)
+        there = [a["id"] for _, a in page.elements if "id" in a]
         assert len(there) == len(set(there))
-        links = {str(a["href"])[1:] for _, a in elements if "href" in a}
-        assert links <= set(there)
+        links = {str(a["href"])[1:] for _, a in page.elements if "href" in a}
         assert len(links) >= 4
-    pictures = [a for name, a in Page(pages["full"]).elements if name == "img"]
-    assert len(pictures) > 6
-    for picture in pictures:
-        assert re.match(r"Sonar image, frame \d+: ", str(picture["alt"]))
-        assert int(str(picture["width"])) > 100
-    drawings = [a for name, a in Page(pages["full"]).elements if name == "svg"]
-    assert all(a.get("aria-label") or a.get("aria-hidden") for a in drawings)
+        assert links <= set(there)
+        for kind, a in page.elements:
+            if kind == "img":
+                assert re.match(r"Sonar image, frame \d+: ", str(a["alt"]))
+                assert int(str(a["width"])) > 100
+            assert kind != "svg" or a.get("aria-label") or a.get("aria-hidden")
+        assert (kinds.count("img") > 6) == (name == "full")
 
 
 def test_without_truth_and_log_the_page_says_so(pages: dict[str, Path]) -> None:
@@ -175,10 +163,9 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
         shutil.copytree(results, root / name)
     run = root / "first" / "run.toml"  # as if of another recording: one counts once
     run.write_text(re.sub('sha256 = "[0-9a-f]*"', f'sha256 = "{"0" * 64}"', run.read_text()))
-    rows = (SAMPLE / "gt.csv").read_text().splitlines()
-    with (tmp_path / "gt.csv").open("w") as file:
-        file.write(f"log,{rows[0]}\n")
-        file.writelines(f"{name},{row}\n" for name in ("first", "pan") for row in rows[1:])
+    head, *rows = (SAMPLE / "gt.csv").read_text().splitlines()
+    lines = [f"log,{head}", *(f"{name},{row}" for name in ("first", "pan") for row in rows)]
+    (tmp_path / "gt.csv").write_text("\n".join(lines) + "\n")
     sonarrec("report", root, "--ground-truth", tmp_path / "gt.csv", "--log", SAMPLE)
     page = Page(root / "report.html")
     assert "2 recorded sonar logs" in page.text
@@ -187,11 +174,9 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     assert first[1:] == second[1:]
     found = evaluate(results, SAMPLE / "gt.csv").scored
     counts = [s.count() for s in found if s.protocol == "strict"]
-    missed_and_false = [str(n) for c in counts for n in (c.fn, c.fp)]
-    assert [cell for n in range(len(counts)) for cell in first[4 * n + 3 : 4 * n + 5]] == (
-        missed_and_false
-    )
-    assert len([n for n, _ in page.elements if n == "img"]) > 6
+    shown = [first[4 * n + 3 : 4 * n + 5] for n in range(len(counts))]
+    assert shown == [[str(c.fn), str(c.fp)] for c in counts]
+    assert [name for name, _ in page.elements].count("img") > 6
     other = sonarrec("report", root, "--log", tmp_path, code=2)
     assert "neither one of these logs nor holds any: first, pan" in other.stderr
 
@@ -245,25 +230,17 @@ def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
     assert "declared in 1 frame. False claim: no landmark lies there." in text
 
 
-@pytest.fixture(scope="module")
-def of_a_long_log(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """20,000 frames: a landmark declared for two frames in every 200, and at the end for 3,000."""
-    frames, folder = 20_000, tmp_path_factory.mktemp("long")
+def test_a_long_log_has_the_longest_sightings_and_bars_of_many_frames(tmp_path: Path) -> None:
+    """400 bars of 50 frames: a landmark declared for two frames in every 200, .04 of every fourth
+    bar, and at the end for 3,000."""
     rows = [f"{n},framework,{n // 200},1,1,{+(n % 200 < 2)}" for n in range(17_000)]
-    rows += [f"{n},framework,999,1,1,1" for n in range(17_000, frames)]
-    tables(folder, ((n, n * 10**8) for n in range(frames)), DECLARED, rows)
-    sonarrec("report", folder)
-    return (folder / "report.html").read_text()
-
-
-def test_a_long_log_has_the_longest_sightings_and_bars_of_many_frames(of_a_long_log: str) -> None:
-    """400 bars of 50 frames: 2 of 200 declared is .04 of every fourth, the end is full."""
-    assert "46 more sightings left out" in of_a_long_log
-    assert "<td>999</td><td>17000</td>" in of_a_long_log
-    [(best, mean)] = re.findall(
-        r'class="bar faint"[^>]* d="([^"]*)".*?class="bar"[^>]* d="([^"]*)"', of_a_long_log, re.S
-    )
-    heights = [int(h) for h in re.findall(r"v-(\d+)", mean)]
-    assert heights == [40] * 85 + [1000]
-    assert [int(h) for h in re.findall(r"v-(\d+)", best)] == [1000] * 86
-    assert "at most 50" in of_a_long_log
+    rows += [f"{n},framework,999,1,1,1" for n in range(17_000, 20_000)]
+    tables(tmp_path, ((n, n * 10**8) for n in range(20_000)), DECLARED, rows)
+    sonarrec("report", tmp_path)
+    text = (tmp_path / "report.html").read_text()
+    assert "46 more sightings left out" in text
+    assert "<td>999</td><td>17000</td>" in text
+    assert "at most 50" in text
+    [drawn] = re.findall(r'"bar faint"[^>]* d="([^"]*)".*?"bar"[^>]* d="([^"]*)"', text, re.S)
+    best, mean = ([int(h) for h in re.findall(r"v-(\d+)", path)] for path in drawn)
+    assert (best, mean) == ([1000] * 86, [40] * 85 + [1000])
