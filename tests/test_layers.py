@@ -33,7 +33,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    **{"cli": 2792, "drawing": 820, "evaluation": 4112, "geometry": 450},
+    **{"cli": 2792, "drawing": 820, "evaluation": 3976, "geometry": 450},
     **{"learning": 640, "mapping": 1259, "overlays": 470, "readers": 5813},
     **{"recogniser": 6510, "reports": 1830, "results": 1757, "runs": 1749},
     **{"simulation": 2540, "tables": 812, "truth": 1195},

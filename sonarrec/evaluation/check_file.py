@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers.named_logs import logs_named
@@ -61,8 +61,7 @@ class CheckFile:
     min_visible: Share = 0.9
 
 
-@dataclass(frozen=True, slots=True)
-class LogToRun:
+class LogToRun(NamedTuple):
     """A log of the check: what `run` and `evaluate` need to know."""
 
     name: str
@@ -74,8 +73,7 @@ class LogToRun:
     options: LogOptions
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+class Check(NamedTuple):
     """A check file and its folder."""
 
     path: Path
@@ -98,13 +96,27 @@ class Check:
 
     def logs(self) -> list[LogToRun]:
         """Every log of the file. Raises UsageError for one without truth or of a wrong name."""
-        found = list(self._found())
-        unnamed = [path for path, _, _, log in found if log.name is None]
-        names = iter(result_names(unnamed))
-        logs = [
-            LogToRun(log.name or next(names), path, _relative(path, self.path), truth, options)
-            for path, truth, options, log in found
-        ]
+        logs: list[LogToRun] = []
+        for n, of in enumerate(self.file.log, 1):
+            where, home = f"{self.path}: [[log]] {n}", self.path.parent
+            named = logs_named(str(home / of.path))
+            if len(named) > 1 and (of.name or of.ground_truth):
+                raise UsageError(
+                    f"{where}: {of.path} names {len(named)} logs, which cannot share a name or a "
+                    "truth; give each its own [[log]]"
+                )
+            for one in named:
+                options = LogOptions(
+                    sonar_file=self.beside(of.sonar), topic=of.topic, up_to=one.up_to
+                )
+                below = Path(one.path).is_relative_to(home)
+                stated = Path(one.path).relative_to(home).as_posix() if below else one.path
+                truth = self.beside(of.ground_truth) or _truth_beside(where, one.path, options)
+                if not truth.is_file():
+                    raise UsageError(f"{where}: {truth}: no such file")
+                logs.append(LogToRun(of.name or "", one.path, stated, truth, options))
+        names = iter(result_names([log.path for log in logs if not log.name]))
+        logs = [log._replace(name=log.name or next(names)) for log in logs]
         for log in logs:
             if Path(log.name).name != log.name or [x.name for x in logs].count(log.name) > 1:
                 raise UsageError(
@@ -118,44 +130,19 @@ class Check:
                 )
         return logs
 
-    def _found(self) -> Iterator[tuple[str, Path, LogOptions, CheckedLog]]:
-        """Path, truth and options of every log, with its [[log]]."""
-        for n, log in enumerate(self.file.log, 1):
-            where = f"{self.path}: [[log]] {n}"
-            named = logs_named(str(self.beside(log.path)))
-            if len(named) > 1 and (log.name or log.ground_truth):
-                raise UsageError(
-                    f"{where}: {log.path} names {len(named)} logs, which cannot share a name or a "
-                    "truth; give each its own [[log]]"
-                )
-            for one in named:
-                options = LogOptions(
-                    sonar_file=self.beside(log.sonar), topic=log.topic, up_to=one.up_to
-                )
-                yield one.path, self._truth(where, log, one.path, options), options, log
 
-    def _truth(self, where: str, log: CheckedLog, path: str, options: LogOptions) -> Path:
-        """The truth of a log. Raises UsageError if there is none."""
-        truth = self.beside(log.ground_truth)
-        if truth is None:
-            try:
-                truth = find_log(path, options.up_to).beside(TRUTH_FILE)
-            except SonarrecError as error:
-                raise UsageError(f"{where}: {error}") from None
-            if truth is None:
-                raise UsageError(
-                    f"{where}: no {TRUTH_FILE} in or beside {path}; write it, or name it with "
-                    "ground_truth = ..."
-                )
-        if not truth.is_file():
-            raise UsageError(f"{where}: {truth}: no such file")
-        return truth
-
-
-def _relative(path: str, file: Path) -> str:
-    """A path as it is relative to the check file, if it lies below it."""
-    place = Path(path)
-    return place.relative_to(file.parent).as_posix() if place.is_relative_to(file.parent) else path
+def _truth_beside(where: str, path: str, options: LogOptions) -> Path:
+    """The truth beside a log. Raises UsageError if there is none. where: its [[log]]."""
+    try:
+        truth = find_log(path, options.up_to).beside(TRUTH_FILE)
+    except SonarrecError as error:
+        raise UsageError(f"{where}: {error}") from None
+    if truth is None:
+        raise UsageError(
+            f"{where}: no {TRUTH_FILE} in or beside {path}; write it, or name it with "
+            "ground_truth = ..."
+        )
+    return truth
 
 
 def read_check(path: Path) -> Check:
@@ -164,8 +151,7 @@ def read_check(path: Path) -> Check:
         raise UsageError(
             f"{path}: no such file; it names the logs to run, as in `sonarrec help check`"
         )
-    table = read_toml(path, UsageError)
-    file = from_table(CheckFile, table, str(path), error=UsageError)
+    file = from_table(CheckFile, read_toml(path, UsageError), str(path), error=UsageError)
     if not file.log:
         raise UsageError(f"{path}: names no log; give each its own [[log]] with a path")
     for key in ("least_tpr", "most_fpr"):
@@ -180,10 +166,9 @@ def is_recorded(record: Path, name: str) -> bool:
 
 
 def save(results: Path, record: Path, logs: Sequence[LogToRun]) -> list[str]:
-    """Record the results of the logs, in place of those on record; returns notes.
+    """Record the results of the logs, in place of all on record; returns notes.
 
-    Nothing on record is replaced before all is written. Results of logs that are no longer in the
-    check file go. Raises SonarrecError if that cannot be written.
+    Nothing on record is replaced before all is written, or SonarrecError raised.
     """
     notes: list[str] = []
     with writing(record), ExitStack() as stack:

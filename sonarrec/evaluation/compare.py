@@ -6,9 +6,7 @@ that means. `evaluate --compare`, `check` and limits rest on both.
 
 from __future__ import annotations
 
-import json
 import math
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +27,6 @@ from sonarrec.evaluation.write import write_table
 from sonarrec.nouns import follows
 from sonarrec.results.columns import chosen
 from sonarrec.results.folders import log_of
-from sonarrec.results.run_file import RunFile, flat, read_run
 from sonarrec.tables.outputs import check_no_recording, check_tables, writing
 
 FRAMES_FREE = 2
@@ -38,8 +35,6 @@ RATES = ("tpr", "fpr")
 """Those that a judgement rests on."""
 SAME = 5e-5
 """Without a band: a smaller change of a rate does not show in its digits."""
-SLIGHT = 0.1
-"""A smaller share of the change of one rate, as the other changes, decides nothing."""
 SIGNIFICANT = 0.05
 """The largest p that is not told as possibly due to chance."""
 EACH = ""
@@ -49,19 +44,8 @@ MOST_NAMED = 3
 """Logs that a sentence names."""
 MOST_ROWS = 24
 """Of the table; if there are more, those of logs that are not worse are left out."""
-MOST_LINES = 12
-"""Settings that are listed."""
 MOST_PASSES = 6
 """Changed passes that are listed."""
-NOT_STATED = "not stated"
-_LONGEST = 60
-# Keys that differ between equal runs, or that are reported elsewhere.
-_PASSED_OVER = {
-    *("finished", "program.name", "program.methods", "input.name", "input.path", "input.place"),
-    *("input.bytes", "input.sha256", "input.frames_processed", "input.frames_unusable"),
-    *("input.candidates", "input.estimates", "input.sightings", "input.problems"),
-    *("ran_on.processor", "ran_on.numpy", "ran_on.opencv"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,12 +156,12 @@ class Row(NamedTuple):
         """ "worse", "better" or "mixed", or "" if no rate changed by more than the band.
 
         With a band "worse" if either rate is; without, if the other one is not better by more than
-        SLIGHT of that.
+        a tenth of that.
         """
-        signs = {rate.sign(band) for rate in (self.tpr, self.fpr)} - {0}
+        less, more = sorted((self.tpr, self.fpr), key=lambda rate: abs(rate.worse))
+        signs = {less.sign(band), more.sign(band)} - {0}
         if signs == {1, -1} and band is None:
-            less, more = sorted((self.tpr, self.fpr), key=lambda rate: abs(rate.worse))
-            if abs(less.worse) > SLIGHT * abs(more.worse):
+            if abs(less.worse) > abs(more.worse) / 10:
                 return "mixed"
             signs = {more.sign(band)}
         return "worse" if 1 in signs else "better" if signs else ""
@@ -205,8 +189,6 @@ class Comparison:
     """(protocol, method) of those in both results, the leading method first."""
     rates: tuple[Change, ...]
     """Per ID and in total; of several logs also of each."""
-    settings: tuple[tuple[str, str, str, tuple[str, ...]], ...]
-    """Keys of run.toml that differ, their values as text, and the logs in which they differ."""
     lost: tuple[str, ...]
     """Methods that only the old results have."""
     gained: tuple[str, ...]
@@ -225,16 +207,6 @@ class Comparison:
         return judge(
             self, Limits(methods=tuple(dict.fromkeys(m for _, m in self.methods)))
         ).sentence
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """A row per method: TPR and FPR over all IDs under each protocol, before and now."""
-        of_method: dict[str, dict[str, float]] = defaultdict(dict)
-        for r in self.rates:
-            if (r.landmark, r.log) == (TOTAL, "") and r.rate in RATES:
-                name = f"{r.protocol} {r.rate.upper()}"
-                of_method[r.method] |= {f"{name} old": r.old, f"{name} new": r.new}
-        return pd.DataFrame.from_dict(of_method, orient="index").rename_axis("method")
 
     @property
     def figures(self) -> pd.DataFrame:
@@ -258,8 +230,9 @@ def compare(
 ) -> Comparison:
     """What got better or worse from old to new results, on their common frames.
 
-    `verdict` of the result says it in a sentence; `table` has a row per method, `figures` all rates
-    with their tests. Nothing is written.
+    `verdict` of the result says it in a sentence, `figures` has the rates with their tests. Nothing
+    is written.
+
     Logs are read one at a time, so memory does not grow with their number. A log that cannot be
     compared is left out if there are others.
 
@@ -319,11 +292,6 @@ def compare(
         raise SonarrecError(
             printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
         )
-    # Of each log (name, old run.toml, new run.toml), not kept: those of many take much memory.
-    runs = (
-        (name, [read_run(folder / "run.toml") for folder in log.log.results])
-        for name, log in zip(after.logs, scores.logs, strict=True)
-    )
     return Comparison(
         old=str(old),
         new=str(new),
@@ -331,7 +299,6 @@ def compare(
         after=after,
         methods=compared,
         rates=tuple(_changes(before, after, compared)),
-        settings=tuple(_changed_settings(runs)),
         lost=tuple(m for m in methods if m not in after.methods),
         gained=tuple(m for m in methods if m not in before.methods),
         notes=tuple(told.notes),
@@ -364,37 +331,6 @@ def _changes(
 def _cases(count: Count, rate: str) -> int:
     """The denominator of a rate."""
     return count.fp + count.tn if rate == "fpr" else count.tp + count.fn
-
-
-def _changed_settings(
-    runs: Iterable[tuple[str, Sequence[RunFile]]],
-) -> Iterator[tuple[str, str, str, tuple[str, ...]]]:
-    """The differences between the old and the new run.toml of each log, by name.
-
-    Logs without a run.toml on one side are left out.
-    """
-    presets: dict[tuple[str, str, str], list[str]] = defaultdict(list)
-    for name, both in runs:
-        if not all(run.table for run in both):
-            continue
-        old, new = (
-            {key: value for key, value in flat(run.table) if key not in _PASSED_OVER}
-            for run in both
-        )
-        for key in dict.fromkeys((*old, *new)):
-            # A key of [fan] that follows one of [sonar] is told as that one alone.
-            stated = key.replace("fan.", "sonar.", 1)
-            follows_it = key.startswith("fan.") and old.get(stated) != new.get(stated)
-            if old.get(key) != new.get(key) and not follows_it:
-                was, now = (_text(side[key]) if key in side else NOT_STATED for side in (old, new))
-                presets[key, was, now if was != now else "other values"].append(name)
-    for change, logs in presets.items():
-        yield *change, tuple(logs)
-
-
-def _text(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value, default=str)
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 
 @dataclass(frozen=True, slots=True)
@@ -541,7 +477,7 @@ HEADING: tuple[str, ...] = (
 
 
 def screen(found: Comparison, judged: Judgement) -> str:
-    """The sentence, the table, then the settings and the passes that changed."""
+    """The sentence, the table, then the passes that changed most."""
     rows, left_out = judged.rows, []
     if len(rows) > MOST_ROWS:
         totals = [row for row in rows if row.log == TOTAL]
@@ -564,16 +500,7 @@ def screen(found: Comparison, judged: Judgement) -> str:
         for row in cells
     ]
     lines = [judged.sentence, *(table if rows else []), *left_out]
-    return "\n".join(map(printable, [*lines, *_changed_passes(found), *_settings(found)]))
-
-
-def _settings(found: Comparison) -> Iterator[str]:
-    """A line per setting that differs, with the names of the logs if it differs in some only."""
-    for key, old, new, logs in found.settings[:MOST_LINES]:
-        where = f" ({', '.join(logs)})" if len(logs) < len(found.logs) else ""
-        yield f"{key}: {old} -> {new}{where}"
-    if found.settings[MOST_LINES:]:
-        yield f"and {number_of(len(found.settings) - MOST_LINES, 'more setting')}"
+    return "\n".join(map(printable, [*lines, *_changed_passes(found)]))
 
 
 def _changed_passes(found: Comparison) -> Iterator[str]:

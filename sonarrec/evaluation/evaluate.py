@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -65,8 +65,7 @@ Log = TypeVar("Log")
 Found = TypeVar("Found")
 
 
-@dataclass(frozen=True, slots=True)
-class LogToScore:
+class LogToScore(NamedTuple):
     """The results of one log, or its old and its new ones, and its truth.
 
     name: of the log, also for the log column of the truth.
@@ -179,9 +178,6 @@ def _check_comparable(folders: Sequence[Path], sides: Sequence[LogResults]) -> I
             f"{old} and {new}: run with the landmark IDs {both}; only results with the same IDs "
             "in the same order can be compared; give --landmarks to use one set for both"
         )
-    for folder, run in ((old, a), (new, b)):
-        if not run.table:
-            yield f"{folder}: no run.toml, so its settings are not known"
 
 
 def _only(log: LogResults, frames: np.ndarray) -> LogResults:
@@ -265,21 +261,17 @@ def _bytes(folder: Path) -> int:
     return 0
 
 
-@dataclass(frozen=True, slots=True)
-class Scores:
-    """What `score_logs` gives."""
+class Scores(NamedTuple):
+    """The logs that can be scored, the counts of their results, old and new, on the same frames and
+    passes, the names of all logs; notes, and lines on what, and on which copies, could not be used.
+    """
 
     logs: list[LogScore]
-    """Those that can be scored."""
     sides: list[Counts]
-    """The counts of all, of old and new results on the same frames and passes."""
     names: list[str]
-    """Of the logs, also of those that cannot be read."""
     notes: list[str]
     unused: list[str]
-    """Input that could not be used, a line each."""
     copies: list[str]
-    """The same of copies of a log."""
 
 
 def score_logs(

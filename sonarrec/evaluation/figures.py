@@ -38,7 +38,6 @@ from sonarrec.evaluation.uncertainty import (
     bootstrap_weights,
     coin_tosses,
     differences,
-    interval,
     intervals,
     macro,
     replicates,
@@ -56,11 +55,6 @@ FPR_GRID = np.unique(
 """The FPRs of resampled curves, dense about FPR_POINTS. Reported curves are exact."""
 AT_ONCE = 256
 """Draws whose figures are computed together: so few lie in the processor's cache."""
-TOO_BOLD = 0.05
-"""Of beliefs in an ID that are clearly right less often than they state, a lead of less is not
-told."""
-BOLD_BINS = ((7, 9), (9, 10))
-"""The bins whose beliefs are looked at together: 0.7 to 0.9, and 0.9 to 1."""
 SEED = 0
 """Of the random draws, so that the same input gives the same intervals."""
 
@@ -412,10 +406,6 @@ def summarise(counts: Counts) -> Summary:
                 continue
             if kind == "rates":
                 figures += macro(*zip(*per_id, strict=True))
-            elif kind == "calibration":
-                notes += _too_bold(
-                    [of for of, _ in per_id if of.landmark != "none"], weights, units
-                )
             per_id.clear()
             totals[kind, tally.protocol].append(tally)
     return Summary(
@@ -443,25 +433,3 @@ def over_units(summary: Summary) -> str:
     if summary.units.count < MIN_UNITS:
         return ""
     return f"; {LEVEL:.0%} intervals over {units_text(summary.units)}"
-
-
-def _too_bold(per_id: Sequence[Tally], weights: FloatArray, units: Units) -> Iterator[str]:
-    """A line for each range of beliefs in an ID that are right clearly less often than they state.
-
-    per_id: of "calibration". weights: of the bootstrap.
-    """
-    beliefs = np.sum([of.sums[:, 1:] for of in per_id], axis=0).reshape(-1, 3, BINS)
-    for first, end in BOLD_BINS:
-        sums = beliefs[:, :, first:end].sum(axis=2)
-        if np.count_nonzero(sums[:, 0]) < MIN_UNITS:
-            continue
-        count, stated, right = sums.sum(axis=0)
-        drawn = weights @ sums
-        least, _ = interval(ratio(drawn[:, 1] - drawn[:, 2], drawn[:, 0]), units.count)
-        if least > 0 and stated - right > TOO_BOLD * count:
-            yield (
-                f"{per_id[0].method}: IDs are stated too boldly: of {count:.0f} beliefs of "
-                f"{first / BINS:g} to {end / BINS:g}, on average {stated / count:.2f}, "
-                f"{right / count:.2f} are right ({LEVEL:.0%} sure over {units_text(units)}); see "
-                "`sonarrec help calibrate`"
-            )

@@ -56,12 +56,10 @@ class ScoringOptions:
             raise UsageError(
                 f"--min-visible is a share of the disc, 0 to 1, not {self.min_visible:g}"
             )
-        if self.tolerance_s is not None and not 0 <= self.tolerance_s < math.inf:
-            raise UsageError(
-                f"--tolerance is a time in seconds, 0 or more, not {self.tolerance_s:g}"
-            )
+        if not 0 <= (self.tolerance_s or 0) < math.inf:
+            raise UsageError(f"--tolerance is a time in s, 0 or more, not {self.tolerance_s:g}")
         if self.within_m is not None and not 0 < self.within_m < math.inf:
-            raise UsageError(f"--within is a distance in metres above 0, not {self.within_m:g}")
+            raise UsageError(f"--within is a distance in m above 0, not {self.within_m:g}")
 
 
 DEFAULT = ScoringOptions()

@@ -24,7 +24,7 @@ from sonarrec.results.run_file import Input, read_run
 from sonarrec.tables.read import line_numbers, read_header, read_table
 from sonarrec.truth.table import HEADER, TRUTH_FILE
 
-FEW = 3
+FEW = 2
 """Logs whose truths are told one by one."""
 
 

@@ -10,7 +10,7 @@ from sonarrec.errors import printable
 from sonarrec.evaluation.count import Counts, Scored
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.figures import BY_NAME, MAIN, METRICS, Summary, over_units, units_text
-from sonarrec.evaluation.uncertainty import Difference, Figure
+from sonarrec.evaluation.uncertainty import Figure
 from sonarrec.evaluation.write import Evaluation
 
 HEADLINE = ("tpr", "fpr")
@@ -130,16 +130,14 @@ def figures(
 
 
 def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]:
-    """For each two methods their differences in the metrics of TESTED."""
+    """For each two methods their differences in the metrics of TESTED, with p or why not."""
     rows: dict[str, list[Cell]] = {}
-    for d in tested_differences(summary, protocol):
-        rows.setdefault(f"{d.b} minus {d.a}", []).append(difference(d))
+    for d in summary.differences:
+        if d.protocol == protocol and BY_NAME[d.name].tested:
+            test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
+            cell = _cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+")
+            rows.setdefault(f"{d.b} minus {d.a}", []).append(cell._replace(test=test))
     return list(rows.items())
-
-
-def tested_differences(summary: Summary, protocol: str) -> list[Difference]:
-    """The differences in the metrics of TESTED."""
-    return [d for d in summary.differences if d.protocol == protocol and BY_NAME[d.name].tested]
 
 
 def figure(found: Figure | None, name: str) -> Cell:
@@ -147,12 +145,6 @@ def figure(found: Figure | None, name: str) -> Cell:
     if found is None:
         return NONE
     return _cell(found.value, found.low, found.high, BY_NAME[name].digits)
-
-
-def difference(d: Difference) -> Cell:
-    """A difference with its sign, and p or the reason why there is none."""
-    test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
-    return _cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+")._replace(test=test)
 
 
 def _cell(value: float, low: float, high: float, digits: int, sign: str = "") -> Cell:
@@ -194,13 +186,17 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
             lines.append(_row("", [m[: COLUMN - 1] for m in some]))
             for label, row in figures(summary, protocol, some, names):
                 lines.append(_row(label, list(map(_text, row))))
-    tested = tested_differences(summary, main)
-    if any(not math.isnan(d.p) for d in tested):
+    tests = differences(summary, main)
+    if any(cell.test.startswith("p = ") for _, cells in tests for cell in cells):
         test = f"paired sign-flip test over {units_text(summary.units)}"
-        lines += ["", f"protocol {main}, differences; {test}"]
-        for d in tested if details else [d for d in tested if d.name in MAIN]:
-            text = _text(difference(d), " to ")
-            lines.append(f"{d.b} minus {d.a}, {BY_NAME[d.name].label}: {text}")
+        lines += [*[""] * details, f"protocol {main}, differences; {test}"]
+        for pair, cells in tests:
+            of = {m.name: (m.label, cell) for m, cell in zip(TESTED, cells, strict=True)}
+            if details:
+                lines += [f"{pair}, {label}: {_text(cell, ' to ')}" for label, cell in of.values()]
+            else:
+                told = (f"{of[n][0]} {of[n][1].value}, {of[n][1].test}" for n in MAIN)
+                lines.append(f"{pair}: {'; '.join(told)}")
     if details:
         lines += _per_id(summary, main, counts.methods)
         lines += _per_log(counts, main) if len(counts.logs) > 1 else []

@@ -17,14 +17,13 @@ from sonarrec.nouns import follows
 ALPHAS = np.arange(0.05, 0.99, 0.05)
 """Similarities from which on a pair counts as a match; HOTA is the mean over them."""
 A = len(ALPHAS)
-COLUMNS = 4 * A + 5
-"""Per alpha TP, FN, FP and the sum over TP of how well its pair goes together; then IDTP, IDFN,
-IDFP, tracks and identities."""
 
 
 def tracking(log: Matched, beneath: IntArray, method: int) -> FloatArray | None:
-    """(COLUMNS,) sums of one log for one method; None if it has no tracks.
+    """(4 A + 5,) sums of one log for one method; None if it has no tracks.
 
+    Per alpha TP, FN, FP and the sum over TP of how well its pair goes together; then IDTP, IDFN,
+    IDFP, tracks and identities.
     Claims on a landmark partly in view, or whose object is not known, are left out. beneath: from
     `match.truth_beneath`.
     """

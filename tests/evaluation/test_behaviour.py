@@ -125,44 +125,6 @@ def test_brier_and_calibration_by_hand() -> None:
     assert value(summary, "ece") == pytest.approx((abs(1.6 - 1) + abs(0.75 - 1)) / 3)
 
 
-@pytest.mark.parametrize(
-    ("passes", "right", "told"),
-    [
-        (30, 0.55, True),
-        (30, 0.8, False),  # honest
-        (30, 0.95, False),  # too modest
-        (4, 0.55, False),  # too few passes
-        # As many frames as in 30 passes, but all of one pass are right or wrong together.
-        (8, 0.625, False),
-    ],
-)
-def test_beliefs_that_are_right_too_seldom_are_told(passes: int, right: float, told: bool) -> None:
-    """Of .82 each, half of them declared; units are passes, however long."""
-    frames = 300 // passes
-    truth, claims = [], []
-    for n in range(passes):
-        truth += [(100 * n + f, 1, 0, 0, True) for f in range(frames)]
-        for f in range(frames):
-            is_right = n < right * passes if passes < 10 else 7 * (n * frames + f) % 20 < 20 * right
-            p = (0.82, 0.1, 0, 0, 0.08) if is_right else (0.1, 0.82, 0, 0, 0.08)
-            claims.append(claim(100 * n + f, 1 if is_right else 2, p=p, declared=f % 2 == 0))
-    notes = [n for n in summary_of(100 * passes, truth, claims).notes if "too boldly" in n]
-    assert len(notes) == told
-    if told:
-        assert f"of 300 beliefs of 0.7 to 0.9, on average 0.82, {right:.2f} are right" in notes[0]
-        assert f"over {passes} passes" in notes[0]
-
-
-def test_a_probability_beyond_1_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "frames.csv").write_text("frame\n0\n")
-    (tmp_path / "estimates.csv").write_text(
-        "frame,method,range_m,bearing_deg,landmark,score,declared,p_1\n0,m,2,0,1,0.9,1,1.2\n"
-    )
-    (tmp_path / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2,0\n")
-    done = sonarrec("evaluate", "--ground-truth", tmp_path / "gt.csv", tmp_path, code=1)
-    assert "line 2: p_1 must be 0 to 1, not '1.2'" in done.stderr
-
-
 # --- Files ---------------------------------------------------------------------------------------
 
 

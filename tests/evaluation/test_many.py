@@ -167,12 +167,3 @@ def test_values_by_rank_are_those_of_sorting(values: list[list[float]]) -> None:
         ranks = np.unique(np.linspace(0, len(whole) - 1, 7).astype(int))
         counted = sum_by_value([(whole, np.ones((len(whole), 1), dtype=int))])
         assert values_at_ranks(counted, ranks).tolist() == whole[ranks].tolist()
-
-
-@given(FLOATS)
-def test_equal_values_are_put_together(values: list[list[float]]) -> None:
-    chunks = [(np.array(some, dtype=float), np.ones((len(some), 2), int)) for some in values]
-    found, many = sum_by_value(chunks)
-    expected, count = np.unique(np.concatenate([c[0] for c in chunks]), return_counts=True)
-    assert found.tolist() == expected.tolist()
-    assert many[:, 0].tolist() == many[:, -1].tolist() == count.tolist()
