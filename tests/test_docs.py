@@ -220,20 +220,6 @@ def test_help_is_in_groups() -> None:
     assert text.rstrip().endswith("More: sonarrec help run")
 
 
-def test_the_page_of_the_settings_names_the_commands_that_have_them() -> None:
-    told = re.search(r"options choose settings, in (.*)\. ", PAGES["config"].read_text("utf-8"))
-    assert told is not None
-    taking = {name for name, c in COMMANDS.items() if any("--set" in p.opts for p in c.params)}
-    assert set(re.findall("`(.*?)`", told[1])) == taking
-
-
-def test_help_names_its_page_however_it_is_started() -> None:
-    for command, page in (("run", "run"), ("truth check", "truth")):
-        words = [*command.split(), "--help"]
-        text = CliRunner().invoke(main, words, prog_name="python -m sonarrec").stdout
-        assert text.rstrip().endswith(f"More: sonarrec help {page}")
-
-
 def listed_columns(page: str, file: str) -> list[str]:
     """The columns that a help page lists under `## FILE`."""
     section = re.split(r"^## ", PAGES[page].read_text(encoding="utf-8"), flags=re.MULTILINE)

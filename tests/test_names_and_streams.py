@@ -9,10 +9,8 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryFile
 
 import pytest
 from click.shell_completion import BashComplete
@@ -105,60 +103,10 @@ def work(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     return tmp_path
 
 
-ONE_AFTER_THE_OTHER = """
-import os, sys
-from sonarrec.cli import main
-for line in sys.stdin:
-    code = 0
-    try:
-        main([os.fsdecode(bytes.fromhex(word)) for word in line.split()], prog_name="sonarrec")
-    except SystemExit as end:
-        code = end.code
-    print(f"\\0{code}", flush=True)
-"""
-"""Commands in one process, each a line of words in hex; after what a command prints, its code."""
-
-
-@contextmanager
-def another_locale(**environment: str) -> Iterator[Callable[..., tuple[int, str]]]:
-    """What runs a command in a process that has this environment: its code and what it printed."""
-    with (
-        TemporaryFile() as said,
-        subprocess.Popen(
-            [sys.executable, "-c", ONE_AFTER_THE_OTHER],
-            env=os.environ | environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=said,
-        ) as process,
-    ):
-        assert process.stdin is not None
-        assert process.stdout is not None
-        asked, answers = process.stdin, process.stdout
-
-        def run(*words: str | bytes) -> tuple[int, str]:
-            asked.write(b" ".join(os.fsencode(word).hex().encode() for word in words) + b"\n")
-            asked.flush()
-            printed = b""
-            while b"\0" not in printed:
-                line = answers.readline()
-                said.seek(0)
-                assert line, said.read().decode(errors="replace")
-                printed += line
-            told, _, code = printed.partition(b"\0")
-            return int(code), told.decode()
-
-        yield run
-        asked.close()
-        assert process.wait(300) == 0
-        said.seek(0)
-        assert b"Traceback" not in said.read()
-
-
 @pytest.fixture
 def done(
     work: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Callable[..., str]]:
+) -> Callable[..., str]:
     """Runs a command in the folder and gives what it prints."""
     monkeypatch.chdir(work)
 
@@ -168,14 +116,17 @@ def done(
         assert "\nve" not in told.stdout
         return told.exit_code, told.stdout_bytes.decode()
 
-    with another_locale(**environment) if environment else nullcontext(here) as run:
+    def apart(*words: str | bytes) -> tuple[int, str]:
+        told = sonarrec(work, *words, **environment)
+        assert b"Traceback" not in told.stderr
+        return told.returncode, told.stdout.decode()
 
-        def checked(*words: str | bytes, codes: tuple[int, ...] = (0, 3)) -> str:
-            code, printed = run(*words)
-            assert code in codes, printed
-            return printed
+    def checked(*words: str | bytes, codes: tuple[int, ...] = (0, 3)) -> str:
+        code, printed = apart(*words) if environment else here(*words)
+        assert code in codes, printed
+        return printed
 
-        yield checked
+    return checked
 
 
 LATIN, UTF = b"d\xe9\x1b[31m\nve", "d\u00e9v\u00e9".encode()
@@ -207,12 +158,8 @@ def test_names_of_any_bytes(work: Path, name: bytes, done: Callable[..., str]) -
     done("run", name, "-o", b"out" + name)
 
 
-def test_help_prints_where_the_terminal_has_ascii_only() -> None:
-    with another_locale(**ASCII) as run:
-        for page in ("method", "geometry", "results", "python"):
-            code, printed = run("help", page)
-            assert code == 0
-            assert printed.startswith(f"{page}: ")
+def test_help_prints_where_the_terminal_has_ascii_only(tmp_path: Path) -> None:
+    assert sonarrec(tmp_path, "help", "method", **ASCII).stdout.startswith(b"method: ")
 
 
 @pytest.mark.slow

@@ -75,7 +75,7 @@ def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
         "evaluate --pairs GONE",
         "evaluate --compare GONE GONE --ground-truth GT",
         "report GONE",
-        "overlay GONE --mcap o.mcap",
+        "overlay GONE -o o.mcap",
         "calibrate GONE --ground-truth GT -o m.toml",
         "truth check GT GONE",
         "truth convert GONE",
@@ -137,19 +137,6 @@ def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> 
     (told,) = done.stderr.splitlines()
     assert told.startswith(f"sonarrec: {folder}")
     assert "Permission denied" in told
-
-
-def test_a_current_folder_that_is_gone_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
-    line = "sonarrec_out/pan: cannot be written (No such file or directory)"
-    assert sonarrec("run", SAMPLE, code=1).stderr == f"sonarrec: {line}\n"
-    none = sonarrec("run", "none.mcap", "-o", tmp_path, code=2)
-    assert none.stderr == "sonarrec: none.mcap: no such file or folder\n"
 
 
 def test_the_bar_names_the_log_and_which_of_how_many(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "sonarrec" / "help").glob("*.md"))
 LONGEST = 200
+LONGEST_NOTE = 160
 VALUE = "x" * 8  # in place of what a message is filled with
 TOLD = {
     *("SonarrecError", "UsageError", "MissingError", "UnusableError", "DamagedError"),
@@ -41,25 +42,28 @@ def texts_of(node: ast.expr) -> list[str]:
     return [VALUE]
 
 
-def messages() -> Iterator[tuple[str, str]]:
-    """(where, text) of every message that stands in the code, up to an example of more lines."""
+def messages() -> Iterator[tuple[str, str, int]]:
+    """(where, text, its most characters) of every message in the code, without an example."""
     for path in sorted((ROOT / "sonarrec").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             told: list[ast.expr] = []
+            longest = LONGEST
             if isinstance(node, ast.Call):
                 name = getattr(node.func, "id", getattr(node.func, "attr", ""))
                 told = node.args if name in TOLD else []
+                longest = LONGEST_NOTE if name == "note" else LONGEST
             elif isinstance(node, ast.Return | ast.Yield) and isinstance(node.value, ast.JoinedStr):
                 told = [node.value]  # of functions that say why
             for text in (text for one in told for text in texts_of(one)):
-                yield f"{path.relative_to(ROOT)}:{node.lineno}", text.partition("\n")[0]
+                yield f"{path.relative_to(ROOT)}:{node.lineno}", text.partition("\n")[0], longest
 
 
 def test_messages_are_short_and_no_text_has_a_word_that_has_a_better_one() -> None:
     """In code such words may be names of settings."""
-    told = [*messages()]
-    assert len(told) > 400
-    assert not [(where, text) for where, text in told if len(text) > LONGEST]
+    found = [*messages()]
+    assert len(found) > 400
+    assert not [(where, text) for where, text, longest in found if len(text) > longest]
+    told = [(where, text) for where, text, _ in found]
     prose = [
         (page.name, re.sub(r"`[^`]*`|^    .*", "", page.read_text("utf-8"), flags=re.MULTILINE))
         for page in [*PAGES, ROOT / "README.md"]

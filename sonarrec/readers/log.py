@@ -59,8 +59,8 @@ class Log:
         if hz and playback_hz and abs(hz / playback_hz - 1) > 0.05:
             self.diagnostics.note(
                 f"frame_rate_hz = {hz:g} is not used, since the video has times, of "
-                f"{playback_hz:g} frames per second; if it was not recorded at that rate, export "
-                "it again, or as images"
+                f"{playback_hz:g} frames per second; if it was recorded at another rate, export "
+                "images"
             )
 
     @property

@@ -141,8 +141,7 @@ def tell_fit(
     if proposed := np.count_nonzero(table.proposed[rows]):
         told.note(
             f"{path}: by `source`, {proposed} of {len(rows)} rows for {name} are unchecked "
-            f"proposals of `truth propose`; {of_proposals}. Clear `source` in the rows that a "
-            "person has checked"
+            f"proposals of `truth propose`; {of_proposals}. Clear `source` where you checked"
         )
     if outside := np.count_nonzero(_outside_image(log, truth)):
         told.note(
@@ -158,8 +157,8 @@ def tell_fit(
     if len(frames) >= FEWEST and np.diff(frames).min() > 1:
         step = int(np.median(np.diff(frames)))
         told.note(
-            f"{path}: of {name} about one frame in {step} has a row; the frames between are taken "
-            "to hold no landmark, so that claims in them are false. Give every frame its rows"
+            f"{path}: of {name} about one frame in {step} has a row; frames between count as "
+            "without a landmark, and claims there as false. Give every frame its rows"
         )
     if fan is not None and table.position is not None and table.position[0] == "polar":
         bearings = np.abs(table.position[2][rows])

@@ -73,16 +73,6 @@ def test_a_geometry_beside_a_folder_serves_the_log_in_it(pings: Path) -> None:
     assert told.endswith("; not used: dives/pings/sonar.toml")
 
 
-def test_the_geometry_of_a_file_named_as_the_folder_is_that_file_s(pings: Path) -> None:
-    """As in sample_data, where pan.mcap lies beside pan/."""
-    for path in (pings / "sonar.toml", Path("dives/pings.sonar.toml")):
-        shutil.copy(SAMPLE / "sonar.toml", path)
-    assert "; not used: dives/pings.sonar.toml" in sonarrec("run", pings, *SHORT).stderr
-    Path("dives/pings.mcap").touch()
-    (told,) = lines(sonarrec("run", pings, *SHORT, "--overwrite").stderr)
-    assert "not used" not in told
-
-
 @pytest.mark.usefixtures("pings")
 @pytest.mark.parametrize("out", ["log", "log.mcap"])
 def test_a_scene_s_own_landmarks_need_not_be_named(out: str) -> None:

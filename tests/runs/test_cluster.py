@@ -10,7 +10,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -22,9 +21,6 @@ from sonarrec.runs.prepare import RunOptions
 from sonarrec.runs.task import Outcome, Task
 from tests.support.batch import SAMPLE, answers, command, environment, made, rows, tables, until
 from tests.support.command import sonarrec
-
-if TYPE_CHECKING:
-    pass  # by those who need it: to load it takes long
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import errno
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -13,14 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import many
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
 from sonarrec.runs.prepare import RunOptions
 from sonarrec.runs.task import Outcome, Task
-from sonarrec.sonar import Sonar
 from tests.support.batch import SAMPLE, command, ended, environment, made, rows, tables, until
 from tests.support.command import sonarrec
 
@@ -197,15 +194,6 @@ def test_a_log_that_cannot_be_found_has_a_row_of_its_own(tmp_path: Path) -> None
         "day3-dive": "failed",
     }
     assert (out / "day1-dive" / "run.toml").is_file()
-
-
-@pytest.mark.parametrize("sonar", [Sonar(), Sonar("fan", 3.0, 2.0, 30.0, 0.0)])
-def test_what_failed_is_one_line_without_the_example(sonar: Sonar) -> None:
-    with pytest.raises(SonarrecError) as fault:
-        sonar.complete("dive")
-    message = Outcome("failed", error=fault.value).message
-    assert message.startswith("dive: sonar geometry ")
-    assert not re.search(r"\n|:$", message)
 
 
 @pytest.mark.slow

@@ -1,25 +1,19 @@
-"""The recipes of help/remote.md, run as they stand there, as far as one machine goes.
-
-srun and GNU parallel are scripts that do here what these do elsewhere: srun runs its words,
-parallel puts each line of its input for {} and gives that to a shell.
-"""
+"""The Slurm array of help/remote.md, run as it stands there; srun runs its words here."""
 
 from __future__ import annotations
 
 import os
 import re
-import socket
 import stat
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from tests.support.batch import answers, rows, until
+from tests.support.batch import rows
 from tests.support.logs import cdr_image, frames, mcap_file
 from tests.test_docs import PAGES, code_lines
 
@@ -27,18 +21,6 @@ pytestmark = pytest.mark.slow
 
 BIN = Path(sys.executable).parent
 LOGS = ("a", "b", "c", "d")
-STANDING_IN = {
-    "srun": 'exec "$@"\n',
-    "parallel": """
-while [ "${1#--}" != "$1" ]; do
-    [ "$1" != --workdir ] || cd "$2"
-    shift 2
-done
-while read -r line; do
-    sh -c "$(printf '%s\\n' "$*" | sed "s|{}|$line|g")" < /dev/null || exit
-done
-""",
-}
 
 
 def recipe(beginning: str) -> str:
@@ -59,10 +41,9 @@ def shared(tmp_path: Path) -> Path:
     (place / ".venv").mkdir()
     (place / ".venv" / "bin").symlink_to(BIN)
     (tmp_path / "bin").mkdir()
-    for name, script in STANDING_IN.items():
-        file = tmp_path / "bin" / name
-        file.write_text(f"#!/bin/sh\n{script}")
-        file.chmod(file.stat().st_mode | stat.S_IXUSR)
+    srun = tmp_path / "bin" / "srun"
+    srun.write_text('#!/bin/sh\nexec "$@"\n')
+    srun.chmod(srun.stat().st_mode | stat.S_IXUSR)
     return place
 
 
@@ -95,39 +76,3 @@ def test_a_slurm_array(shared: Path) -> None:
 
     assert_once([task(number) for number in (1, 2)], shared / "results")
     assert "2 up to date" in task(1)
-
-
-def test_machines_over_ssh(shared: Path) -> None:
-    text = recipe("seq")
-    assert "/shared" in text
-    said = printed(["sh", "-c", text.replace("/shared", str(shared))], shared.parent)
-    assert_once([said], shared / "results")
-
-
-def test_a_dask_cluster(shared: Path) -> None:
-    """With the address of this machine, another port, and as many workers as it has cores."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    text = recipe("dask scheduler").replace("first", "127.0.0.1").replace("8786", str(port))
-    *servers, run = text.replace("--nworkers 8", "--nworkers 2").splitlines()
-    running = []
-    try:
-        for line in servers:
-            words = [str(BIN / "dask"), *line.partition("#")[0].split()[1:], "--no-dashboard"]
-            running.append(
-                subprocess.Popen(
-                    words,
-                    cwd=shared,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
-                    start_new_session=True,  # so that workers end with what started them
-                )
-            )
-            until(lambda: answers(port))
-        assert_once([printed(["sh", "-c", run], shared)], shared / "results")
-    finally:
-        for process in running:
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, 9)
-            process.wait()
