@@ -277,8 +277,7 @@ class Printer:
 
     What is wrong is printed when it happens, what was found in the order of the logs, notes at the
     end. jobs: how many logs run at once; default: the number of cores. quiet: only what is wrong,
-    and notes. as_json: one document in place of tables. briefly: neither what a run goes by, nor
-    passes, nor notes.
+    and notes. as_json: one document in place of tables. briefly: only what is wrong.
     """
 
     def __init__(
@@ -313,8 +312,8 @@ class Printer:
 
     def __call__(self, i: int | None, event: Event) -> None:
         if isinstance(event, str):
-            if not (self._quiet or self._briefly):
-                with above_the_bar():
+            with above_the_bar():
+                if not (self._quiet or self._briefly):
                     inform(event if i is None else f"{self._tasks[i].name}: {event}")
         elif i is not None and isinstance(event, tuple):
             done, total = event
@@ -354,6 +353,8 @@ class Printer:
         failed = [self._tasks[i].path for i, o in self._ordered() if o.status == "failed"]
         if done is not None and done.fault and not failed:
             tell([done.fault])  # else the disk is full, which was reported
+        if self._briefly:
+            return
         if self._as_json:
             logs = [self._document(i) for i in range(len(self._tasks))]
             from sonarrec.results.run_file import PROGRAM
@@ -369,8 +370,7 @@ class Printer:
             elif failed:
                 line += f": {', '.join(failed)}"
             click.echo(printable(line), err=bool(failed) or self._as_json)
-        if not self._briefly:
-            tell((), [*self._notes, *self._notes_on_logs(), *(done.notes if done else ())])
+        tell((), [*self._notes, *self._notes_on_logs(), *(done.notes if done else ())])
 
     def _ordered(self) -> list[tuple[int, Outcome]]:
         return sorted(self.outcomes.items())
