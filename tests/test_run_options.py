@@ -10,6 +10,7 @@ import pytest
 from click.testing import Result
 
 from sonarrec import run
+from sonarrec.cli.endings import finish, tell
 from sonarrec.results.run_file import read_run
 from tests.support.batch import made
 from tests.support.command import SAMPLE, on_a_terminal, sonarrec
@@ -188,3 +189,24 @@ def test_a_rate_that_is_assumed_is_said(tmp_path: Path) -> None:
         sonar.write_text(re.sub(r"frame_rate_hz.*\n", "", text), encoding="utf-8")
         done = sonarrec("run", TEN, "--sonar", sonar, *rate, "-o", tmp_path / "o", "--overwrite")
         assert ("frames carry no time, so 1 Hz is assumed" in done.stderr) == said
+
+
+def test_what_is_wrong_comes_first_and_notes_are_few(capsys: pytest.CaptureFixture[str]) -> None:
+    finish(False, ["done"], (), [f"{n}" for n in (1, 1, 2, 3, 4, 5, 6, 7)])
+    printed = capsys.readouterr()
+    assert printed.out == "done\n"
+    notes = [f"sonarrec: note: {n}" for n in range(1, 6)]
+    assert printed.err.splitlines() == [*notes, "sonarrec: 2 more notes"]
+    tell(["wrong", "wrong"], ["why"])
+    assert capsys.readouterr().err == "sonarrec: wrong\nsonarrec: note: why\n"
+
+
+@pytest.mark.slow
+def test_a_note_on_several_logs_is_told_once(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "b", frames=2)
+    for log in logs:
+        text = (log / "sonar.toml").read_text(encoding="utf-8")
+        (log / "sonar.toml").write_text(re.sub(r"frame_rate_hz.*\n", "", text), encoding="utf-8")
+    told = sonarrec("run", *logs, "-o", tmp_path / "out").stderr
+    assert told.count("frames carry no time") == 1
+    assert "sonarrec: note: a and 1 more log: frames carry no time" in told
