@@ -327,25 +327,20 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
     """`config`, changed by texts such as `stage.key=value` and `seed=3`. Raises UsageError for an
     invalid one."""
     for text in assignments:
-        path, equals, value = text.partition("=")
-        section, dot, key = path.strip().partition(".")
-        if equals and path.strip() == "seed":
-            table = {"seed": _plain(value)}
-            config = from_table(Config, table, "--set", over=config, error=UsageError)
-            continue
-        if not equals or not dot:
-            meant = _meant(path.strip())
+        name, equals, value = (part.strip() for part in text.partition("="))
+        section, dot, key = name.partition(".")
+        same = [known for known in setting_names() if known.partition(".")[2] == (key or name)]
+        meant = f"; did you mean {' or '.join(same)}?" if same and name not in same else ""
+        if not equals or not (dot or name == "seed"):
             raise UsageError(f"--set {brief(text)}: expected stage.key=value{meant}")
+        if meant:
+            raise UsageError(f"--set {brief(text)}: no setting {brief(name)}{meant}")
         try:
             parsed = parse_toml(f"value = {value}", "--set")["value"]
         except SonarrecError:
             parsed = _plain(value)
-        kind = SECTIONS.get(section)
-        if meant := "" if kind and key in types_of(kind) else _meant(key):
-            raise UsageError(f"--set {brief(text)}: no setting {brief(path.strip())}{meant}")
-        config = from_table(
-            Config, {section: {key: parsed}}, "--set", over=config, error=UsageError
-        )
+        table = {section: {key: parsed}} if dot else {name: parsed}
+        config = from_table(Config, table, "--set", over=config, error=UsageError)
     return config
 
 
@@ -354,18 +349,12 @@ def setting_names() -> list[str]:
     return [f"{section}.{f.name}" for section, kind in SECTIONS.items() for f in fields(kind)]
 
 
-def _meant(key: str) -> str:
-    """A question whether a setting of this key, in any section, is meant; "" if there is none."""
-    same = [name for name in setting_names() if name.partition(".")[2] == key]
-    return f"; did you mean {' or '.join(same)}?" if same else ""
-
-
 def _plain(value: str) -> float | str:
     """The value of a text that is not TOML: a number such as .5, or a name without quotes."""
     try:
         return float(value)
     except ValueError:
-        return value.strip()
+        return value
 
 
 def as_commented_toml(config: Config) -> str:

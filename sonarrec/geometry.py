@@ -233,57 +233,37 @@ class PolarToFan(PolarImages):
         Raises SonarrecError if bearings_deg or ranges_m do not match the image, if the fan would
         have more than MAX_FAN_PIXELS, or if it or the image has a side above MAX_SIDE.
         """
-        for key, name, count in (
-            ("bearings_deg", "beams", beams),
-            ("ranges_m", "range bins", range_bins),
+        for key, stated, name, count, side in (
+            ("bearings_deg", sonar.bearings_deg, "beams", beams, "column"),
+            ("ranges_m", sonar.ranges_m, "range bins", range_bins, "row"),
         ):
-            stated = getattr(sonar, key)
             if stated is not None and len(stated) != count:
-                what = key.partition("_")[0]
                 raise SonarrecError(
-                    f"{key} has {len(stated)} {what} but the images have {count} {name}; "
-                    f"give one per image {'column' if name == 'beams' else 'row'}"
+                    f"{key} has {len(stated)} {key.partition('_')[0]} but the images have {count} "
+                    f"{name}; give one per image {side}"
                 )
         self._own = fan_for_polar(sonar, range_bins)
         self.fan = fan = fan or self._own
-        if fan.rows * fan.columns > MAX_FAN_PIXELS:
+        largest = max(range_bins, beams, fan.rows, fan.columns)
+        if fan.rows * fan.columns > MAX_FAN_PIXELS or largest > MAX_SIDE:
             raise SonarrecError(
-                f"polar images of {range_bins} range bins up to {fan.range_max_m:.6g} m make a fan "
-                f"image of {fan.columns} x {fan.rows} pixels, more than {MAX_FAN_PIXELS}; crop or "
-                "shrink the images to fewer range bins"
+                f"polar images of {range_bins} range bins up to {fan.range_max_m:.6g} m and "
+                f"{beams} beams make a fan image of {fan.columns} x {fan.rows} pixels; at most "
+                f"{MAX_FAN_PIXELS} in all and {MAX_SIDE} along a side of either can be used: crop "
+                "or shrink the images to fewer"
             )
-        if max(range_bins, beams, fan.rows, fan.columns) > MAX_SIDE:
-            raise SonarrecError(
-                f"polar images of {range_bins} range bins and {beams} beams make a fan image of "
-                f"{fan.columns} x {fan.rows} pixels; no side of either may be above {MAX_SIDE}: "
-                "crop the images or make them smaller"
-            )
-        self._sonar, self._range_bins, self._beams = sonar, range_bins, beams
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return self._range_bins, self._beams
-
-    @property
-    def bin_m(self) -> float:
-        return self._own.metres_per_pixel
-
-    @property
-    def ranges_m(self) -> FloatArray:
-        return bin_ranges(self._sonar, self._range_bins)
-
-    @property
-    def beam_deg(self) -> float:
-        return (self._own.bearing_max_deg - self._own.bearing_min_deg) / self._beams
+        self._sonar, self.shape, self.bin_m = sonar, (range_bins, beams), self._own.metres_per_pixel
+        self.ranges_m = bin_ranges(sonar, range_bins)
+        self.beam_deg = (self._own.bearing_max_deg - self._own.bearing_min_deg) / beams
 
     def pixel(
         self, range_m: FloatArray, bearing_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        sonar, own = self._sonar, self._own
+        sonar, own, (range_bins, beams) = self._sonar, self._own, self.shape
         if sonar.bearings_deg is None:
             span = own.bearing_max_deg - own.bearing_min_deg
             side = -bearing_deg if sonar.flip else bearing_deg
-            beam = (side - own.bearing_min_deg) / span * self._beams - 0.5
+            beam = (side - own.bearing_min_deg) / span * beams - 0.5
         else:
             bearings = np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1)
             order = np.argsort(bearings)
@@ -291,10 +271,9 @@ class PolarToFan(PolarImages):
         if sonar.ranges_m is None:
             range_bin = (range_m - own.range_min_m) / own.metres_per_pixel - 0.5
         else:
-            bins = np.arange(self._range_bins, dtype=float)
-            range_bin = np.interp(range_m, sonar.ranges_m, bins)
-        beam = np.clip(beam, 0, self._beams - 1)
-        range_bin = np.clip(range_bin, 0, self._range_bins - 1)
+            range_bin = np.interp(range_m, sonar.ranges_m, np.arange(range_bins, dtype=float))
+        beam = np.clip(beam, 0, beams - 1)
+        range_bin = np.clip(range_bin, 0, range_bins - 1)
         return beam, range_bin, in_fan(own, range_m, bearing_deg)
 
     @functools.cached_property
@@ -311,6 +290,7 @@ class PolarToFan(PolarImages):
         return self._resampling(polar)
 
     def forget(self) -> None:
+        """Free what a call prepares for the next ones; it is prepared anew if there are any."""
         self.__dict__.pop("_resampling", None)
 
 
@@ -387,12 +367,10 @@ class PoseTable:
         after = np.clip(np.searchsorted(self.at, times_ns), 1, len(self.at) - 1)
         step = (self.at[after] - self.at[after - 1]).astype(float)
         share = ((times_ns - self.at[after - 1]) / step)[:, None]
+        known = (share >= 0) & (share <= 1)
+        known &= (step <= self.gap_ns)[:, None] | (share == 0) | (share == 1)
         found = self.pose[after - 1] * (1 - share) + self.pose[after] * share
-        exact = (share[:, 0] == 0) | (share[:, 0] == 1)
-        known = (
-            (times_ns >= self.at[0]) & (times_ns <= self.at[-1]) & ((step <= self.gap_ns) | exact)
-        )
-        return np.where(known[:, None], found, np.nan)
+        return np.where(known, found, np.nan)
 
     def motion(self, before_ns: int, now_ns: int) -> Motion | None:
         """How the sonar moved between two times; None if either pose is not known."""
@@ -419,16 +397,8 @@ class PoseTable:
 
     def _at(self, time_ns: int) -> FloatArray | None:
         """(3,) the pose at a time; None if not known."""
-        after = int(np.searchsorted(self.at, time_ns))
-        if after == len(self.at) or time_ns < self.at[0]:
-            return None
-        if self.at[after] == time_ns:
-            return np.asarray(self.pose[after])
-        step = self.at[after] - self.at[after - 1]
-        if step > self.gap_ns:
-            return None
-        share = (time_ns - self.at[after - 1]) / step
-        return np.asarray(self.pose[after - 1] * (1 - share) + self.pose[after] * share)
+        (pose,) = self.at_times(np.array([time_ns]))
+        return None if np.isnan(pose).any() else pose
 
 
 def pose_table(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -80,12 +81,11 @@ class LandmarkSet:
         """
         count = len(self.sectors[0])
         turns = [
-            np.nan
-            if len(set(code)) == 1
-            else next(n for n in range(1, count + 1) if code[n:] + code[:n] == code)
+            next(n for n in range(1, count + 1) if code[n:] + code[:n] == code)
             for code in self.sectors
         ]
-        return np.asarray(turns, dtype=float) * (360 / count)
+        plain = [len(set(code)) == 1 for code in self.sectors]
+        return np.where(plain, np.nan, np.asarray(turns, dtype=float) * (360 / count))
 
     def as_table(self) -> dict[str, Any]:
         """The set as plain TOML values, as load_landmarks reads them."""
@@ -217,25 +217,29 @@ def landmarks_from_table(
     sectors = tuple(row.sectors for row in stated.landmark)
     for key, (inner, outer) in (("ring", stated.ring), ("symbol", stated.symbol)):
         if inner >= outer:
-            raise error(
-                f"{where}: {key} must be [inner, outer] with inner < outer, not {[inner, outer]}"
-            )
+            raise error(f"{where}: {key} must be [inner, outer], not {[inner, outer]}")
     if stated.symbol[1] > stated.ring[0]:
         raise error(f"{where}: the symbol must end where the ring begins, or before")
-    if not ids or len(set(ids)) < len(ids):
-        raise error(f"{where}: every [[landmark]] needs an id, a whole number of its own")
     if len({len(s) for s in sectors}) > 1:
         raise error(f"{where}: sectors must be equally many for every ID")
-    first: dict[tuple[int, ...], int] = {}
-    for number, row in zip(ids, sectors, strict=True):
-        turned = min(row[n:] + row[:n] for n in range(len(row)))
-        if turned in first:
-            raise error(
-                f"{where}: IDs {first[turned]} and {number} are the same pattern turned, "
-                "so no image can tell them apart"
-            )
-        first[turned] = number
+    turned = [min(row[n:] + row[:n] for n in range(len(row))) for row in sectors]
+    _check_distinct(ids, turned, "pattern turned", where, error)
     return LandmarkSet(stated.name, stated.radius_m, stated.ring, stated.symbol, ids, sectors)
+
+
+def _check_distinct(
+    ids: Sequence[int], looks: Sequence[object], same: str, where: str, error: type[SonarrecError]
+) -> None:
+    """Raise an error unless every ID is another, and looks different. same: names what is equal."""
+    if not ids or len(set(ids)) < len(ids):
+        raise error(f"{where}: every [[landmark]] needs an id, a whole number of its own")
+    first: dict[object, int] = {}
+    for number, look in zip(ids, looks, strict=True):
+        if (other := first.setdefault(look, number)) != number:
+            raise error(
+                f"{where}: IDs {other} and {number} are the same {same}, so no image can tell "
+                "them apart"
+            )
 
 
 def _drawn_from_table(table: dict[str, Any], where: str, error: type[SonarrecError]) -> DrawnSet:
@@ -256,23 +260,15 @@ def _drawn_from_table(table: dict[str, Any], where: str, error: type[SonarrecErr
         drawings = [family.drawings()[k] for k in family.indices(np.asarray(ids))]
     elif stated.ids:
         raise error(f"{where}: ids chooses among those of a family, and none is named")
-    if not ids or len(set(ids)) < len(ids):
-        raise error(f"{where}: every [[landmark]] needs an id, a whole number of its own")
-    first: dict[tuple[int, bytes], int] = {}
     for number, drawing in zip(ids, drawings, strict=True):
         if drawing.all() or not drawing.any():
             raise error(f"{where}: the drawing of ID {number} is all of one kind")
-        same = min(v.tobytes() for v in views(drawing, stated.mirrored))
-        if (other := first.setdefault((len(drawing), same), number)) != number:
-            how = "turned or mirrored (state mirrored)" if stated.mirrored == "either" else "turned"
-            raise error(
-                f"{where}: IDs {other} and {number} are the same drawing {how}, so no image can "
-                "tell them apart"
-            )
+    hand, half, none = stated.mirrored, stated.size_m / 2, (0.0, 0.0)
+    looks = [(len(d), min(view.tobytes() for view in views(d, hand))) for d in drawings]
+    how = "turned or mirrored (state mirrored)" if hand == "either" else "turned"
+    _check_distinct(ids, looks, f"drawing {how}", where, error)
     cells = tuple(tuple(map(tuple, d.astype(int).tolist())) for d in drawings)
-    half, none = stated.size_m / 2, (0.0, 0.0)
-    hand, pose = stated.mirrored, stated.pose
-    return DrawnSet(stated.name, half, none, none, ids, (), cells, hand, pose)
+    return DrawnSet(stated.name, half, none, none, ids, (), cells, hand, stated.pose)
 
 
 def _of_codes(
@@ -304,10 +300,9 @@ def _drawing(row: _Drawing, where: str, error: type[SonarrecError]) -> BoolArray
     if row.image:
         return _drawing_of_image(Path(where).parent / row.image, where, error)
     rows = [[*map(str, line)] for line in row.cells]
-    if any(cell not in "01" for line in rows for cell in line):
-        raise error(f"{where}: cells of ID {row.id} must be rows of 0 and 1")
-    if len({len(line) for line in rows}) > 1 or not rows[0]:
-        raise error(f"{where}: rows of cells of ID {row.id} must be equally long")
+    is_even = len({len(line) for line in rows}) == 1 and rows[0]
+    if not is_even or any(cell not in "01" for line in rows for cell in line):
+        raise error(f"{where}: cells of ID {row.id} must be rows of 0 and 1, equally long")
     cells = np.array(rows) == "1"
     if max(cells.shape) > MOST_CELLS:
         raise error(f"{where}: ID {row.id} has more than {MOST_CELLS} cells along a side")

@@ -71,34 +71,20 @@ NO_STAMPS = Stamps()
 
 
 class PolarImages(Protocol):
-    """How a log's polar images (rows = range bins, nearest first; columns = beams) fill its fan."""
+    """How a log's polar images (rows = range bins, nearest first; columns = beams) fill its fan.
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(range bins, beams) of the images."""
-        ...
+    shape: (range bins, beams) of the images. bin_m: metres of slant range from one bin to the next,
+    on average. ranges_m: (range bins,) their slant ranges. beam_deg: degrees from one beam to the
+    next, on average.
+    """
 
-    @property
-    def bin_m(self) -> float:
-        """Metres of slant range from one range bin to the next, on average."""
-        ...
-
-    @property
-    def ranges_m(self) -> FloatArray:
-        """(range bins,) their slant ranges, m."""
-        ...
-
-    @property
-    def beam_deg(self) -> float:
-        """Degrees from one beam to the next, on average."""
-        ...
+    shape: tuple[int, int]
+    bin_m: float
+    ranges_m: FloatArray
+    beam_deg: float
 
     def __call__(self, polar: ByteImage) -> ByteImage:
         """(range bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""
-        ...
-
-    def forget(self) -> None:
-        """Free what a call prepares for the next ones; it is prepared anew if there are any."""
         ...
 
     def pixel(

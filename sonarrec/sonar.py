@@ -73,26 +73,22 @@ class Sonar:
 
     def updated(self, other: Sonar) -> Sonar:
         """This geometry, with the keys that `other` states replaced by its values."""
-        stated = {f.name: v for f in fields(other) if (v := getattr(other, f.name)) is not None}
-        return replace(self, **stated)
+        return replace(self, **{key: getattr(other, key) for key in other.as_table()})
 
     def as_table(self) -> dict[str, Any]:
         """The stated keys as plain TOML values, in the order of the fields."""
-        table = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None:
-                table[field.name] = list(value) if isinstance(value, tuple) else value
-        return table
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in values.items()
+            if value is not None
+        }
 
     def missing(self) -> list[str]:
         """The keys that a complete geometry needs and that are not stated."""
-        needed = ["range_min_m", "range_max_m"]
-        if not self.states_floor:
-            needed.append("tilt_deg")
-        if self.bearings_deg is None:
-            needed.append("field_of_view_deg")
-        return [key for key in needed if getattr(self, key) is None]
+        needed = ("range_min_m", "range_max_m", "tilt_deg", "field_of_view_deg")
+        stated = {"tilt_deg": self.states_floor, "field_of_view_deg": self.bearings_deg is not None}
+        return [key for key in needed if getattr(self, key) is None and not stated.get(key)]
 
     @property
     def states_floor(self) -> bool:
@@ -163,46 +159,32 @@ class Sonar:
                 yield window, f"a window of {high - low:g} m is shorter than {MIN_WINDOW_M:g} m"
         view, height = self.field_of_view_deg, self.height_m
         if view is not None and not 0 < view < 180:
-            yield (
-                ("field_of_view_deg",),
-                f"field_of_view_deg = {view:g} must be above 0 and below 180",
-            )
+            wrong = f"field_of_view_deg = {view:g} must be above 0 and below 180"
+            yield ("field_of_view_deg",), wrong
         if tilt is not None and not 0 <= tilt < 90:
             yield ("tilt_deg",), f"tilt_deg = {tilt:g} must be 0 to below 90 (downward)"
         if height is not None and high is not None and not 0 < height < high:
-            yield (
-                ("height_m", "range_max_m"),
-                f"height_m = {height:g} must be above 0 and below range_max_m = {high:g}, "
-                "or no floor is in the window",
-            )
+            wrong = f"height_m = {height:g} must be above 0 and below range_max_m = {high:g}, or no"
+            yield ("height_m", "range_max_m"), f"{wrong} floor is in the window"
         for key in ("frame_rate_hz", "metres_per_pixel", "dynamic_range_db"):
             value = getattr(self, key)
             if value is not None and value <= 0:
                 yield (key,), f"{key} = {value:g} must be above 0"
-        width = self.beam_width_deg
+        width, beams, bins = self.beam_width_deg, self.bearings_deg, self.ranges_m
         if width is not None and not 0 < width <= 5:  # as features.beam_width_deg
             yield ("beam_width_deg",), f"beam_width_deg = {width:g} must be above 0, and at most 5"
-        yield from self._contradictions_of_bins_and_beams()
-
-    def _contradictions_of_bins_and_beams(self) -> Iterator[tuple[tuple[str, ...], str]]:
-        """As `_contradictions`, for the keys with a number per beam or range bin."""
-        low, high = self.range_min_m, self.range_max_m
-        if self.bearings_deg is not None:
-            if max(map(abs, self.bearings_deg), default=0) >= 90:
+        if beams is not None:
+            if max(map(abs, beams), default=0) >= 90:
                 yield ("bearings_deg",), "bearings_deg must lie between -90 and 90"
-            steps = np.diff(self.bearings_deg)
-            if not len(steps) or not (np.all(steps > 0) or np.all(steps < 0)):
+            if len(beams) < 2 or len(set(np.sign(np.diff(beams)))) > 1 or beams[0] == beams[1]:
                 wrong = "bearings_deg must rise or fall from beam to beam, and be two or more"
                 yield ("bearings_deg",), wrong
-        if self.ranges_m is not None:
-            least, most = min(self.ranges_m, default=None), max(self.ranges_m, default=None)
-            below = low is not None and least is not None and least < low
-            if below or (high is not None and most is not None and most > high):
-                wrong = "ranges_m must lie between range_min_m and range_max_m"
-                yield ("ranges_m", "range_min_m", "range_max_m"), wrong
-            steps = np.diff(self.ranges_m)
-            if not len(steps) or not np.all(steps > 0):
+        if bins is not None:
+            if len(bins) < 2 or min(np.diff(bins)) <= 0:
                 yield ("ranges_m",), "ranges_m must rise from bin to bin"
+            elif (low is not None and bins[0] < low) or (high is not None and bins[-1] > high):
+                wrong = "ranges_m must lie between range_min_m and range_max_m"
+                yield ("ranges_m", *window), wrong
 
 
 def _edges(bearings_deg: tuple[float, ...], flip: bool) -> tuple[float, float]:
