@@ -247,10 +247,9 @@ class PolarToFan(PolarImages):
         largest = max(range_bins, beams, fan.rows, fan.columns)
         if fan.rows * fan.columns > MAX_FAN_PIXELS or largest > MAX_SIDE:
             raise SonarrecError(
-                f"polar images of {range_bins} range bins up to {fan.range_max_m:.6g} m and "
-                f"{beams} beams make a fan image of {fan.columns} x {fan.rows} pixels; at most "
-                f"{MAX_FAN_PIXELS} in all and {MAX_SIDE} along a side of either can be used: crop "
-                "or shrink the images to fewer"
+                f"polar images of {range_bins} range bins up to {fan.range_max_m:.6g} m make a fan "
+                f"image of {fan.columns} x {fan.rows} pixels, more than {MAX_FAN_PIXELS}, or than "
+                f"{MAX_SIDE} along a side; crop or shrink the images"
             )
         self._sonar, self.shape, self.bin_m = sonar, (range_bins, beams), self._own.metres_per_pixel
         self.ranges_m = bin_ranges(sonar, range_bins)
