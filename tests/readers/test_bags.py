@@ -12,7 +12,6 @@ import zstandard
 from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.messages import ros
-from sonarrec.readers.poses import read_topic
 from tests.support.bags import IMAGE, bag, messages, ros1_messages, split_bag
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file, read
 from tests.support.messages import image_fields, serialised
@@ -111,19 +110,6 @@ def test_a_clock_that_was_set(container: str, tmp_path: Path) -> None:
         if name == "forward":
             told = f"times jump ahead by {(1.7e9 - 4) / 86400 / 365.2425:.1f} years at frame 5"
         assert all(told in note for note in notes)
-
-
-def test_poses_of_a_bag(tmp_path: Path) -> None:
-    name = "geometry_msgs/msg/PoseStamped"
-    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    half = np.radians(15) / 2
-    turned = {"x": 0.0, "y": 0.0, "z": float(np.sin(half)), "w": float(np.cos(half))}
-    pose = {"position": {"x": 1.0, "y": 2.0, "z": 0.0}, "orientation": turned}
-    timed = [(k * PERIOD_NS, serialised(name, {"header": header, "pose": pose})) for k in range(4)]
-    bag(tmp_path / "dive", timed, ".db3", "message", "/pose", name)
-    table = read_topic(tmp_path / "dive", "/pose", "log")
-    assert table.at.tolist() == [k * PERIOD_NS for k in range(4)]
-    np.testing.assert_allclose(table.pose, [[-15, -2, 1]] * 4)
 
 
 @pytest.mark.parametrize(

@@ -224,18 +224,6 @@ def test_an_order_that_is_not_public_is_refused(tmp_path: Path) -> None:
         read(path)
 
 
-def test_what_is_stated_wins_over_the_headers(tmp_path: Path) -> None:
-    path = aris_file(tmp_path / "a.aris", frames(2, 64, 48))
-    (images,) = info(path, "--tilt-deg", "31")["images"]
-    assert images["geometry"]["tilt_deg"] == 31
-    assert images["origins"]["tilt_deg"] == "flag"
-    assert images["origins"]["range_min_m"] == "header"
-    found, _, notes = read(path, sonar={"tilt_deg": 31.0, "range_max_m": 2.5})
-    assert found[0].fan.tilt_deg == 31.0
-    assert found[0].fan.range_max_m == 2.5
-    assert notes == [f"{path}: stated against the headers: range_max_m = 2.5 (not 1.821)"]
-
-
 @pytest.mark.parametrize(
     ("values", "tilt", "note"),
     [

@@ -14,7 +14,6 @@ from pytritech.util.range import calculate_range
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers.open import find_log
-from tests.readers.test_ddf import as_fan
 from tests.support import logs
 from tests.support.logs import frames
 from tests.support.sonar_files import (
@@ -100,12 +99,6 @@ def test_times_window_and_header(tmp_path: Path) -> None:
     }
 
 
-def test_fan_images(tmp_path: Path, whole: list[np.ndarray]) -> None:
-    far = 64 * 1490 / 2 / 46_560
-    bearings = -np.degrees(np.linspace(-0.5, 0.5, 40))
-    np.testing.assert_array_equal(whole, as_fan(IMAGES, 0.0, far, bearings, tmp_path / "polar"))
-
-
 def test_upside_down_left_is_right(tmp_path: Path, whole: list[np.ndarray]) -> None:
     records = [gemini_record(k, x[:, ::-1], upside_down=True) for k, x in enumerate(IMAGES)]
     found, problems = read(gemini_log(tmp_path / "a.glf", records))
@@ -133,9 +126,6 @@ def test_of_two_sonars_the_first_is_read(tmp_path: Path, whole: list[np.ndarray]
     assert problems == [
         "a.glf: 6 images of other sonars than device 1194 are not read; record one sonar to a file"
     ]
-
-
-# The commands
 
 
 # Logs that are not whole

@@ -203,9 +203,6 @@ def test_damaged_messages_never_escape(name: str, wire: str, data: st.DataObject
     assert ping.pixels.size
 
 
-# One bad message does not end the run
-
-
 # The beams' width
 
 

@@ -332,6 +332,3 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
         "message 2 of /a: its header stamp is 0, as if not set; --time log needs none, skipped"
     ]
     assert len(read(lapse, sonar=TILT)[0]) == 3
-
-
-# What a user types

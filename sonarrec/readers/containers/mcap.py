@@ -144,13 +144,10 @@ class McapRecording(Recording):
                 self._end = body + length + len(MAGIC)
                 return at
             self._data_ended |= opcode == Opcode.DATA_END
-            self.file.seek(body)
             if opcode == Opcode.CHUNK:
-                last = self._add_chunk(at)
-            elif opcode != Opcode.MESSAGE:
-                self._define(self.file, opcode, length)
-            elif length >= MESSAGE_HEAD.size:
-                time = self._count(self.file.read(MESSAGE_HEAD.size))
+                self._add_chunk(at)
+                last = -1
+            elif (time := self._register(self.file, opcode, body, length)) is not None:
                 if last < 0 or time < last:
                     self._add_unit(time, at)
                 last = time
@@ -159,39 +156,38 @@ class McapRecording(Recording):
             self._add_chunk(at)
         return at
 
-    def _add_chunk(self, position: int) -> int:
+    def _add_chunk(self, position: int) -> None:
         try:
             chunk = read_chunk_head(self.file, position, self.size)
         except DamagedError as error:
             self.fault(f"the chunk at byte {position} {error}; its frames are lost")
-            return -1
+            return
         if chunk is not None:
             self.chunks[chunk.compression or "none"] += 1
             self._add_unit(chunk.start_time, position)
-        return -1
 
     def _add_unit(self, time: int, position: int) -> None:
         self.times.append(time)
         self.positions.append(position)
 
-    def _count(self, head: bytes) -> int:
-        """Count a message; returns its time."""
-        channel, _, time, _ = MESSAGE_HEAD.unpack(head)
-        self.counts[channel] += 1
-        first, last = self.span or (time, time)
-        self.span = min(first, time), max(last, time)
-        return int(time)
-
-    def _define(self, file: IO[bytes], opcode: int, length: int) -> None:
-        """Register a header, schema, channel or statistics record; only count a damaged one."""
+    def _register(self, file: IO[bytes], opcode: int, body: int, length: int) -> int | None:
+        """Count a message, and return its time; or keep a definition, of which a damaged one is
+        only counted."""
+        file.seek(body)
+        if opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.size:
+            channel, _, time, _ = MESSAGE_HEAD.unpack(file.read(MESSAGE_HEAD.size))
+            self.counts[channel] += 1
+            first, last = self.span or (time, time)
+            self.span = min(first, time), max(last, time)
+            return int(time)
         if opcode not in _DEFINITIONS:
-            return
+            return None
         stream = ReadDataStream(BytesIO(file.read(min(length, _MAX_DEFINITION_BYTES))))
         try:
             record = _DEFINITIONS[opcode].read(stream)
         except (struct.error, UnicodeDecodeError, McapError):
             self._damaged += 1
-            return
+            return None
         if opcode == Opcode.HEADER:
             self.profile, self.library = record.profile, record.library
         elif opcode == Opcode.STATISTICS:
@@ -200,6 +196,7 @@ class McapRecording(Recording):
                 self.span = record.message_start_time, record.message_end_time
         else:
             (self._schemas if opcode == Opcode.SCHEMA else self._listed)[record.id] = record
+        return None
 
     def is_chunk(self, position: int) -> bool:
         """Whether the unit there is a chunk."""
@@ -220,11 +217,7 @@ class McapRecording(Recording):
         except DamagedError:  # reported when the messages are read
             return
         for opcode, body, length in records_in(contents.file, contents.start, contents.end):
-            contents.file.seek(body)
-            if opcode != Opcode.MESSAGE:
-                self._define(contents.file, opcode, length)
-            elif length >= MESSAGE_HEAD.size:
-                self._count(contents.file.read(MESSAGE_HEAD.size))
+            self._register(contents.file, opcode, body, length)
         contents.release()
 
     def _indexed_positions(self) -> list[int]:
@@ -289,7 +282,7 @@ class _Pass:
                 if log.is_chunk(position := log.positions[unit]):
                     self._open_chunk(position)
                 else:
-                    self._add_run(self._rising(position))
+                    self._add_run(self._positions(Contents(log.file, position, log.size), None))
             while self._runs:
                 yield self._next()
             if log.file.seek(0, 2) < log.size:
@@ -328,33 +321,27 @@ class _Pass:
     def _positions(self, contents: Contents, unit: int | None) -> Iterator[_Position]:
         """The messages of the chosen channels. unit: the chunk that holds them; None: they are in
         none, and end at the next chunk, or where times go back."""
-        file, last = contents.file, 0
+        file, last, low, high = contents.file, 0, 2**64, -1
         for opcode, body, length in records_in(file, contents.start, contents.end):
             if opcode == Opcode.CHUNK:
-                return
+                break
             if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
                 continue
             file.seek(body)
             head = file.read(MESSAGE_HEAD.size)
             if len(head) < MESSAGE_HEAD.size:  # the file has become shorter
-                return
+                break
             channel, _, time, publish_time = MESSAGE_HEAD.unpack(head)
             if unit is None and time < last:
-                return
+                break
             last = time
             if channel in self._channels:
+                low, high = min(low, time), max(high, time)
+                self.back_ns = max(self.back_ns, high - time)
                 position = body if unit is None else unit
                 yield _Position(time, position, body, channel, publish_time, contents, length)
-
-    def _rising(self, position: int) -> Iterator[_Position]:
-        """The messages of a run that is in no chunk."""
-        first = last = None
-        for message in self._positions(Contents(self._log.file, position, self._log.size), None):
-            last = message.log_time
-            first = last if first is None else first
-            yield message
-        if first is not None and last is not None:
-            self.spans.append((position, first, last))
+        if high >= 0:
+            self.spans.append((contents.start if unit is None else unit, low, high))
 
     def _open_chunk(self, position: int) -> None:
         log, chunk = self._log, None
@@ -372,25 +359,14 @@ class _Pass:
             self._lose(position, chunk, f"{where} (`mcap recover` may save some)")
             contents.release()
             return
-        found = list(self._positions(contents, position))
-        if found:
-            times = np.array([message.log_time for message in found], np.uint64)
-            self.spans.append((position, int(times.min()), int(times.max())))
-            self.back_ns = max(self.back_ns, int((np.maximum.accumulate(times) - times).max()))
-        self._add_run(sorted(found), contents)
+        self._add_run(sorted(self._positions(contents, position)), contents)
 
     def _lose(self, position: int, chunk: Chunk | None, why: str) -> None:
-        """Tell that a chunk is lost; the messages that its index names keep their places."""
-        index = [] if chunk is None else self._indexed(chunk)
-        number = f"{len(index)} " if index else ""
-        self._log.fault(f"the chunk at byte {position} {why}; its {number}frames are lost")
-        self._add_run(sorted(index))
-
-    def _indexed(self, chunk: Chunk) -> list[_Position]:
-        """The messages of the chosen channels by the indexes behind a chunk; empty if there are
-        none."""
+        """Tell that a chunk is lost; the messages that the indexes behind it name keep their
+        places."""
         file, found = self._log.file, list[_Position]()
-        for opcode, body, length in records_in(file, chunk.end, self._log.size):
+        behind = self._log.size if chunk is None else chunk.end
+        for opcode, body, length in records_in(file, behind, self._log.size):
             if opcode != Opcode.MESSAGE_INDEX or not _INDEX_HEAD.size <= length <= _MAX_INDEX_BYTES:
                 break
             file.seek(body)
@@ -399,5 +375,7 @@ class _Pass:
             pairs = record[_INDEX_HEAD.size : _INDEX_HEAD.size + size]
             if channel in self._channels and len(pairs) % 16 == 0:
                 for time, offset in struct.iter_unpack("<QQ", pairs):
-                    found.append(_Position(time, chunk.position, offset, channel, time, None, 0))
-        return found
+                    found.append(_Position(time, position, offset, channel, time, None, 0))
+        number = f"{len(found)} " if found else ""
+        self._log.fault(f"the chunk at byte {position} {why}; its {number}frames are lost")
+        self._add_run(sorted(found))
