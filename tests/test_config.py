@@ -63,7 +63,6 @@ def test_the_paper_preset_takes_every_rule_as_published():
         ("[continuity]\nparticles = 1000.5", "continuity.particles"),
         ("[continuity]\nsigma_px = -1", "continuity.sigma_px"),
         ("[continuity]\nparticles = 0", "continuity.particles"),
-        ("[continuity]\np_hit_object = 1.5", "it is always 0.9"),
         ("[candidates]\nmin_visible = 0", "candidates.min_visible"),
         ("[candidates]\ndisc_radius_px = 0.5", "candidates.disc_radius_px"),
         ("features = 4", "features"),
@@ -93,7 +92,6 @@ def test_what_is_no_setting_is_told_by_name(text, named, tmp_path):
         ("continuity.particles=1e400", "continuity.particles"),
         ("features.motion_model=wheels", "features.motion_model"),
         ("preset.name=paper", "preset must be a text"),
-        ("continuity.jump=2", "it is always 0.25"),
     ],
 )
 def test_an_assignment_that_cannot_be_meant_is_told_by_name(text, named):

@@ -24,6 +24,7 @@ from click.testing import CliRunner
 
 from sonarrec.cli import COMMANDS as COMMAND_NAMES
 from sonarrec.cli import main
+from sonarrec.cli.groups import page_texts
 from sonarrec.config import setting_names
 
 ROOT = next(folder for folder in Path(__file__).parents if (folder / "pyproject.toml").exists())
@@ -171,7 +172,7 @@ def test_a_command_has_help_an_example_a_page_and_a_place_in_the_readme(name: st
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_fit_for_a_terminal(name: str) -> None:
-    text = PAGES[name].read_text(encoding="utf-8")
+    text = page_texts()[name]
     assert re.match(rf"# {name}: \S.*\n\n\S", text)  # then what it is for, in a sentence
     assert len(text.splitlines()) <= (220 if name in ("formats", "results") else 150)
     shown = {line for _, lines in examples(PAGES[name]) for line in lines}
@@ -184,9 +185,9 @@ def test_a_page_is_fit_for_a_terminal(name: str) -> None:
 
 def test_help_lists_and_prints_the_pages() -> None:
     listed = CliRunner().invoke(main, ["help"]).stdout
-    for name, page in PAGES.items():
+    for name, text in page_texts().items():
         assert re.search(rf"^  {name} +\S", listed, re.MULTILINE)
-        told, text = CliRunner().invoke(main, ["help", name]).stdout, page.read_text("utf-8")
+        told = CliRunner().invoke(main, ["help", name]).stdout
         assert not re.search(r"`|^#|^```", told, re.MULTILINE)
         words = [re.findall(r"\w+", one) for one in (told, re.sub("```[a-z]*|`", "", text))]
         assert words[0] == words[1]
@@ -222,7 +223,7 @@ def test_help_is_in_groups() -> None:
 
 def listed_columns(page: str, file: str) -> list[str]:
     """The columns that a help page lists under `## FILE`."""
-    section = re.split(r"^## ", PAGES[page].read_text(encoding="utf-8"), flags=re.MULTILINE)
+    section = re.split(r"^## ", page_texts()[page], flags=re.MULTILINE)
     (text,) = [part for part in section if part.partition("\n")[0] == file]
     columns: list[str] = []
     for line in text.splitlines():

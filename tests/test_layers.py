@@ -35,8 +35,8 @@ PARTS = (
 MOST_LINES = {
     **{"cli": 2792, "drawing": 820, "evaluation": 3976, "geometry": 450},
     **{"learning": 640, "mapping": 1259, "overlays": 470, "readers": 5813},
-    **{"recogniser": 6510, "reports": 1830, "results": 1757, "runs": 1749},
-    **{"simulation": 2540, "tables": 812, "truth": 1195},
+    **{"recogniser": 6510, "reports": 1830, "results": 1711, "runs": 1749},
+    **{"simulation": 2540, "tables": 804, "truth": 1195},
 }
 """Of a room; set to what stands after an issue, and it only falls."""
 SMALL = 400  # lines of a room of one module

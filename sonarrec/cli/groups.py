@@ -24,9 +24,10 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 def page_texts() -> dict[str, str]:
     """The Markdown of each page of the manual by its topic, in the order of names."""
-    pages = files("sonarrec").joinpath("help").iterdir()
-    texts = {p.name.removesuffix(".md"): p for p in pages if p.name.endswith(".md")}
-    return {topic: texts[topic].read_text(encoding="utf-8") for topic in sorted(texts)}
+    from sonarrec.results.columns import with_columns
+
+    pages = sorted(files("sonarrec").joinpath("help").iterdir(), key=lambda page: page.name)
+    return {p.name[:-3]: with_columns(p.read_text("utf-8")) for p in pages if p.name[-3:] == ".md"}
 
 
 def advice_on(word: str) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import csv
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
 
 from sonarrec.errors import UsageError, printable
 from sonarrec.nouns import FrameResult, Stamps, follows
@@ -18,82 +21,57 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column.
+    """One column, a row of columns.csv.
 
     form: how a cell is written. kind: what a cell must be when it is read back; None: the column
-    is not read. needed: tables of other programs must have the column too.
+    is not read. needed: tables of other programs must have the column too. meaning: for `sonarrec
+    help results`; columns that follow each other with one meaning are listed together.
     """
 
     name: str
     form: str
-    kind: Kind | None = None
-    needed: bool = False
+    kind: Kind | None
+    needed: bool
+    meaning: str
 
 
-_NUMBER: tuple[Column, Column] = (
-    Column("frame", "%d", "whole", needed=True),
-    Column("timestamp_ns", "%d"),
-)
-FRAME_COLUMNS = (
-    Column("frame", "%d", "whole", needed=True),
-    Column("timestamp_ns", "%d", "whole"),
-    Column("candidates", "%d"),
-    Column("tracks", "%d"),
-    Column("log_time_ns", "%s"),
-    Column("publish_time_ns", "%s"),
-    Column("header_stamp_ns", "%s"),
-    Column("dx_m", "%.5f"),
-    Column("dy_m", "%.5f"),
-    Column("dyaw_deg", "%.4f"),
-    Column("dx_sigma_m", "%.5f"),
-    Column("dy_sigma_m", "%.5f"),
-    Column("dyaw_sigma_deg", "%.4f"),
-)
-_BEFORE_BELIEFS = (
-    Column("method", "%s", "text", needed=True),
-    Column("object", "%d", "label"),
-    Column("x_px", "%.2f", "blank or place"),
-    Column("y_px", "%.2f", "blank or place"),
-    Column("range_m", "%.4f", "blank or place"),
-    Column("bearing_deg", "%.3f", "blank or place"),
-    Column("orientation_deg", "%.1f", "blank or number"),
-    Column("existence", "%.4f", "blank or number"),
-)
-_AFTER_BELIEFS = (
-    Column("landmark", "%d", "whole", needed=True),
-    Column("score", "%.6f", "number", needed=True),
-    Column("declared", "%d", "flag", needed=True),
-    Column("range_sigma_m", "%.4f", "blank or number"),
-    Column("bearing_sigma_deg", "%.3f", "blank or number"),
-    Column("orientation_sigma_deg", "%.1f", "blank or number"),
-)
-"""Their names, and those of _BEFORE_BELIEFS, are those of an Estimate's fields."""
-CORNERS = tuple(f"{axis}{k}" for k in range(1, 5) for axis in "rb")
+def _read() -> dict[str, tuple[Column, ...]]:
+    """The columns of each table."""
+    tables: dict[str, tuple[Column, ...]] = {}
+    with Path(__file__).with_name("columns.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            kind: Any = row["kind"] or None
+            column = Column(row["name"], row["form"], kind, bool(row["needed"]), row["meaning"])
+            tables[row["table"]] = (*tables.get(row["table"], ()), column)
+    return tables
+
+
+_TABLES = _read()
+FRAME_COLUMNS, SIGHTING_COLUMNS = _TABLES["frames"], _TABLES["sightings"]
+CORNERS = tuple(c.name for c in _TABLES["corners"])
 """Columns of a plate's corners: slant range, m, and bearing, deg, of each."""
-SIGHTING_COLUMNS = (
-    Column("method", "%s"),
-    Column("landmark", "%d"),
-    Column("track", "%d"),
-    Column("first_frame", "%d"),
-    Column("last_frame", "%d"),
-    Column("start_ns", "%d"),
-    Column("end_ns", "%d"),
-    Column("frames_declared", "%d"),
-    Column("mean_score", "%.6f"),
-    Column("best_score", "%.6f"),
-    Column("range_m", "%.4f"),
-    Column("bearing_deg", "%.3f"),
-    Column("orientation_deg", "%.1f"),
-    Column("range_sigma_m", "%.4f"),
-    Column("bearing_sigma_deg", "%.3f"),
-    Column("orientation_sigma_deg", "%.1f"),
-    Column("x_m", "%.4f"),
-    Column("y_m", "%.4f"),
-)
-"""The fields of a Sighting."""
 FRAMES_HEADER = "frame,timestamp_ns"
 ESTIMATES_HEADER = "frame,method,range_m,bearing_deg,landmark,score,declared"
 """Headers for error messages: the fewest columns that can be scored."""
+
+
+def with_columns(page: str) -> str:
+    """A page of help with a table's columns in place of {frames.csv} and so on."""
+    for name, columns in _TABLES.items():
+        page = page.replace(f"    {{{name}.csv}}", "\n".join(_listed(columns)))
+    return page
+
+
+def _listed(columns: Iterable[Column]) -> Iterator[str]:
+    """A line for each column, or those of one meaning, and more where the meaning is long."""
+    for meaning, those in groupby(columns, key=attrgetter("meaning")):
+        names = ", ".join(c.name for c in those)
+        first, *rest = wrap(meaning, 65)
+        if len(names) > 18:
+            yield f"    {names}"
+            names = ""
+        yield f"    {names:<18} {first}"
+        yield from (f"{'':<23}{line}" for line in rest)
 
 
 def belief_names(ids: Sequence[int]) -> list[str]:
@@ -103,15 +81,17 @@ def belief_names(ids: Sequence[int]) -> list[str]:
 
 def estimate_columns(ids: Sequence[int], corners: bool = False) -> tuple[Column, ...]:
     """The columns of estimates.csv for a landmark set with these IDs; corners: of drawn plates."""
-    return (
-        *(*_NUMBER, *_BEFORE_BELIEFS),
-        *(Column(name, "%.6f", "share") for name in belief_names(ids)),
-        *_AFTER_BELIEFS,
-        *(
-            Column(name, "%.4f" if name[0] == "r" else "%.3f", "blank or number")
-            for name in CORNERS[: 8 * corners]
-        ),
-    )
+    before, after = _around_beliefs(_TABLES["estimates"])
+    of_id, of_none = _TABLES["estimates"][len(before) :][:2]
+    beliefs = (*(replace(of_id, name=name) for name in belief_names(ids)[:-1]), of_none)
+    return (*before, *beliefs, *after, *(_TABLES["corners"] if corners else ()))
+
+
+def _around_beliefs(columns: Sequence[Column]) -> tuple[list[Column], list[Column]]:
+    """The columns of an estimate before and after those of its probabilities."""
+    of_beliefs = [n for n, c in enumerate(columns) if c.name.startswith("p_")]
+    after = [c for c in columns[of_beliefs[-1] + 1 :] if c.name not in CORNERS]
+    return list(columns[: of_beliefs[0]]), after
 
 
 def _line(columns: Sequence[Column], blank: int = 0) -> str:
@@ -145,8 +125,9 @@ class EstimateLines:
         """columns: from `estimate_columns`."""
         self._corners = columns[-1].name == CORNERS[-1]
         self._seen, self._unseen = _line(columns), _line(columns, len(CORNERS) * self._corners)
-        self._before = attrgetter(*(c.name for c in _BEFORE_BELIEFS[1:]))
-        self._after = attrgetter(*(c.name for c in _AFTER_BELIEFS))
+        before, after = _around_beliefs(columns)  # they are named as an Estimate's fields
+        self._before = attrgetter(*(c.name for c in before[3:]))  # after frame, time and method
+        self._after = attrgetter(*(c.name for c in after))
 
     def __call__(self, result: FrameResult) -> str:
         """The lines of a frame's estimates."""

@@ -45,6 +45,7 @@ from sonarrec.tables import natural_order
 from sonarrec.tables.read import (
     POSITION_KINDS,
     Table,
+    data_frame,
     line_number,
     position_pair,
     read_table,
@@ -499,20 +500,7 @@ def read_results(folder: str | Path) -> Tables:
     folder = Path(folder)
     sightings = folder / "sightings.csv"
     return Tables(
-        frames=_table(folder / "frames.csv", FRAMES_HEADER),
-        estimates=_table(folder / "estimates.csv", ESTIMATES_HEADER),
-        sightings=_table(sightings, "method,landmark,track") if sightings.is_file() else None,
+        frames=data_frame(folder / "frames.csv", FRAMES_HEADER),
+        estimates=data_frame(folder / "estimates.csv", ESTIMATES_HEADER),
+        sightings=data_frame(sightings, "method,landmark,track") if sightings.is_file() else None,
     )
-
-
-def _table(path: Path, expected: str) -> pd.DataFrame:
-    """One table. expected: a header for the error message."""
-    try:
-        return pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
-    except FileNotFoundError:
-        raise SonarrecError(f"{path}: no such file; give the folder of one log's results") from None
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise SonarrecError(
-            f"{path}: not a readable CSV table ({str(error).strip()}); "
-            f"expected a header such as {expected}"
-        ) from None

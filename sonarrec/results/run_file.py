@@ -26,6 +26,12 @@ from sonarrec.tables.toml import AtLeastOne, Count, Finite, checked, read_toml, 
 
 PROGRAM = {"name": "sonarrec", "version": VERSION}
 """The program that made a file, for run.toml and JSON documents."""
+_EDGES = ("bearing_min_deg", "bearing_max_deg")
+_FAN = (
+    *("rows", "columns", "metres_per_pixel", "apex_px", "range_min_m", "range_max_m"),
+    *("field_of_view_deg", *_EDGES, "tilt_deg", "height_m"),
+)
+"""The keys of [fan]."""
 
 
 def run_table(
@@ -43,26 +49,18 @@ def run_table(
     values from defaults and messages, so that fan pixels can be converted later. source: the
     input's name, size in bytes and SHA-256. reading: how it was read (`Log.reading`).
     """
-    name, size, digest = source
     tables = [asdict(c) for c in settings]
-
-    def of_fan(*names: str) -> dict[str, float]:
-        return {name: getattr(fan, name) for name in names}
-
+    of_fan = asdict(fan) | {
+        "apex_px": [fan.apex_column, fan.apex_row],
+        "field_of_view_deg": fan.bearing_max_deg - fan.bearing_min_deg,
+    }
     instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     return {
         "program": {**PROGRAM, "methods": list(methods)},
-        "input": {"name": name, "bytes": size, "sha256": digest, **reading},
+        "input": dict(zip(("name", "bytes", "sha256"), source, strict=True)) | dict(reading),
         "config": tables if len(tables) > 1 else tables[0],
         "sonar": sonar.as_table(),
-        "fan": {
-            **of_fan("rows", "columns", "metres_per_pixel"),
-            "apex_px": [fan.apex_column, fan.apex_row],
-            **of_fan("range_min_m", "range_max_m"),
-            "field_of_view_deg": fan.bearing_max_deg - fan.bearing_min_deg,
-            **of_fan("bearing_min_deg", "bearing_max_deg", "tilt_deg"),
-            **({} if fan.height_m is None else {"height_m": fan.height_m}),
-        },
+        "fan": {key: of_fan[key] for key in _FAN if of_fan[key] is not None},
         "landmarks": landmarks.as_table(),
         # The last digits depend on it: numpy's exp and log round differently with AVX-512.
         "ran_on": {
@@ -111,12 +109,12 @@ def rows_written(folder: Path) -> dict[str, int]:
 
 def rows_lost(folder: Path, stated: Input) -> list[str]:
     """A line for each table with fewer rows than run.toml states: it was cut since the run."""
-    held, lines = rows_written(folder), []
-    for name, key in _ROWS.items():
-        wrote = getattr(stated, key)
-        if held.get(key, wrote) < wrote:
-            lines.append(f"{name} holds {held[key]} of the {wrote} rows that the run wrote")
-    return lines
+    held = rows_written(folder)
+    return [
+        f"{name} holds {held[key]} of the {wrote} rows that the run wrote"
+        for name, key in _ROWS.items()
+        if held.get(key, wrote := getattr(stated, key)) < wrote
+    ]
 
 
 def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
@@ -132,39 +130,34 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
             f"{folder}: holds {present[0]} but no run.toml, so it may not be of sonarrec; choose "
             "another --out, or give --overwrite"
         )
-    if len(present) <= len(TABLES):
-        return ExistingResults()
-    run = read_run(path)
-    recorded, stated, old_input = run.table, run.input, run.table.get("input")
-    if not recorded.get("finished") or old_input is None:
+    run = read_run(path) if len(present) > len(TABLES) else None
+    if run is None or not run.table.get("finished") or "input" not in run.table:
         return ExistingResults()
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
-    new_input = coming["input"]
-    # Earlier versions kept no place, only the path, which may be relative.
-    where, other = "place" if "place" in old_input else "path", ""
-    changed = old_input.get("sha256") != new_input["sha256"]
-    if changed and old_input.get(where, new_input[where]) != new_input[where]:
-        other = f"another log ({old_input.get('path')})"
-    elif old_input.get("topic", new_input.get("topic")) != new_input.get("topic"):
-        other = f"topic {old_input['topic']} of this log"
+    old, new = run.table["input"], coming["input"]
+    other, changed = "", old.get("sha256") != new["sha256"]
+    if changed and old.get("place") != new["place"]:
+        other = f"another log ({old.get('path')})"
+    elif old.get("topic", new.get("topic")) != new.get("topic"):
+        other = f"topic {old['topic']} of this log"
     if other:
         raise SonarrecError(
             f"{folder}: holds the results of {other}; choose another --out, or give --overwrite"
         )
-    # Not compared: what only a finished run states, where it ran and what its log was called.
-    coming.pop("ran_on")
-    before = {k: v for k, v in recorded.items() if k not in ("finished", "ran_on")}
-    before["input"] = {k: v for k, v in old_input.items() if k not in _OF_THE_END}
-    before["input"] |= {key: new_input[key] for key in ("path", "place")}
-    if before == coming:
-        if lost := rows_lost(folder, stated):
-            return ExistingResults(reason=lost[0])
-        counts = stated.frames_processed, stated.frames_unusable, stated.candidates
-        return ExistingResults(True, *counts, list(stated.problems))
     if changed:
         return ExistingResults(reason="the log has changed")
-    old, new = dict(flat(before)), dict(flat(coming))
-    keys = [key for key in {**new, **old} if old.get(key) != new.get(key)]
+    # Not compared: what only a finished run states, where it ran and what its log was called.
+    before = {k: v for k, v in run.table.items() if k != "finished"}
+    before["input"] = {k: v for k, v in old.items() if k not in _OF_THE_END}
+    before["input"] |= {key: new[key] for key in ("path", "place")}
+    before["ran_on"] = coming["ran_on"]
+    if before == coming:
+        if lost := rows_lost(folder, run.input):
+            return ExistingResults(reason=lost[0])
+        counts = run.input.frames_processed, run.input.frames_unusable, run.input.candidates
+        return ExistingResults(True, *counts, list(run.input.problems))
+    flat_old, flat_new = dict(flat(before)), dict(flat(coming))
+    keys = [k for k in {**flat_new, **flat_old} if flat_old.get(k) != flat_new.get(k)]
     more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
     return ExistingResults(reason=f"other settings: {', '.join(keys[:3])}{more}")
 
@@ -292,15 +285,14 @@ class RunFile:
 
         same_log: complete it with the run's topic, time, frames and topic of poses as well.
         """
-        same_poses = same_log and log_options.odometry is None
-        poses = self.odometry.get("topic") if same_poses else None
+        own = self.input if same_log else Input()
+        poses = self.odometry.get("topic") if same_log and log_options.odometry is None else None
+        sonar = log_options.sonar
         return replace(
             log_options,
-            sonar=log_options.sonar
-            if log_options.sonar_file
-            else self.sonar().updated(log_options.sonar),
-            topic=log_options.topic or (self.input.topic if same_log else None),
-            time=log_options.time or (self.input.time if same_log else None),
+            sonar=sonar if log_options.sonar_file else self.sonar().updated(sonar),
+            topic=log_options.topic or own.topic,
+            time=log_options.time or own.time,
             odometry_topic=log_options.odometry_topic or poses,
             frames=log_options.frames or (self.span() if same_log else None),
         )
@@ -339,7 +331,6 @@ class RunFile:
         return replace(fan, **edges)  # a field of view alone is symmetric
 
 
-_EDGES = ("bearing_min_deg", "bearing_max_deg")
 _SHAPES: dict[str, Any] = {
     **dict.fromkeys(("program", "input", "sonar", "fan", "landmarks", "odometry", "model"), dict),
     "config": dict | list[dict[str, Any]],

@@ -25,14 +25,8 @@ PASS_GAP = 10
 class Sighting:
     """One pass: the declarations of a landmark by one track; a row of sightings.csv.
 
-    method: name. landmark: ID. track: None for a method that does not track objects. first_frame,
-    last_frame: numbers in the log of the first and the last declaration; start_ns, end_ns: their
-    times. frames_declared: how many frames have a declaration. mean_score, best_score: over the
-    declarations, 0 to 1. range_m: mean slant range. bearing_deg: mean, positive to the right.
-    orientation_deg: mean direction, 0 to 360; one of several for a symmetric symbol.
-    range_sigma_m, bearing_sigma_deg, orientation_sigma_deg: standard error of one frame's estimate,
-    root mean square over the declarations. x_m, y_m: mean position on the floor in the frame of the
-    poses. NaN if not known.
+    What its fields mean: SIGHTING_COLUMNS. m, deg and ns; NaN if not known, and track None for a
+    method that does not track objects. orientation_deg: one of several for a symmetric symbol.
     """
 
     method: str

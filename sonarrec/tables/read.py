@@ -133,6 +133,11 @@ def read_tables(
         first += len(part)
 
 
+def data_frame(path: Path, expected: str) -> pd.DataFrame:
+    """All columns as pandas reads them. Raises SonarrecError if the file is not a table."""
+    return pd.concat(_parts(path, expected, {}, None))
+
+
 def read_header(path: Path, expected: str) -> list[str]:
     """The names of all columns. Raises SonarrecError if the file is not a table."""
     return [str(name) for name in next(_parts(path, expected, {}, 1)).columns]

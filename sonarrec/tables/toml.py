@@ -103,14 +103,6 @@ def named_file(source: str | Path, built_in: Path) -> Path | None:
 
 
 T = TypeVar("T")
-REMOVED: dict[str, object] = {
-    **{"candidates.blur_px": 13, "candidates.edge_tolerance_px": 2, "continuity.min_match": 0.25},
-    **{"continuity.jump": 0.25, "continuity.own_candidate": 0.2},
-    **{"continuity.p_hit_object": 0.9, "continuity.p_hit_clutter": 0.4},
-    **{"continuity.recall": 0.2, "continuity.recall_drift": 0.02},
-    **{"continuity.recall_most": 0.5, "continuity.recall_in_view": 0.5},
-}
-"""Settings of earlier versions that are constants now. An old run.toml may state these values."""
 
 
 def from_table(
@@ -137,11 +129,6 @@ def from_table(
     values: dict[str, Any] = {}
     for key, value in table.items():
         label = f"{section}.{_key(key)}" if section else _key(key)
-        if label in REMOVED:
-            if value != REMOVED[label]:
-                constant = f"{label} is no setting any more; it is always {REMOVED[label]}"
-                raise error(f"{where}: {constant}; delete the line")
-            continue
         if key not in names:
             listed = f"; known{inside or ' keys'}: {', '.join(names)}"
             raise error(f"{where}: unknown key {label}{_meant(str(key), names) or listed}")
