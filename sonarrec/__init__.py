@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from sonarrec.readers import open_log
     from sonarrec.reports.build import report
     from sonarrec.results.read import read_results
-    from sonarrec.runs.frames import Recogniser
-    from sonarrec.runs.run import run
+    from sonarrec.runs.run import Recogniser, run
     from sonarrec.simulation.simulate import simulate
 
 # OpenCV reads this when it is loaded: it refuses image files whose headers state more than
@@ -31,7 +30,7 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 _HOMES = {
-    "Recogniser": "runs.frames",
+    "Recogniser": "runs.run",
     "compare": "evaluation.compare",
     "evaluate": "evaluation.evaluate",
     "load_landmarks": "landmarks",

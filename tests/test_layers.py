@@ -35,7 +35,7 @@ PARTS = (
 MOST_LINES = {
     **{"cli": 2792, "drawing": 820, "evaluation": 3976, "geometry": 450},
     **{"learning": 640, "mapping": 1259, "overlays": 470, "readers": 5813},
-    **{"recogniser": 6510, "reports": 1830, "results": 1711, "runs": 1749},
+    **{"recogniser": 6510, "reports": 1830, "results": 1711, "runs": 1710},
     **{"simulation": 2540, "tables": 804, "truth": 1195},
 }
 """Of a room; set to what stands after an issue, and it only falls."""

@@ -27,7 +27,7 @@ from sonarrec.errors import SonarrecError, UsageError, number_of
 if TYPE_CHECKING:
     from sonarrec.evaluation.check_file import Check, LogToRun
     from sonarrec.evaluation.compare import Comparison, Judgement, Limits
-    from sonarrec.runs.task import Task
+    from sonarrec.runs.one import Task
 
 
 @command(short_help="Run logs anew and compare with their results on record (for CI).")
@@ -140,8 +140,8 @@ def _tasks(
     one: Check, logs: Sequence[LogToRun], settings: options.SettingsChoice, out: Path
 ) -> list[Task]:
     """A task for each log. Settings of the command line change those of the file."""
+    from sonarrec.runs.one import Task
     from sonarrec.runs.prepare import RunOptions
-    from sonarrec.runs.task import Task
 
     file = one.file
     chosen = options.SettingsChoice(

@@ -138,7 +138,7 @@ def _draw(preview: Path, log: NamedLog, reading: dict[str, Any], landmarks: str 
     from sonarrec.readers import open_log
     from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
-    from sonarrec.runs.basis import chosen_landmarks
+    from sonarrec.runs.prepare import chosen_landmarks
 
     landmark_set, _ = chosen_landmarks(find_log(log.path, log.up_to), landmarks, read_run(None))
     with open_log(log.path, **reading, up_to=log.up_to) as opened:

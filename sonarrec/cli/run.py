@@ -52,9 +52,8 @@ from sonarrec.nouns import date_text, is_date
 if TYPE_CHECKING:
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.results.sightings import Sighting
-    from sonarrec.runs.one import Summary
+    from sonarrec.runs.one import Event, Outcome, Summary, Task
     from sonarrec.runs.run import Runs
-    from sonarrec.runs.task import Event, Outcome, Task
 
 MOST_SHOWN = 10
 """If a call has more logs, their passes are not printed."""
@@ -235,7 +234,7 @@ def _unquoted_glob_notes(logs: Sequence[NamedLog]) -> list[str]:
 
 def _plan(tasks: Sequence[Task]) -> int:
     """Print what would be done with each log: --dry-run. The exit code."""
-    from sonarrec.runs.task import plan_task
+    from sonarrec.runs.one import plan_task
 
     faults = 0
     for task in tasks:

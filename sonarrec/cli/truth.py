@@ -100,7 +100,7 @@ def convert(
     from sonarrec.readers import open_log
     from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
-    from sonarrec.runs.basis import chosen_landmarks
+    from sonarrec.runs.prepare import chosen_landmarks
     from sonarrec.truth.convert import convert as convert_annotations
 
     source = None if log is None else find_log(log)
@@ -151,7 +151,7 @@ def check(
     from sonarrec.readers import open_log
     from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
-    from sonarrec.runs.basis import chosen_landmarks
+    from sonarrec.runs.prepare import chosen_landmarks
     from sonarrec.truth.check import check_truth
 
     landmark_set, _ = chosen_landmarks(find_log(log), landmarks, read_run(None))

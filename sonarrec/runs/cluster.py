@@ -12,7 +12,7 @@ from typing import Any
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import LockedError
 from sonarrec.runs.many import Processes, Watch
-from sonarrec.runs.task import GRACE_S, Outcome, Task
+from sonarrec.runs.one import GRACE_S, Outcome, Task
 
 RETRIES = 2
 """How often a task is started again after its worker was lost."""

@@ -14,7 +14,7 @@ from typing import Any, get_args
 
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError, locked, part_of
-from sonarrec.runs.task import Event, Outcome, Status, Task
+from sonarrec.runs.one import Event, Outcome, Status, Task
 from sonarrec.tables.outputs import is_filled, write_csv
 
 NAME = "logs.csv"

@@ -24,7 +24,7 @@ from typing import IO
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import FrameResult
-from sonarrec.runs.task import GRACE_S, Event, Outcome, Task, run_task
+from sonarrec.runs.one import GRACE_S, Event, Outcome, Task, run_task
 
 # The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the
 # cores, and OpenCV's threads would only compete.

@@ -23,7 +23,7 @@ from sonarrec.recogniser.drawn.drawings import (
     uneven_light,
 )
 from sonarrec.recogniser.drawn.model import built_in_model
-from sonarrec.runs.frames import Recogniser
+from sonarrec.runs.run import Recogniser
 from tests.support.rows import read_rows
 
 ACTAG = Path(__file__).parents[3] / "shared" / "data" / "actag"

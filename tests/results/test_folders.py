@@ -67,13 +67,6 @@ def test_what_nothing_tells_apart_is_refused() -> None:
         folder_names([("pan", Path("/x/pan")), ("a", Path("/x/a")), ("pan", Path("/x/pan"))])
 
 
-def test_equal_stems_of_one_call_get_folders_of_their_own(tmp_path: Path) -> None:
-    one, two = short(tmp_path, "day1/dive"), short(tmp_path, "day2/dive", 5)
-    sonarrec("run", "-q", one, two, "--out", tmp_path / "out")
-    assert frames(tmp_path / "out" / "day1-dive") == list(range(3))
-    assert frames(tmp_path / "out" / "day2-dive") == list(range(5))
-
-
 def test_the_same_results_are_not_made_again(tmp_path: Path) -> None:
     log, out = short(tmp_path), tmp_path / "out"
     sonarrec("run", "-q", log, "-o", out)
@@ -127,7 +120,7 @@ def test_all_that_is_made_from_results_goes_with_them(log: Path, tmp_path: Path)
     sonarrec("report", "--ground-truth", truth, folder, "-q")
     sonarrec("map", folder, "--origin", "54,10,0", "--min-frames", "3")
     made = {path for path in folder.rglob("*") if path.is_file() and path.name not in kept}
-    assert len(made) >= 15
+    assert len(made) >= 12
     shutil.copytree(folder, part_of(folder), ignore=lambda _, names: {*names} - kept)
     assert not exchange(folder)
     assert {path.name for path in folder.iterdir()} == kept

@@ -87,14 +87,6 @@ def test_a_missing_and_an_empty_one_tell_nothing(tmp_path: Path, text: str | Non
     assert run.complete(log_options, same_log=True) == log_options
 
 
-def test_none_is_not_the_one_that_happens_to_be_here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    written(tmp_path, RUN)
-    monkeypatch.chdir(tmp_path)
-    assert read_run(None).input.name is None
-
-
 def test_it_lies_under_what_is_given(tmp_path: Path) -> None:
     run = read_run(written(tmp_path, RUN))
     laid = run.complete(LogOptions(Sonar(tilt_deg=5.0), time="log"), same_log=True)

@@ -98,13 +98,6 @@ def test_a_scene_s_own_landmarks_need_not_be_named(out: str) -> None:
     assert told.endswith(f"; not used: {file}")
 
 
-def test_each_of_several_logs_says_it(pings: Path) -> None:
-    shutil.copy(SAMPLE / "sonar.toml", "dives")
-    shutil.copytree(pings, "dives/more")
-    told = sonarrec("run", "dives", "--recursive", "-j", "2", *SHORT).stderr
-    assert sorted(line.split(": ")[1] for line in lines(told)) == ["more", "pings"]
-
-
 def test_many_logs_end_in_a_table_of_what_was_found(pings: Path) -> None:
     """Before, 20 logs ended in '19 done, 1 failed'."""
     shutil.copy(SAMPLE / "sonar.toml", "dives")

@@ -17,8 +17,8 @@ from sonarrec.config import preset
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import cluster as cluster_module
 from sonarrec.runs.cluster import run_on_cluster
+from sonarrec.runs.one import Outcome, Task
 from sonarrec.runs.prepare import RunOptions
-from sonarrec.runs.task import Outcome, Task
 from tests.support.batch import SAMPLE, answers, command, environment, made, rows, tables, until
 from tests.support.command import sonarrec
 

@@ -16,8 +16,8 @@ from sonarrec.results.folders import LockedError
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import many
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
+from sonarrec.runs.one import Outcome, Task
 from sonarrec.runs.prepare import RunOptions
-from sonarrec.runs.task import Outcome, Task
 from tests.support.batch import SAMPLE, command, ended, environment, made, rows, tables, until
 from tests.support.command import sonarrec
 

@@ -18,7 +18,7 @@ from tests.support.rows import read_rows
 
 FRAMES = 6
 GRACE_S = 3.0
-"""So long a process that is to end has in the tests, in place of `task.GRACE_S`."""
+"""So long a process that is to end has in the tests, in place of `one.GRACE_S`."""
 BEHAVIOUR = '''
 """Read by every process at its start: logs of these names misbehave while they are read.
 
@@ -26,10 +26,10 @@ A slow one waits before its last frame until there is a file slow.go beside it; 
 """
 import fcntl, os, signal, sys, time
 if "sonarrec" in "".join(sys.orig_argv):
-    from sonarrec.runs import task
+    from sonarrec.runs import one
     from sonarrec.readers import log
 
-    task.GRACE_S = {grace}
+    one.GRACE_S = {grace}
     within = log.Log.within
 
     def misbehave(self, span):

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import errno
 import os
 import resource
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -116,30 +114,6 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
     assert not set(after) - set(before)
 
 
-@pytest.mark.parametrize(
-    ("line", "where"),
-    but_first(
-        [
-            (f"report {TABLES} -o", "page.html"),
-            (f"evaluate {TABLES} --ground-truth gt.csv -o", "folder"),
-            (f"map {TABLES} -o", "folder"),
-            (f"truth propose {TABLES} -o", "gt.csv"),
-            (f"overlay log {TABLES} -o", "o.mcap"),
-            ("simulate --frames 2 --scene basin -o", "s.mcap"),
-        ],
-        4,
-    ),
-)
-def test_folders_are_made_for_what_is_written(work: Path, line: str, where: str) -> None:
-    done = sonarrec(f"{line} new/er/{where} -q")
-    assert done.exit_code in (0, 3), done.output
-    assert (work / "new" / "er" / where).exists()
-    done = sonarrec(f"{line} gt.csv/er/{where} -q")
-    assert done.exit_code in (1, 2), done.output
-    assert done.stderr.startswith("sonarrec: gt.csv/er")
-    assert done.stderr.count("\n") == 1
-
-
 EVALUATE = f"evaluate {TABLES} --ground-truth gt.csv"
 COMPARE = f"--compare {TABLES} {TABLES} --ground-truth gt.csv"
 
@@ -217,19 +191,6 @@ def test_a_full_disk_leaves_what_was_there(
     assert contents(work) == {
         p: b for p, b in before.items() if f"{p.relative_to(work)}" not in lost
     }
-
-
-def test_a_table_that_fails_halfway_replaces_nothing(tmp_path: Path) -> None:
-    def rows() -> Iterator[list[int]]:
-        yield [1]
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    path = tmp_path / "a.csv"
-    path.write_text("old")
-    with pytest.raises(OSError, match="No space") as raised:
-        write_csv(path, ["n"], rows())
-    assert raised.value.filename == str(path)
-    assert contents(tmp_path) == {path: b"old"}
 
 
 @pytest.mark.parametrize("cell", ["a\r\nb", "a\nb", 'a"b', "a,b", " a ", "d\udce9j"])
