@@ -141,7 +141,7 @@ def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> 
 
 
 def test_the_bar_names_the_log_and_which_of_how_many(tmp_path: Path) -> None:
-    logs = map(str, made(tmp_path, "one", "two", frames=2))
+    logs = map(str, made(tmp_path, "one", "two", frames=40))
     shown = on_a_terminal("run", "-j", "1", *logs, "-o", "out", cwd=tmp_path)
     assert b"one (1 of 2)" in shown
     assert b"two (2 of 2)" in shown
