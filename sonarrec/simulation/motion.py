@@ -49,7 +49,7 @@ def _run(scene: Scene) -> FloatArray:
     # In tenths of a frame, so that the result hardly depends on how the steps are summed.
     time = np.arange((scene.frames - 1) * 10 + 1) / (10 * scene.rate_hz)
     swing = np.sin(2 * np.pi * time[:, None] / motion.swing_period_s + phase)
-    throughout, amplitude = np.transpose(motion.speeds)
+    throughout, amplitude = motion.speeds
     ahead, right, turn = (throughout + amplitude * swing).T
 
     def summed(speed: FloatArray) -> FloatArray:  # by the trapezoidal rule
@@ -76,7 +76,7 @@ def poses(scene: Scene) -> list[Pose]:
     pan = pan + motion.yaw_jitter_deg * jitter
     heave = motion.heave_m * np.sin(2 * np.pi * time / motion.heave_period_s + phase[0])
     slow = 2 * np.pi * time / motion.sway_period_s
-    heading, x, y = _run(scene).T if motion.travels else np.zeros((3, frames))
+    heading, x, y = _run(scene).T if motion.speeds.any() else np.zeros((3, frames))
     tossed = np.random.default_rng([scene.seed, 10]).uniform(0, 2 * np.pi, 2)
     toss = np.sin(2 * np.pi * time[:, None] / motion.attitude_period_s + tossed)
     attitude = toss * (motion.pitch_deg, motion.roll_deg)

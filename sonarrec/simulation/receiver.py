@@ -11,23 +11,11 @@ from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.geometry import in_fan, polar_from_pixel
 from sonarrec.nouns import Fan
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.scene import NO_ECHO_DB, Scene, SonarSection, scene_bearings
+from sonarrec.simulation.scene import NO_ECHO_DB, Scene, scene_bearings
 from sonarrec.simulation.world import View
 
 GROUP = 8  # so many neighbouring beams share a gain; beams this far apart fire together
 MOST_BANDS = 100  # bands of surface echo, at most; one more would be 300 dB below the first
-
-
-def beam_pattern(sonar: SonarSection, offset_deg: FloatArray) -> FloatArray:
-    """Two-way amplitude of a beam at angles off its axis (deg): a Gaussian lobe and side lobes.
-
-    It has half power at beam_width_deg / 2. Side lobes alternate in sign and fall with the angle.
-    """
-    scaled = offset_deg / sonar.beam_width_deg
-    main = np.exp(-2 * math.log(2) * scaled**2)
-    level = 10 ** (sonar.side_lobe_db / 20)
-    side = level * np.cos(np.pi * scaled) / np.sqrt(1 + (scaled / 6) ** 2)
-    return np.asarray(main + (1 - main) * side)
 
 
 def vertical_pattern(
@@ -76,12 +64,18 @@ class Receiver:
         self._phases = np.random.default_rng([scene.seed, 14]).uniform(0, 2 * np.pi, 2)
 
     def patterns(self, azimuth_deg: FloatArray, pan_deg: float) -> np.ndarray:
-        """(azimuths, beams) complex64 amplitude by which each beam receives each azimuth.
+        """(azimuths, beams) complex64 two-way amplitude by which each beam receives each azimuth.
 
-        They are scaled so that a floor of unit scatterers gives unit power.
+        A Gaussian lobe, of half power at beam_width_deg / 2, and side lobes, which alternate in
+        sign and fall with the angle; scaled so that a floor of unit scatterers gives unit power.
         """
+        sonar = self._scene.sonar
         offset = self._bearings + (pan_deg - azimuth_deg[:, None])
-        pattern = beam_pattern(self._scene.sonar, offset.astype(np.float32))
+        scaled = offset.astype(np.float32) / sonar.beam_width_deg
+        main = np.exp(-2 * math.log(2) * scaled**2)
+        level = 10 ** (sonar.side_lobe_db / 20)
+        side = level * np.cos(np.pi * scaled) / np.sqrt(1 + (scaled / 6) ** 2)
+        pattern: np.ndarray = main + (1 - main) * side
         pattern /= np.sqrt(np.vdot(pattern, pattern) / np.float32(len(self._bearings)))
         return (pattern @ self._leak).view(np.complex64)
 

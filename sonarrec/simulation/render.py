@@ -63,7 +63,7 @@ def render(
         return
     check_scene(scene, scene.name)
     path = poses(scene) if path is None else path
-    roams = ground is None and scene.motion.travels
+    roams = ground is None and scene.motion.speeds.any()
     grid = SquareGrid(scene, path) if roams else PolarGrid(ground or scene)
     world = World(ground or scene, grid)
     receiver, picture, fading = Receiver(scene), Picture(scene, fan), _Fading(scene)
@@ -104,25 +104,18 @@ class _Fading:
         def changing(rng: np.random.Generator, size: int) -> FloatArray:
             return ar1(rng, frames, size, step_s, fading.time_s)
 
-        self.signal_db = _signal_gain_db(scene, signal)
+        # Single frames fade, and bursts of frames.
+        depths, singles, starts, bursts = signal.spawn(4)
+        depth = fading.depth_db * depths.gamma(4.0, 0.25, frames)
+        self.signal_db = -depth * (singles.random(frames) < fading.frame_probability)
+        for begin in np.flatnonzero(starts.random(frames) < fading.burst_probability):
+            length = 1 + bursts.geometric(1 / max(fading.burst_frames, 1.0))
+            part = self.signal_db[begin : begin + length]
+            shape = np.sin(np.pi * (np.arange(len(part)) + 1) / (length + 1)) ** 0.5
+            np.minimum(part, -depth[begin] * shape, out=part)
         self.time_s = np.arange(frames) * step_s
         swing = np.sin(2 * np.pi * (self.time_s / noise.gain_drift_s + drift.uniform()))
         self.drift_db = noise.gain_drift_db * swing
         self.object_db = fading.object_db * changing(objects, count)
         self.afterglow_db = glow.normal(0, 3, count) + 2 * changing(glow_changes, count)
         self.patches = changing(patches, PATCHES)
-
-
-def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """(frames,) gain of the echoes, dB: single frames fade, and bursts of frames."""
-    fading, frames = scene.fading, scene.frames
-    depths, singles, starts, bursts = rng.spawn(4)
-    depth = fading.depth_db * depths.gamma(4.0, 0.25, frames)
-    gain = -depth * (singles.random(frames) < fading.frame_probability)
-    begins = np.flatnonzero(starts.random(frames) < fading.burst_probability)
-    for begin in begins:
-        length = 1 + bursts.geometric(1 / max(fading.burst_frames, 1.0))
-        part = gain[begin : begin + length]
-        shape = np.sin(np.pi * (np.arange(len(part)) + 1) / (length + 1)) ** 0.5
-        np.minimum(part, -depth[begin] * shape, out=part)
-    return np.asarray(gain)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
@@ -124,18 +124,11 @@ class MotionSection:
     attitude_period_s: Period = 6.0
 
     @property
-    def speeds(self) -> tuple[tuple[float, float], ...]:
-        """(constant part, amplitude of its sine) of the speed ahead, to the right, of turning."""
-        return (
-            (self.surge_m_s, self.surge_swing_m_s),
-            (self.crab_m_s, self.crab_swing_m_s),
-            (self.yaw_deg_s, self.yaw_swing_deg_s),
-        )
-
-    @property
-    def travels(self) -> bool:
-        """Whether the sonar is on a vehicle that moves or turns."""
-        return any(amount for pair in self.speeds for amount in pair)
+    def speeds(self) -> FloatArray:
+        """(2, 3) constant parts and amplitudes of the sines of the speed ahead, to the right, and
+        of turning; all 0 if the sonar is on no vehicle."""
+        swings = self.surge_swing_m_s, self.crab_swing_m_s, self.yaw_swing_deg_s
+        return np.array([(self.surge_m_s, self.crab_m_s, self.yaw_deg_s), swings])
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,7 +327,9 @@ class PlateScene:
     """A recording of drawn plates, written as polar images."""
 
     name: str = "plates"
-    landmark_set: DrawnSet = field(default_factory=lambda: _drawn_set("actag24h10", "plates"))
+    landmark_set: DrawnSet = field(
+        default_factory=lambda: cast(DrawnSet, load_landmarks("actag24h10"))
+    )
     others: DrawnSet | None = None  # drawings for plates that are none of the set's
     plate: tuple[HeldPlate, ...] = (HeldPlate(0),)
     seed: Count = 0
@@ -374,20 +369,16 @@ def load_scene(source: str | Path) -> AnyScene:
 
 def scene_from_table(table: Mapping[str, Any], where: str) -> AnyScene:
     """A scene from the keys of its TOML. Raises SonarrecError, which begins with `where`."""
-    table = dict(table)
-    if table.get("kind") == "plates":
-        del table["kind"]
-        for key in {"landmark_set", "others"} & set(table):
-            table[key] = _drawn_set(table[key], where)
-        plates = from_table(PlateScene, table, where)
-        scene: AnyScene = plates
-        fault = _fault_of_plates(plates)
-    else:
-        table["landmark_set"] = _landmark_set(table.get("landmark_set", "basin"), where)
-        if isinstance(table["landmark_set"], DrawnSet):
-            raise SonarrecError(f'{where}: a scene of drawn plates has kind = "plates"')
-        scene = discs = from_table(Scene, table, where)
-        fault = _fault(discs)
+    plates, values = table.get("kind") == "plates", dict(table)
+    if plates:
+        del values["kind"]
+    for key in {"landmark_set", "others"} & set(values):
+        values[key] = chosen = _landmark_set(values[key], where)
+        if isinstance(chosen, DrawnSet) != plates:
+            raise SonarrecError(f'{where}: {key}: drawn plates and kind = "plates" go together')
+    kind: type[Any] = PlateScene if plates else Scene
+    scene: AnyScene = from_table(kind, values, where)
+    fault = _fault(scene)
     if fault is not None:
         raise SonarrecError(f"{where}: {fault}")
     return scene
@@ -404,15 +395,17 @@ def _landmark_set(listed: Any, where: str) -> LandmarkSet:
     return landmarks_from_table(listed, f"{where}: [landmark_set]")
 
 
-def _drawn_set(listed: Any, where: str) -> DrawnSet:
-    chosen = _landmark_set(listed, where)
-    if not isinstance(chosen, DrawnSet):
-        raise SonarrecError(f"{where}: {chosen.name} must be a set of drawn plates")
-    return chosen
-
-
-def _fault(scene: Scene) -> str | None:
+def _fault(scene: AnyScene) -> str | None:
     """How values of a scene contradict each other; None if they do not."""
+    if isinstance(scene, PlateScene):
+        for plate in scene.plate:
+            family = scene.landmark_set if plate.known else scene.others
+            if family is None or plate.landmark not in family.ids:
+                of = "landmark_set" if plate.known else "others"
+                return f"there is no ID {plate.landmark} in {of}"
+        if scene.range_min_m >= scene.range_max_m or not (scene.beams and scene.bins):
+            return "range_min_m must be below range_max_m, beams and bins be some"
+        return None
     sonar, motion, discs = scene.sonar, scene.motion, scene.landmark_set
     wrong = scene_sonar(scene).contradiction()
     if wrong is not None:
@@ -429,7 +422,7 @@ def _fault(scene: Scene) -> str | None:
             f"the sweep of {sweep:g} deg and the view of {view:g} deg go round and see the same "
             "floor twice; together they must be 360 deg or less"
         )
-    if motion.travels and any(item.lean_deg for item in scene.items):
+    if motion.speeds.any() and any(item.lean_deg for item in scene.items):
         return "discs lean before a standing sonar only, not a vehicle's"
     for item in scene.items:
         if isinstance(item, PlacedLandmark):
@@ -438,17 +431,6 @@ def _fault(scene: Scene) -> str | None:
                 return f"landmark id {item.id} is not in the set {discs.name!r} ({known})"
         elif item.kind not in KINDS:
             return f"unknown kind of object {brief(item.kind)}; known: {', '.join(KINDS)}"
-    return None
-
-
-def _fault_of_plates(scene: PlateScene) -> str | None:
-    for plate in scene.plate:
-        family = scene.landmark_set if plate.known else scene.others
-        if family is None or plate.landmark not in family.ids:
-            of = "landmark_set" if plate.known else "others"
-            return f"there is no ID {plate.landmark} in {of}"
-    if scene.range_min_m >= scene.range_max_m or not (scene.beams and scene.bins):
-        return "range_min_m must be below range_max_m, beams and bins be some"
     return None
 
 

@@ -14,7 +14,7 @@ from sonarrec.nouns import Fan
 from sonarrec.simulation.fish import Fishes
 from sonarrec.simulation.motion import Plane, Pose
 from sonarrec.simulation.objects import object_radius, raised_m
-from sonarrec.simulation.scene import PlacedLandmark, Scene, position_of
+from sonarrec.simulation.scene import Placed, PlacedLandmark, Scene, position_of
 
 
 class Truth(NamedTuple):
@@ -46,29 +46,20 @@ def truth_rows(frame: int, truth: Iterable[Truth]) -> Iterator[list[object]]:
     return ([frame, *one[:7]] for one in truth)
 
 
-def visible_share(
-    fan: Fan,
-    pose: Pose,
-    x_m: float,
-    y_m: float,
-    radius_m: float,
-    plane: Plane | None = None,
-    lean: tuple[float, float] = (0.0, 0.0),
-) -> float:
+def visible_share(fan: Fan, pose: Pose, item: Placed, radius_m: float, plane: Plane) -> float:
     """Share of a disc's area that is inside the fan image, 0 to 1.
 
-    x_m, y_m: its centre on the floor, level by default. lean: by how much the disc leans and the
-    azimuth towards which it does, deg; its lower edge touches the floor.
+    Where it leans, its lower edge touches the floor.
     """
     (dx, dy), up = points_on_disc(radius_m, 2000), np.zeros(1)
-    if lean[0]:
-        tilt, towards = math.radians(lean[0]), math.radians(lean[1])
+    if item.lean_deg:
+        tilt, towards = math.radians(item.lean_deg), math.radians(item.lean_towards_deg)
         along = dx * math.sin(towards) + dy * math.cos(towards)
         up = (along + radius_m) * math.sin(tilt)
         level = along * (math.cos(tilt) - 1)
         dx, dy = dx + level * math.sin(towards), dy + level * math.cos(towards)
-    slant, bearing = (plane or Plane()).seen(pose, x_m + dx, y_m + dy, up)
-    return float(np.mean(in_image(fan, slant, bearing)))
+    x, y = position_of(item)
+    return float(np.mean(in_image(fan, *plane.seen(pose, x + dx, y + dy, up))))
 
 
 def truth_in_view(
@@ -78,12 +69,11 @@ def truth_in_view(
     plane = Plane.of(scene)
     landmarks, others = [], []
     for item in scene.items:
-        x, y = position_of(item)
-        size, lean = object_radius(scene, item), (item.lean_deg, item.lean_towards_deg)
-        share = round(visible_share(fan, pose, x, y, size, plane, lean), 4)
+        size = object_radius(scene, item)
+        share = round(visible_share(fan, pose, item, size, plane), 4)
         if share == 0:
             continue
-        seen = plane.seen(pose, x, y, raised_m(item, size))
+        seen = plane.seen(pose, *position_of(item), raised_m(item, size))
         row = _rounded(fan, *seen, share, item.orientation_deg + pose.pan_deg)
         if isinstance(item, PlacedLandmark):
             landmarks.append(Truth(item.id, *row))

@@ -67,7 +67,7 @@ def test_every_kind_has_its_nuisance_and_renders(kind: str) -> None:
             "ripples": scene.floor.ripple_height_m > 0,
             "multipath": scene.multipath != MultipathSection(),
             "fish": scene.fish.number > 0,
-            "vehicle": scene.motion.travels,
+            "vehicle": scene.motion.speeds.any(),
         }
         assert [name for name, shown in shows.items() if shown] == [kind] * (kind in NEW)
         assert bool(scene.landmarks) == (kind != "no_landmark")

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from sonarrec.geometry import fan_for_image, polar_from_pixel
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
-from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.motion import Plane, Pose
+from sonarrec.simulation.scene import PlacedLandmark
 from sonarrec.simulation.truth import visible_share
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.check import CheckedTruth, Fault, check_truth
@@ -231,9 +232,8 @@ def test_visible_of_the_simulator_is_always_sound(
     log = image_folder(folder / "pings", [np.zeros((60, 112), np.uint8)])
     fan = fan_for_image(load_sonar(log / "sonar.toml").complete("test"), 60, 112)
     ground = math.sqrt(range_m**2 - 0.68**2)
-    turn = math.radians(bearing_deg)
     pose = Pose(0.0, 0.68, 0.0, 0.0)
-    share = visible_share(fan, pose, ground * math.sin(turn), ground * math.cos(turn), 0.15)
+    share = visible_share(fan, pose, PlacedLandmark(1, ground, bearing_deg), 0.15, Plane())
     if share > 0:
         visible = min(max(share + margin, 0), 1)
         row = f"0,1,{range_m:.5f},{bearing_deg:.4f},{visible:.4f}"
