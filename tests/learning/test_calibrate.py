@@ -142,25 +142,6 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkey
     assert Path("by_run.toml").read_bytes() == Path("stated.toml").read_bytes()
 
 
-@pytest.mark.slow
-def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
-    """Its landmarks would be learned as "none of these"."""
-    head, *rows = (site / "gt.csv").read_text().splitlines()
-    wrong = [row.replace("two,", "two,1000", 1) for row in rows]
-    truth = labelled(tmp_path / "gt.csv", "\n".join([head, *wrong]))
-    logs = [site / "one", site / "two"]
-    told = sonarrec("calibrate", *logs, "--ground-truth", truth, "-o", tmp_path / "m.toml", code=3)
-    assert "learned from 70 frames of one" in told.stdout
-    assert "is this the truth of another log?; nothing is learned from two" in told.stderr
-    alone = sonarrec(
-        *("calibrate", site / "one", "--ground-truth", site / "gt.csv"),
-        *("-o", tmp_path / "one.toml"),
-    )
-    assert "learned from 70 frames of one" in alone.stdout
-    model = (tmp_path / "m.toml").read_text()
-    assert model.partition("\n[")[2] == (tmp_path / "one.toml").read_text().partition("\n[")[2]
-
-
 def test_rows_that_teach_nothing_are_told(tmp_path):
     """Truth denser than the frames, in places outside, for one log 8 deg wrong; and another log."""
     with (SAMPLES / "pan.gt.csv").open(newline="") as file:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies import baseline, scenes
+from tests.support.command import sonarrec
+from tests.support.rows import read_rows
 from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise
 
 pytestmark = pytest.mark.slow
@@ -37,37 +35,20 @@ SCENE = Scene(
 )
 
 
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-@pytest.fixture(scope="module")
-def in_memory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The results of SCENE as the harness makes them."""
-    folder = tmp_path_factory.mktemp("in_memory") / SCENE.name
-    recognise(Job(SCENE, folder, [preset(name) for name in PRESETS], (HoughRival,)))
-    return folder
-
-
-def test_harness_is_what_the_commands_do(in_memory: Path, tmp_path: Path) -> None:
-    log = tmp_path / SCENE.name
+def test_harness_is_what_the_commands_do(tmp_path: Path) -> None:
+    log, in_memory = tmp_path / SCENE.name, tmp_path / "in_memory"
+    recognise(Job(SCENE, in_memory, [preset(name) for name in PRESETS], (HoughRival,)))
     write_recording(SCENE, log)
     results = tmp_path / "out" / log.name
     run = ["run", log, "--preset", ",".join(PRESETS), "--landmarks", log / "landmarks.toml"]
-    for command in (
-        [*run, "--out", results.parent, "-q"],
-        ["evaluate", "--ground-truth", log / "gt.csv", results, "-q"],
-    ):
-        done = CliRunner().invoke(sonarrec, list(map(str, command)), catch_exceptions=False)
-        assert done.exit_code == 0, done.output
-
+    sonarrec(*run, "--out", results.parent, "-q")
+    sonarrec("evaluate", "--ground-truth", log / "gt.csv", results, "-q")
     assert (in_memory / "gt.csv").read_bytes() == (log / "gt.csv").read_bytes()
-    ours = [r for r in table(in_memory / "estimates.csv") if r["method"] != baseline.METHOD]
-    assert ours == table(results / "estimates.csv")
+    ours = [r for r in read_rows(in_memory / "estimates.csv") if r["method"] != baseline.METHOD]
+    assert ours == read_rows(results / "estimates.csv")
     expected = {
         (r["protocol"], r["method"]): tuple(int(r[c]) for c in ("tp", "tn", "fp", "fn"))
-        for r in table(results / "evaluation" / "confusion.csv")
+        for r in read_rows(results / "evaluation" / "confusion.csv")
         if r["landmark"] == "total"
     }
     [row] = scenes.scored_rows([scenes.Recording(SCENE.name, SCENE.seed, in_memory)])
@@ -80,25 +61,18 @@ def test_harness_is_what_the_commands_do(in_memory: Path, tmp_path: Path) -> Non
     assert expected["strict", "framework:default"][0] > 20
 
 
-@pytest.mark.parametrize(
-    ("command", "arguments", "told"),
-    [
-        (scenes.main, ["--kinds", "plain", "no_landmark", "tiny_discs"], "default, pooled: TPR"),
-        (scenes.main, ["--kinds", "plain", "--ours"], "default, pooled: TPR"),
-    ],
-)
-def test_commands_tell_their_tables(
-    command: Callable[[list[str]], None],
-    arguments: list[str],
-    told: str,
+@pytest.mark.parametrize("more", [["no_landmark", "tiny_discs"], ["--ours"]])
+def test_the_command_tells_its_tables(
+    more: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """In one process; so few frames that much is 0/0."""
     monkeypatch.setattr(scenes, "in_processes", lambda work, items: list(map(work, items)))
-    command([*arguments, "--seeds", "2000", "--frames", "4", "--out", str(tmp_path / "out")])
-    assert told in capsys.readouterr().out
+    few = ["--seeds", "2000", "--frames", "4", "--out", str(tmp_path / "out")]
+    scenes.main(["--kinds", "plain", *more, *few])
+    assert "default, pooled: TPR" in capsys.readouterr().out
 
 
 def test_intervals_over_recordings_are_those_of_all_that_may_be_drawn() -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.objects import object_radius
@@ -264,8 +263,7 @@ def _from_origin(pose: Pose, ground: float, bearing_deg: float) -> tuple[float, 
     return math.hypot(x, y), math.degrees(math.atan2(x, y))
 
 
-@dataclass(frozen=True, slots=True)
-class _Looks:
+class _Looks(NamedTuple):
     """How landmarks and objects look, and where they lie.
 
     bright, plate: levels over the floor, dB. share: the nearest part of the range window, in which
@@ -290,16 +288,11 @@ def _landmarks(
     for number in rng.choice(discs.ids, count, replace=count > len(discs.ids)):
         place = places.find(discs.radius_m, looks.share)
         if place:
-            landmarks.append(
-                PlacedLandmark(
-                    int(number),
-                    *place,
-                    orientation_deg=round(rng.uniform(0, 360), 1),
-                    bright_db=round(looks.bright + rng.normal(0, 0.7), 2),
-                    symbol_db=round(looks.bright + rng.normal(-0.7, 0.7), 2),
-                    plate_db=round(looks.plate + rng.normal(0, 0.7), 2),
-                )
-            )
+            levels = {"bright_db": (looks.bright, 0), "symbol_db": (looks.bright, -0.7)}
+            levels |= {"plate_db": (looks.plate, 0)}
+            turn = round(rng.uniform(0, 360), 1)
+            drawn = {k: round(db + rng.normal(off, 0.7), 2) for k, (db, off) in levels.items()}
+            landmarks.append(PlacedLandmark(int(number), *place, turn, **drawn))
     return landmarks
 
 
@@ -343,10 +336,8 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
     wide: draw fading and noise from wider ranges, for learning. overrides: fields of Scene that
     replace those drawn. A given `sonar`, `landmark_set` or motion of a vehicle also decides where
     things lie; a given `landmarks` or `objects` only replaces what was drawn.
-    Raises SonarrecError for an unknown kind, or if the scene contradicts itself.
+    Raises SonarrecError if the scene contradicts itself.
     """
-    if kind not in ALL_KINDS:
-        raise SonarrecError(f"unknown kind of scene {kind!r}; known: {', '.join(ALL_KINDS)}")
     rng = np.random.default_rng([seed, ALL_KINDS.index(kind)])
     sonar = overrides.get("sonar") or _sonar(kind, rng)
     scene = Scene(
@@ -383,23 +374,17 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
             PlacedObject("wall", round(0.95 * far, 3), 0.0, round(rng.uniform(-12, 12), 1))
         )
     drawn = replace(scene, landmarks=tuple(landmarks), objects=tuple(objects))
-    drawn = in_world(drawn, kind, rng)
-    drawn = replace(drawn, **overrides)
+    drawn = replace(in_world(drawn, kind, rng), **overrides)
     check_scene(drawn, drawn.name)
     return drawn
 
 
-def _random_size(kind: str, disc_m: float, rng: np.random.Generator) -> float | None:
+def _random_size(kind: str, disc_m: float, rng: np.random.Generator) -> float:
     """A likely size (m); round fakes may be a little larger or smaller than the discs."""
-    if kind == "tyre":
-        return round(disc_m * rng.uniform(0.65, 1.0), 3)
-    if kind == "stone":
-        return round(rng.uniform(0.02, 0.07), 3)
-    if kind == "mesh":
-        return round(rng.uniform(0.25, 0.5), 3)
-    if kind == "beam":
-        return round(rng.uniform(0.4, 0.9), 3)
-    return round(disc_m * rng.uniform(0.9, 1.1), 3)
+    spans_m = {"stone": (0.02, 0.07), "mesh": (0.25, 0.5), "beam": (0.4, 0.9)}
+    if kind in spans_m:
+        return round(rng.uniform(*spans_m[kind]), 3)
+    return round(disc_m * rng.uniform(*((0.65, 1.0) if kind == "tyre" else (0.9, 1.1))), 3)
 
 
 def _cover(landmark: PlacedLandmark, disc_m: float, rng: np.random.Generator) -> PlacedObject:

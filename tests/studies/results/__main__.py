@@ -10,7 +10,7 @@ from typing import Any
 
 import tomli_w
 
-from tests.studies.results.digests import digests
+from tests.studies.results.record import digests
 
 FOLDER = Path(__file__).parent
 NOW = FOLDER / "now.toml"
