@@ -1,20 +1,18 @@
-"""What each stage hands to the next, for one frame or for several at once."""
+"""What each stage hands to the next, for one frame or for several at once; what makes them up."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray, joined
-from sonarrec.nouns import (
-    Estimate,
-    FrameResult,
-    Groups,
-    Motion,
-)
-from sonarrec.recogniser.stage3 import Evidence
+from sonarrec.nouns import Estimate, FrameResult, Groups, Motion, Selection
+from sonarrec.recogniser.motion.odometry import Odometry
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage3 import Beliefs, Evidence
+from sonarrec.recogniser.stage3.smi import Identification
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,3 +95,22 @@ class Batch:
 def _split(estimates: list[Estimate], counts: Sequence[int]) -> list[list[Estimate]]:
     ends = np.cumsum(counts).tolist()
     return [estimates[end - n : end] for end, n in zip(ends, counts, strict=True)]
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What recognises one kind of landmark: discs (`of_discs`), or drawn plates.
+
+    detect: stage 1. track: the groups after one more working image, by its selection and the
+    sonar's motion, if that is known. gather: what the image adds to the groups' evidence; before
+    it the shape matrices of the candidates, and which of their cells lie inside the fan. beliefs:
+    as of Measurement. identify: the single-frame method, of shape matrices; None if there is none.
+    """
+
+    plane: Plane
+    detect: Callable[[ByteImage], Selection]
+    odometry: Odometry
+    track: Callable[[ByteImage, Selection, Motion | None], Groups]
+    gather: Callable[[ByteImage, Selection, Groups], tuple[FloatArray, BoolArray, Evidence]]
+    beliefs: Callable[[Sequence[Groups], Evidence], Beliefs]
+    identify: Callable[[FloatArray, BoolArray], Identification] | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -98,6 +99,9 @@ class EstimateMaker:
         orientation_deg = (90 - bearing_deg - left_deg + beliefs.rotation * STEP_DEG) % 360
         orientation_sigma = beliefs.rotation_sigma * STEP_DEG
         claimed = declared(scores, threshold) & beliefs.earned
+        corners: Sequence[FloatArray | None] = [None] * len(positions)
+        if beliefs.corners is not None:
+            corners = [None if np.isnan(of_one).any() else of_one for of_one in beliefs.corners]
         return [
             Estimate(
                 method=method,
@@ -118,6 +122,7 @@ class EstimateMaker:
                 sight_deg=float(objects.sight_deg[i]),
                 episode=int(episodes[i]),
                 in_view=bool(objects.in_view[i]),
+                corners=corners[i],
             )
             for i in range(len(positions))
         ]

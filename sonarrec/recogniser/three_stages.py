@@ -1,4 +1,7 @@
-"""The three stages of one preset over the frames of one log, on one screen."""
+"""The three stages of one preset over the frames of one log, and what they are made of for discs.
+
+Drawn plates: `drawn/three_stages.py`.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,19 @@ from functools import partial
 
 import numpy as np
 
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
-from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Fan, Frame, FrameResult, Selection
-from sonarrec.recogniser.between_stages import AfterStage2, Batch, WorkingImage
+from sonarrec.landmarks import DrawnSet, LandmarkSet
+from sonarrec.nouns import Fan, Frame, FrameResult, Groups, Selection
+from sonarrec.recogniser.between_stages import AfterStage2, Batch, Parts, WorkingImage
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
-from sonarrec.recogniser.stage3 import Measurement, shape_matrix
+from sonarrec.recogniser.stage3 import Evidence, Measurement, shape_matrix
 from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
 from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
@@ -26,6 +30,54 @@ from sonarrec.recogniser.stage3.smi import identify
 
 SMI = "smi"
 FRAMEWORK = "framework"
+
+
+def of_discs(
+    config: Config,
+    fan: Fan,
+    landmarks: LandmarkSet,
+    model: Classifier | None,
+    poses: PoseTable | None,
+) -> Parts:
+    """The parts for discs; the arguments are those of ThreeStages."""
+    select, features = config.candidates, config.features
+    plane = working_plane(select.plane, fan, landmarks.radius_m, select.disc_radius_px)
+    beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
+    detector = CandidateSelector(select, plane, landmarks, beam_width_deg)
+    continuity = ContinuityFilter(config.continuity, plane, np.random.default_rng(config.seed))
+    sampler = shape_matrix.ShapeSampler(landmarks, plane.axes)
+    smi = partial(identify, bands=sampler.bands, codes=shape_matrix.rotated_codes(landmarks))
+    measurement: Measurement
+    if features.measurement == "single":
+        measurement = PublishedMeasurement(features, smi, landmarks, fan.window_m)
+    else:
+        remember_frames, model = config.continuity.remember_frames, model or built_in_model()
+        measurement = AppearanceMeasurement(
+            features, plane, sampler, landmarks, model, beam_width_deg, remember_frames
+        )
+
+    def gather(
+        image: ByteImage, selection: Selection, groups: Groups
+    ) -> tuple[FloatArray, BoolArray, Evidence]:
+        # Shape matrices (Section 3.4.2) of the candidates, then of the groups.
+        n = len(selection.positions)
+        positions = np.concatenate([selection.positions, groups.positions])
+        sight = plane.line_of_sight(positions)
+        # A group's matrices are rotated by whole steps only, so that their cells coincide.
+        sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sight_deg)[1])
+        levels = detector.levels(selection, positions)
+        grey, seen = sampler(image, plane.inside, positions, sight, *levels)
+        return grey[:n], seen[:n], measurement.gather(groups, grey[n:], seen[n:])
+
+    return Parts(
+        plane=plane,
+        detect=detector,
+        odometry=Odometry(plane, config.continuity, poses),
+        track=lambda _, selection, motion: continuity.step(selection, motion),
+        gather=gather,
+        beliefs=measurement.beliefs,
+        identify=smi,
+    )
 
 
 class ThreeStages:
@@ -45,39 +97,22 @@ class ThreeStages:
         smi: str | None = SMI,
         poses: PoseTable | None = None,
     ) -> None:
-        """fan: the geometry of all frames of the log. model: by default the built-in one.
+        """fan: the geometry of all frames of the log. model: of discs, by default the built-in one.
 
         method: name of the framework in the estimates. smi: name of the single-frame method; None
-        if it is not to run. poses: of the sonar; where they give its motion, that is not measured
-        in the images.
+        if it is not to run; plates have none. poses: of the sonar; where they give its motion, that
+        is not measured in the images.
         """
         self.fan = fan
-        rng = np.random.default_rng(config.seed)
-        select, features, radius_m = config.candidates, config.features, landmarks.radius_m
-        self._plane = plane = working_plane(select.plane, fan, radius_m, select.disc_radius_px)
-        beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
-        self._select = CandidateSelector(select, plane, landmarks, beam_width_deg)
-        self.odometry = Odometry(plane, config.continuity, poses)
-        self._continuity = ContinuityFilter(config.continuity, plane, rng)
-        self._sampler = sampler = shape_matrix.ShapeSampler(landmarks, plane.axes)
-        codes = shape_matrix.rotated_codes(landmarks)
-        self._identify = partial(identify, bands=sampler.bands, codes=codes)
-        self._measurement: Measurement
-        if features.measurement == "single":
-            self._measurement = PublishedMeasurement(
-                features, self._identify, landmarks, fan.window_m
-            )
+        if isinstance(landmarks, DrawnSet):
+            # Imported where it is needed: most sets are of discs, and it costs a part of the start.
+            from sonarrec.recogniser.drawn.three_stages import of_plates
+
+            self.parts = of_plates(config, fan, landmarks, poses)
         else:
-            self._measurement = AppearanceMeasurement(
-                features,
-                plane,
-                sampler,
-                landmarks,
-                model or built_in_model(),
-                beam_width_deg,
-                config.continuity.remember_frames,
-            )
-        self._estimates = EstimateMaker(config, plane, landmarks)
+            self.parts = of_discs(config, fan, landmarks, model, poses)
+        self.odometry = self.parts.odometry
+        self._estimates = EstimateMaker(config, self.parts.plane, landmarks)
         self._method, self._smi = method, smi
 
     def step(self, frame: Frame) -> FrameResult:
@@ -87,7 +122,7 @@ class ThreeStages:
 
     def working_image(self, frame: Frame) -> WorkingImage:
         """The frame in the working plane, which stage 1 works on. Frames may come in any order."""
-        image = self._plane.warp(frame.pixels, frame.polar)
+        image = self.parts.plane.warp(frame.pixels, frame.polar)
         return WorkingImage(frame.index, frame.timestamp_ns, image)
 
     def stage1(self, image: WorkingImage) -> Selection:
@@ -95,7 +130,7 @@ class ThreeStages:
 
         Frames may come in any order, and from several threads.
         """
-        return self._select(image.image)
+        return self.parts.detect(image.image)
 
     def stage2(self, frame: WorkingImage, selection: Selection) -> AfterStage2:
         """Continuity evaluation (Section 3.3): which candidates are objects that persist?
@@ -103,26 +138,17 @@ class ThreeStages:
         Frames must come in the log's order. The shape matrices for stage 3 are sampled here too, so
         that images need not be kept.
         """
-        image = frame.image
-        motion = self.odometry.step(image, frame.timestamp_ns)
+        motion = self.odometry.step(frame.image, frame.timestamp_ns)
         known = motion if motion is not None and motion.known else None
-        groups = self._continuity.step(selection, known)
-        # Shape matrices (Section 3.4.2) of the candidates, then of the groups.
-        n = len(selection.positions)
-        positions = np.concatenate([selection.positions, groups.positions])
-        sight = self._plane.line_of_sight(positions)
-        # A group's matrices are rotated by whole steps only, so that their cells coincide.
-        sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sight_deg)[1])
-        levels = self._select.levels(selection, positions)
-        grey, seen = self._sampler(image, self._plane.inside, positions, sight, *levels)
-        evidence = self._measurement.gather(groups, grey[n:], seen[n:])
+        groups = self.parts.track(frame.image, selection, known)
+        grey, seen, evidence = self.parts.gather(frame.image, selection, groups)
         return AfterStage2(
             frame=frame.frame,
             timestamp_ns=frame.timestamp_ns,
             candidates=selection.positions,
             scores=selection.scores,
-            grey=grey[:n],
-            seen=seen[:n],
+            grey=grey,
+            seen=seen,
             groups=groups,
             evidence=evidence,
             motion=motion,
@@ -135,11 +161,11 @@ class ThreeStages:
         rounding.
         """
         batch = Batch(frames)
-        beliefs = self._measurement.beliefs(batch.groups, batch.evidence)
+        beliefs = self.parts.beliefs(batch.groups, batch.evidence)
         tracked = self._estimates.of_groups(self._method, batch, beliefs)
         # The paper's baseline: shape-matrix identification (SMI) of single frames.
         single = []
-        if self._smi is not None:
-            identified = self._identify(batch.grey, batch.seen)
+        if self._smi is not None and self.parts.identify is not None:
+            identified = self.parts.identify(batch.grey, batch.seen)
             single = self._estimates.of_candidates(self._smi, batch, identified)
         return batch.results(single, tracked)

@@ -79,8 +79,8 @@ class PoseFitter:
         model: PlateModel,
     ) -> None:
         """beam_sigma: standard deviation of the beams, rad."""
-        self._drawings, self._plane, self._beam = drawings, plane, beam_sigma
-        self._model = model
+        self.drawings, self.plane, self._beam = drawings, plane, beam_sigma
+        self.model = model
         self._half, self._bounds = plane.axes[0], BOUNDS[pose]
         self._tried = self._half * np.array(
             [
@@ -102,14 +102,14 @@ class PoseFitter:
         self, image: FloatImage, place: FloatArray, others: Sequence[FloatArray]
     ) -> list[Fit]:
         """Some of the best fits, as of `search`."""
-        sight = self._plane.line_of_sight(place[None])[0] - np.pi / 2
+        sight = self.plane.line_of_sight(place[None])[0] - np.pi / 2
         matrices = _rotation(float(np.degrees(sight))) @ self._tried
         poses = np.concatenate(
             [np.tile(place, (len(matrices), 1)), matrices.reshape(-1, 4)], axis=1
         )
         smear = self.smear(poses[0])
-        rows = self._drawings.seen(COARSE, (max(smear), max(smear)))[self._drawings.sought]
-        ways = np.array(self._drawings.ways)
+        rows = self.drawings.seen(COARSE, (max(smear), max(smear)))[self.drawings.sought]
+        ways = np.array(self.drawings.ways)
         templates = np.stack([shown(rows, way) for way in ways], axis=1)
         match, middles, way = self._shifted(image, poses, templates, REACH)
         for other in others:
@@ -126,7 +126,7 @@ class PoseFitter:
                 break
         i, k = np.array(chosen).T
         starts = np.concatenate([middles[i, k], poses[i, 2:]], axis=1)
-        drawings = self._drawings.sought[k], ways[way[i, k]]
+        drawings = self.drawings.sought[k], ways[way[i, k]]
         fits = self._refined(image, starts, drawings, FIRST_ROUNDS)
         fits = sorted(fits, key=lambda fit: -fit.odds)[:BEST]
         drawings = np.array([fit.row for fit in fits]), np.array([fit.way for fit in fits])
@@ -135,7 +135,7 @@ class PoseFitter:
     def near(self, image: FloatImage, last: Fit) -> Fit:
         """The fit of the same drawing with a pose near that of the frame before."""
         smear = self.smear(last.pose)
-        row = self._drawings.seen(COARSE, (max(smear), max(smear)))[last.row]
+        row = self.drawings.seen(COARSE, (max(smear), max(smear)))[last.row]
         pose = last.pose[None].copy()
         _, middles, _ = self._shifted(image, pose, shown(row, last.way)[None, None], NEAR)
         pose[0, :2] = middles[0, 0]
@@ -145,17 +145,17 @@ class PoseFitter:
 
     def matches(self, picture: FloatImage, pose: FloatArray) -> FloatImage:
         """(rows, ways) of a picture with all drawings at a pose; as of Drawings."""
-        return self._drawings.matches(picture, self.range_ward(pose[None])[0], self.smear(pose))
+        return self.drawings.matches(picture, self.range_ward(pose[None])[0], self.smear(pose))
 
     def range_ward(self, poses: FloatArray) -> FloatArray:
         """(n, 2) direction in (u, v) in which the range grows, at n poses."""
-        away = poses[:, :2] - self._plane.apex
+        away = poses[:, :2] - self.plane.apex
         along = np.linalg.solve(poses[:, 2:].reshape(-1, 2, 2), away[..., None])[..., 0]
         return np.asarray(along / np.hypot(*along.T)[:, None])
 
     def smear(self, pose: FloatArray) -> tuple[float, float]:
         """Standard deviations along u and v of an echo at a pose, in halves of the plate's side."""
-        away = pose[:2] - self._plane.apex
+        away = pose[:2] - self.plane.apex
         distance = np.hypot(*away)
         along, across = away / distance, np.array([-away[1], away[0]]) / distance
         inverse = np.linalg.inv(pose[2:].reshape(2, 2))
@@ -220,7 +220,7 @@ class PoseFitter:
         light = uneven_light(FINE, range_ward)
         templates = np.stack(
             [
-                shown(self._drawings.seen(FINE, self._turned(p, way))[row], way)
+                shown(self.drawings.seen(FINE, self._turned(p, way))[row], way)
                 for p, row, way in zip(poses, rows, ways, strict=True)
             ]
         )
@@ -239,7 +239,7 @@ class PoseFitter:
         pictures = _sampled(image, poses, FINE)
         level = levelled(pictures.reshape(n, -1), light)
         found = comparisons(level, flat, light, range_ward)
-        odds = self._model.of_pictures(found)
+        odds = self.model.of_pictures(found)
         return [
             Fit(poses[i], found[i], int(rows[i]), int(ways[i]), pictures[i], odds[i])
             for i in range(n)

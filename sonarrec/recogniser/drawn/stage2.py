@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
-from sonarrec.arrays import FloatArray, FloatImage, IntArray
+from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IntArray
 from sonarrec.landmarks import WIDEST_SIGMA
-from sonarrec.nouns import Groups, Selection
+from sonarrec.nouns import Groups, Motion, Selection
 from sonarrec.recogniser.drawn.pose import EXPLAINED, Fit, PoseFitter
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage2 import ContinuityFilter
 
 # Least correlation of a picture with its drawing where any pose was tried, and near that of the
 # frame before: noise reaches .56 and .40.
@@ -30,6 +31,12 @@ FIRST_SEARCHES, SEARCHES = 2, 1  # in one frame, at most: where new groups wait,
 PEAK = 0.25  # halves of a side, of the score of a plate that was found
 SHOWN = 0.8  # least share of a plate inside the fan
 POSE_SPREAD = 0.06  # of a fitted middle, in sides
+SMOOTH_PX = 0.7  # a picture's samples lie further apart than pixels
+
+
+def smooth(image: ByteImage) -> FloatImage:
+    """A working image as poses are fitted in."""
+    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTH_PX), np.float32)
 
 
 @dataclass
@@ -45,13 +52,21 @@ class _Plate:
 
 
 class Plates:
-    """The poses of the groups' plates."""
+    """The groups, and the poses of their plates."""
 
-    def __init__(self, fitter: PoseFitter, plane: Plane) -> None:
-        self._fitter, self._plane = fitter, plane
+    def __init__(self, fitter: PoseFitter, groups: ContinuityFilter) -> None:
+        self._fitter, self._plane, self._groups = fitter, fitter.plane, groups
         self._plates: dict[int, _Plate] = {}
         self._ages: dict[int, int] = {}
         self._searched: dict[int, int] = {}
+
+    def step(self, image: ByteImage, selection: Selection, motion: Motion | None) -> Groups:
+        """The groups after one frame, each in the middle of its plate. motion: if it is known."""
+        fine = smooth(image)
+        self.follow(fine)
+        groups = self.join(fine, self._groups.step(self.lead(selection), motion))
+        self._groups.centre(groups)
+        return groups
 
     def follow(self, image: FloatImage) -> None:
         """Fit every known plate in the next frame."""

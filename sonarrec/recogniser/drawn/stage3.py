@@ -11,17 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, FloatImage, joined
-from sonarrec.nouns import Groups
-from sonarrec.recogniser.drawn.drawings import (
-    FINE,
-    Drawings,
-    best,
-    levelled,
-    uneven_light,
-)
-from sonarrec.recogniser.drawn.model import PlateModel
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage, joined
+from sonarrec.nouns import Groups, Selection
+from sonarrec.recogniser.drawn.drawings import FINE, best, levelled, uneven_light
 from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
+from sonarrec.recogniser.drawn.stage2 import Plates
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3.opinions import TrackBelief
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG
@@ -52,23 +46,19 @@ class PlateMeasurement:
     """Beliefs from each track's averaged picture, frame after frame."""
 
     def __init__(
-        self,
-        drawings: Drawings,
-        fitter: PoseFitter,
-        model: PlateModel,
-        memory_frames: float,
-        remember_frames: int,
+        self, fitter: PoseFitter, plates: Plates, memory_frames: float, remember_frames: int
     ) -> None:
-        self._drawings, self._fitter, self._model = drawings, fitter, model
+        self._fitter, self._plates, self._drawings = fitter, plates, fitter.drawings
         self._memory = memory_frames
-        self._belief = TrackBelief(drawings.count, remember_frames)
+        self._belief = TrackBelief(fitter.drawings.count, remember_frames)
         self._tracks: dict[int, _Track] = {}
 
     def gather(
-        self, groups: Groups, fits: Sequence[tuple[Fit, int] | None], sight: FloatArray
-    ) -> tuple[PlateEvidence, list[tuple[int, int] | None]]:
-        """Take in a frame's pictures: the evidence, and the (row, way) of the ID that matches best,
-        of each group that shows its plate. fits: from Plates.of. sight: (n,), rad."""
+        self, _: ByteImage, selection: Selection, groups: Groups
+    ) -> tuple[FloatArray, BoolArray, PlateEvidence]:
+        """Take in the pictures of the groups that show their plates, and follow each by the drawing
+        that matches best. Candidates have no shape matrices."""
+        fits, sight = self._plates.of(groups), self._fitter.plane.line_of_sight(groups.positions)
         numbers = groups.numbers.tolist()
         self._tracks = {n: self._tracks.get(n, _Track()) for n in numbers}
         for number, of_frame in zip(numbers, fits, strict=True):
@@ -89,19 +79,28 @@ class PlateMeasurement:
             corners=np.array([self._corners(f) for f in fits]).reshape(n, 4, 2),
         )
         chosen = [None if f is None else t.best for f, t in zip(fits, tracks, strict=True)]
-        return evidence, chosen
+        self._plates.believe(groups.numbers, chosen)
+        nothing = np.empty((len(selection.positions), 0, 0))
+        return nothing, nothing.astype(bool), evidence
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
         """The beliefs, as of Measurement."""
         assert isinstance(evidence, PlateEvidence)
         tracked = joined(groups)
-        of_frames = self._model.of_tracks(evidence.matches, evidence.rival, evidence.odds)
+        of_frames = self._fitter.model.of_tracks(evidence.matches, evidence.rival, evidence.odds)
         probabilities = self._belief(groups, evidence, of_frames)
         row, _ = likeliest(probabilities)
         turn = evidence.turn_deg[np.arange(len(row)), row] - evidence.beyond_deg
         sigma = np.full(len(row), ANGLE_SIGMA_DEG / STEP_DEG)
         earned = (evidence.frames >= LEAST_FRAMES) & tracked.in_view
-        return Beliefs(probabilities, turn / STEP_DEG, sigma, earned)
+        corners = np.stack(
+            self._fitter.plane.to_polar(*np.moveaxis(evidence.corners, 2, 0)), axis=2
+        )
+        # The two of the far edge first.
+        edges = corners[:, :, 0] + np.roll(corners[:, :, 0], -1, axis=1)
+        order = (np.arange(4) + edges.argmax(axis=1)[:, None]) % 4
+        corners = np.take_along_axis(corners, order[:, :, None], axis=1)
+        return Beliefs(probabilities, turn / STEP_DEG, sigma, earned, corners)
 
     def _corners(self, of_frame: tuple[Fit, int] | None) -> FloatArray:
         if of_frame is None:
@@ -115,12 +114,8 @@ class PlateMeasurement:
     def _take(self, track: _Track, fit: Fit, began: int) -> None:
         """Add a fit's picture to a track's average, and compare that with the drawings."""
         if began != track.began:
-            track.picture, track.weight, track.began = (
-                np.zeros((FINE, FINE), np.float32),
-                0.0,
-                began,
-            )
-            track.frames = 0
+            track.picture, track.weight = np.zeros((FINE, FINE), np.float32), 0.0
+            track.began, track.frames = began, 0
         light = uneven_light(FINE, self._fitter.range_ward(fit.pose[None]))
         flat = levelled(fit.picture.reshape(1, -1), light).reshape(FINE, FINE)
         share = fit.match**2

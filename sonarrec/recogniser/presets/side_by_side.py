@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import cv2
 
@@ -22,9 +22,6 @@ from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
-
-if TYPE_CHECKING:
-    from sonarrec.recogniser.drawn.three_stages import DrawnStages
 
 # Frames that stage 3 takes at once: one by one a frame costs a sixth more, more would save nothing.
 FRAMES_AT_ONCE = 16
@@ -74,19 +71,12 @@ class SideBySide:
             replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs
         ]
         self._recogniser_of = [stages.index(config) for config in stages]
-        self._recognisers: dict[int, ThreeStages | DrawnStages] = {}
+        self._recognisers: dict[int, ThreeStages] = {}
         for i in dict.fromkeys(self._recogniser_of):
             config, method = configs[i], self.tracking[i]
-            if isinstance(landmarks, DrawnSet):
-                # Imported where it is needed: most sets are of discs, and it costs a part of the
-                # start.
-                from sonarrec.recogniser.drawn.three_stages import DrawnStages
-
-                self._recognisers[i] = DrawnStages(config, fan, landmarks, method, poses)
-            else:
-                self._recognisers[i] = ThreeStages(
-                    config, fan, landmarks, model, method, single[i], poses
-                )
+            self._recognisers[i] = ThreeStages(
+                config, fan, landmarks, model, method, single[i], poses
+            )
         self._hindsight = [
             Hindsight(method, config, landmarks) if config.features.lag_frames else None
             for config, method in zip(configs, self.tracking, strict=True)

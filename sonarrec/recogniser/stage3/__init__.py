@@ -30,6 +30,9 @@ class Beliefs:
     """(n,) its standard error in steps, NaN where unknown."""
     earned: BoolArray
     """(n,) whether enough has been seen for an ID to be declared."""
+    corners: FloatArray | None = None
+    """(n, 4, 2) slant range (m) and bearing (deg) of a drawn plate's corners, those of the far edge
+    first; NaN where it is not seen."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,9 +23,11 @@ from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks
 from sonarrec.nouns import Frame
 from sonarrec.recogniser.drawn.model import MODEL, of_ids, of_one
-from sonarrec.recogniser.drawn.pose import Fit
+from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
+from sonarrec.recogniser.drawn.stage2 import smooth
 from sonarrec.recogniser.drawn.stage3 import PlateEvidence
-from sonarrec.recogniser.drawn.three_stages import DrawnStages, smooth
+from sonarrec.recogniser.drawn.three_stages import pose_fitter
+from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import HeldPlate, PlateScene, scene_sonar
 from sonarrec.simulation.truth import Truth
@@ -167,8 +169,10 @@ def random_scene(
     )
 
 
-def stages_of(scene: PlateScene) -> tuple[DrawnStages, Iterator[tuple[SimulatedFrame, Frame]]]:
-    """What recognises a recording, and its frames."""
+def stages_of(
+    scene: PlateScene,
+) -> tuple[ThreeStages, PoseFitter, Iterator[tuple[SimulatedFrame, Frame]]]:
+    """What recognises a recording, what finds plates in it, and its frames."""
     polar = PolarToFan(scene_sonar(scene).complete("scene"), scene.bins, scene.beams)
     config = preset("default")
     config = replace(config, features=replace(config.features, beam_width_deg=scene.beam_width_deg))
@@ -176,12 +180,13 @@ def stages_of(scene: PlateScene) -> tuple[DrawnStages, Iterator[tuple[SimulatedF
         (shot, Frame(shot.index, shot.timestamp_ns, shot.image, polar.fan, polar=polar))
         for shot in render(scene)
     )
-    return DrawnStages(config, polar.fan, scene.landmark_set, "framework"), frames
+    fitter = pose_fitter(config, polar.fan, scene.landmark_set)
+    return ThreeStages(config, polar.fan, scene.landmark_set), fitter, frames
 
 
 def lessons_of_pictures(seed: int) -> list[Part]:
     """Of the fits that a search compares: matches by scale, and whether they are right."""
-    stages, frames = stages_of(random_scene(seed, frames=LOOKED_AT[-1] + 1))
+    stages, fitter, frames = stages_of(random_scene(seed, frames=LOOKED_AT[-1] + 1))
     fits: list[Fit] = []
     label: list[int] = []
     for shot, frame in frames:
@@ -190,20 +195,20 @@ def lessons_of_pictures(seed: int) -> list[Part]:
         working = stages.working_image(frame)
         image = smooth(working.image)
         for place in stages.stage1(working).positions:
-            found = stages._fitter.candidates(image, place, [])
+            found = fitter.candidates(image, place, [])
             fits += found
-            label += [not any(_fits(stages, fit, true) for true in shot.truth) for fit in found]
+            label += [not any(_fits(fitter, fit, true) for true in shot.truth) for fit in found]
     if not fits:
         return []
     features = of_one(np.array([fit.compared for fit in fits]))
     return [(features[:, None], np.array(label, int), np.ones(len(label)))]
 
 
-def _fits(stages: DrawnStages, fit: Fit, true: Truth) -> bool:
+def _fits(fitter: PoseFitter, fit: Fit, true: Truth) -> bool:
     """Whether it is the true drawing, with its corners where they are."""
     if fit.row != true.landmark:
         return False
-    found = plane_from_polar(*stages._plane.to_polar(*stages._fitter.corners(fit.pose).T))
+    found = plane_from_polar(*fitter.plane.to_polar(*fitter.corners(fit.pose).T))
     wanted = plane_from_polar(*true.corners.T)
     offsets = [np.roll(way, n, axis=0) - found for way in (wanted, wanted[::-1]) for n in range(4)]
     return bool(min(np.hypot(*offset.T).mean() for offset in offsets) < CORNERS_M)
@@ -216,14 +221,14 @@ def lessons_of_tracks(seed: int) -> list[Part]:
     """
     scene = random_scene(seed)
     ids = scene.landmark_set.ids
-    stages, frames = stages_of(scene)
+    stages, _, frames = stages_of(scene)
     found: list[tuple[FloatArray, ...]] = []
     for shot, frame in frames:
         image = stages.working_image(frame)
         after = stages.stage2(image, stages.stage1(image))
         evidence, groups = after.evidence, after.groups
         assert isinstance(evidence, PlateEvidence)
-        middles = plane_from_polar(*stages._plane.to_polar(*groups.positions.T))
+        middles = plane_from_polar(*stages.parts.plane.to_polar(*groups.positions.T))
         label = np.full(len(middles), len(ids))
         for true in shot.truth:
             place = plane_from_polar(np.array([true.range_m]), np.array([true.bearing_deg]))
