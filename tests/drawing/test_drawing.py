@@ -49,9 +49,9 @@ def gridded(fan: Fan) -> np.ndarray:
     return pen.canvas
 
 
-def test_grid_lines_lie_at_round_ranges_and_bearings() -> None:
-    picture = gridded(FAN)
-    range_m, bearing = place(FAN, like(picture, GRID))
+def test_the_grid_is_the_stated_fan_and_round_ranges_and_bearings() -> None:
+    points = like(gridded(FAN), GRID)
+    range_m, bearing = place(FAN, points)
     # Between bearings 0.6 and 4.4 deg and away from labels there are rings alone.
     ring = np.unique(np.round(range_m[(bearing > 0.8) & (bearing < 4.2)], 2))
     assert {1.5, 2.0, 2.5, 3.0, 3.5} <= set(np.round(ring, 1))
@@ -61,16 +61,12 @@ def test_grid_lines_lie_at_round_ranges_and_bearings() -> None:
     ray = bearing[(range_m > 2.1) & (range_m < 2.4) & (np.abs(bearing) < 13)]
     assert np.abs(ray - 5 * np.round(ray / 5)).max() < 0.35
     assert {-10, -5, 0, 5, 10} == set((5 * np.round(ray / 5)).astype(int))
-
-
-def test_the_outline_is_the_stated_fan() -> None:
-    picture = gridded(FAN)
-    points = like(picture, GRID)
-    for range_m, bearing in ((2.25, -14.4), (2.25, 14.4), (1.255, 2.5), (3.745, 2.5)):
-        b = math.radians(bearing)
+    # The outline.
+    for range_m, degrees in ((2.25, -14.4), (2.25, 14.4), (1.255, 2.5), (3.745, 2.5)):
+        b = math.radians(degrees)
         column = FAN.apex_column + range_m * math.sin(b) / FAN.metres_per_pixel
         row = FAN.apex_row - range_m * math.cos(b) / FAN.metres_per_pixel
-        assert np.hypot(*(points - (column, row)).T).min() < 3, (range_m, bearing)
+        assert np.hypot(*(points - (column, row)).T).min() < 3, (range_m, degrees)
 
 
 # The preview

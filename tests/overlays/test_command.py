@@ -54,13 +54,9 @@ def test_the_command(work: Path) -> None:
 def test_the_frames_drawn_are_those_that_were_run(work: Path) -> None:
     """Nobody looked at the others: an empty picture of them would say that nothing is there."""
     run = work / "sonarrec_out" / "log" / "run.toml"
-    text = run.read_text().replace("[input]", '[input]\nframes = "1:3"')
-    assert "frames" in text
-    run.write_text(text)
-    sonarrec("overlay", "log", "-o", "o.mcap", "-q")
+    run.write_text(run.read_text().replace("[input]", '[input]\nframes = "1:3"'))
     sonarrec("overlay", "log", "-o", "shots", "-q")
     assert sorted(p.name for p in (work / "shots").iterdir()) == ["000001.png", "000002.png"]
-    assert len(list(messages(work / "o.mcap"))) == 4
     sonarrec("overlay", "log", "-o", "all", "--frames", "0:", "-q")
     assert len(list((work / "all").iterdir())) == 4
 
@@ -68,27 +64,20 @@ def test_the_frames_drawn_are_those_that_were_run(work: Path) -> None:
 def test_a_run_that_was_cut_short(work: Path) -> None:
     run = work / "sonarrec_out" / "log" / "run.toml"
     run.write_text(run.read_text().replace("finished = true", "finished = false"))
-    told = sonarrec("overlay", "log", "-o", "o.mcap", code=3)
-    assert "the run was cut short; frames after 3 have no results" in told.stderr
+    cut = "the run was cut short; frames after 3 have no results"
+    assert cut in sonarrec("overlay", "log", "-o", "o.mcap", code=3).stderr
     # As a run leaves it that was stopped.
     run.parent.rename(run.parent.with_name("log.part"))
     for results in ([], ["sonarrec_out/log"]):
         told = sonarrec("overlay", "log", *results, "-o", "o.mcap", code=3)
-        assert "log.part: the run was cut short; frames after 3 have no results" in told.stderr
-    assert (
-        "no results of log here"
-        in sonarrec("overlay", "log", "none", "-o", "o.mcap", code=2).stderr
-    )
+        assert f"log.part: {cut}" in told.stderr
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "fault"),
     [
         ("-o paper.csv/o.mp4", 2, "paper.csv/o.mp4: paper.csv is not a folder"),
-        ("-o paper.csv/o.mcap", 2, "paper.csv/o.mcap: paper.csv is not a folder"),
         ("-o log", 2, "log/000000.png: it would become part of the recording"),
-        ("-o log/sonar.toml", 2, "log/sonar.toml: it would become part of the recording"),
-        ("-o o.mcap --frames 3", 2, "--frames: expected A:B"),
         ("-o o.mcap --frames 3:3", 2, "no frame from 3 up to, not including, 3"),
         ("-o o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
         ("-o o.mcap --method x", 2, "no method 'x'; there is framework"),
@@ -104,31 +93,16 @@ def test_faults_are_one_line(arguments: str, code: int, fault: str, work: Path) 
     assert not told.stdout
 
 
-@pytest.mark.parametrize(
-    ("lines", "told"),
-    [
-        (("frame,landmark,x_px,y_px", "1003,3,43,60"), "truth of another log?"),
-        (("log,frame,landmark,x_px,y_px", "dive,3,3,43,60"), "its log column names none of log"),
-        (("frame,landmark,x_px,y_px",), "it has no row"),
-    ],
-)
-def test_truth_of_another_log_is_told(lines: tuple[str, ...], told: str, work: Path) -> None:
-    csv_file(work / "gt.csv", *lines)
+def test_truth_of_another_log_is_told(work: Path) -> None:
+    csv_file(work / "gt.csv", "log,frame,landmark,x_px,y_px", "dive,3,3,43,60")
     done = sonarrec("overlay", "log", "-o", "o", "--ground-truth", "gt.csv", code=3)
     (line,) = done.stderr.splitlines()
-    assert line.startswith("sonarrec: gt.csv: ")
-    assert told in line
+    assert line.startswith("sonarrec: gt.csv: its log column names none of log")
     assert "no truth is drawn" in line
 
 
 def test_results_of_another_log(work: Path) -> None:
-    cv2.imwrite("log/frame0.png", noise(1)[0] + 1)
+    cv2.imwrite(str(work / "log" / "frame0.png"), noise(1)[0] + 1)
     told = sonarrec("overlay", "log", "-o", "o.mcap", code=1)
     assert "results of another log, log (SHA-256" in told.stderr
     assert len(told.stderr.splitlines()) == 1
-    # Tables of another program tell of no input: their frame numbers do.
-    (work / "sonarrec_out" / "log" / "run.toml").unlink()
-    sonarrec("overlay", "log", "-o", "o.mcap")
-    (work / "log" / "frame3.png").unlink()
-    told = sonarrec("overlay", "log", "-o", "o.mcap", code=1)
-    assert "frame 3 is listed, but log has only 3 frames" in told.stderr

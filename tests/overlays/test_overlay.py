@@ -24,25 +24,21 @@ STAMP_NS = 1_700_000_000_123_456_789
 
 def test_annotations_carry_the_stamp_of_the_image(tmp_path: Path) -> None:
     """Header stamps that differ from the log times, as a recorder's always do."""
-    images, stamps, logged = noise(5), [], []
-    recorded = []
-    for n, image in enumerate(images):
-        stamps.append(STAMP_NS + n * 249_999_999)
-        logged.append(stamps[-1] + 31_000_000 + n)
-        stamp = divmod(stamps[-1], 10**9)
-        recorded.append(("/sonar", logged[-1], cdr_image(image, stamp=stamp)))
+    stamps = [STAMP_NS + n * 249_999_999 for n in range(5)]
+    logged = [stamp + 31_000_000 + n for n, stamp in enumerate(stamps)]
+    recorded = [
+        ("/sonar", log_time, cdr_image(image, stamp=divmod(stamp, 10**9)))
+        for image, stamp, log_time in zip(noise(5), stamps, logged, strict=True)
+    ]
     log = mcap_file(tmp_path / "log.mcap", recorded)
-    results = write_results(tmp_path / "results", moving(5))
-    overlay(log, tmp_path / "o.mcap", results=results)
-    found = list(messages(tmp_path / "o.mcap"))
+    overlay(log, tmp_path / "o.mcap", results=write_results(tmp_path / "results", moving(5)))
     # The images are in the recording already.
-    assert [name for name, _, _ in found] == 5 * ["foxglove.ImageAnnotations"]
-    assert [time for _, time, _ in found] == logged
-    for stamp, (_, _, message) in zip(stamps, found, strict=True):
-        times = [message["timestamp"]]
-        times += [e["timestamp"] for e in message["points"] + message["texts"]]
-        assert {nanoseconds(t) for t in times} == {stamp}
+    for n, (name, time, message) in enumerate(messages(tmp_path / "o.mcap")):
+        assert (name, time) == ("foxglove.ImageAnnotations", logged[n])
         assert message["texts"]  # never empty, or old versions hold the image back
+        parts = [message, *message["points"], *message["texts"]]
+        assert {nanoseconds(part["timestamp"]) for part in parts} == {stamps[n]}
+    assert n == 4
 
 
 def test_annotations_lie_on_the_object(tmp_path: Path) -> None:
@@ -71,30 +67,35 @@ def test_annotations_lie_on_the_object(tmp_path: Path) -> None:
     assert [t["text"] for t in found[2]["texts"]] == ["frame 2"]
 
 
+def pictures(path: Path) -> list[tuple[int, int, np.ndarray]]:
+    """Log time, stamp and pixels of the images in an overlay."""
+    found = []
+    for name, time, m in messages(path):
+        if name == "foxglove.CompressedImage":
+            png = np.frombuffer(base64.b64decode(m["data"]), np.uint8)
+            image = np.asarray(cv2.imdecode(png, cv2.IMREAD_UNCHANGED))
+            found.append((time, nanoseconds(m["timestamp"]), image))
+    return found
+
+
 def test_polar_logs_bring_their_fan(tmp_path: Path) -> None:
     """As one MCAP for Foxglove that is itself a log of equal frames."""
-    polar = noise(4, (100, 32))
-    toml = SONAR_TOML.replace('"fan"', '"polar"')
-    log = mcap_file(
-        tmp_path / "log.mcap",
-        [("/a", n * PERIOD_NS, cdr_image(i, stamp=(n, 5))) for n, i in enumerate(polar)],
-    )
-    (tmp_path / "sonar.toml").write_text(toml)
-    results = write_results(tmp_path / "results", moving(4))
-    overlay(log, tmp_path / "o.mcap", results=results)
+    recorded = [
+        ("/a", n * PERIOD_NS, cdr_image(image, stamp=(n, 5)))
+        for n, image in enumerate(noise(4, (100, 32)))
+    ]
+    log = mcap_file(tmp_path / "log.mcap", recorded)
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML.replace('"fan"', '"polar"'))
+    overlay(log, tmp_path / "o.mcap", results=write_results(tmp_path / "results", moving(4)))
     with open_log(log) as opened:
         frames = list(opened)
-    found = [
-        (log_time, m) for name, log_time, m in messages(tmp_path / "o.mcap") if name.endswith("e")
-    ]
-    for n, (frame, (log_time, image)) in enumerate(zip(frames, found, strict=True)):
-        assert (nanoseconds(image["timestamp"]), log_time) == (n * 10**9 + 5, n * PERIOD_NS)
-        png = np.frombuffer(base64.b64decode(image["data"]), np.uint8)
-        np.testing.assert_array_equal(cv2.imdecode(png, cv2.IMREAD_UNCHANGED), frame.image)
+    shown = pictures(tmp_path / "o.mcap")
+    for n, (frame, (time, stamp, image)) in enumerate(zip(frames, shown, strict=True)):
+        assert (time, stamp) == (n * PERIOD_NS, n * 10**9 + 5)
+        np.testing.assert_array_equal(image, frame.image)
     fan = frames[0].fan
-    stated = Sonar(
-        layout="fan", metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row)
-    )
+    apex = fan.apex_column, fan.apex_row
+    stated = Sonar(layout="fan", metres_per_pixel=fan.metres_per_pixel, apex_px=apex)
     stated = load_sonar(tmp_path / "sonar.toml").updated(stated)
     with open_log(tmp_path / "o.mcap", sonar=stated) as opened:
         for again, frame in zip(opened, frames, strict=True):
@@ -116,10 +117,7 @@ def test_the_log_is_read_as_the_run_read_it(tmp_path: Path) -> None:
     results = write_results(tmp_path / "results", moving(3), run)
     o = tmp_path / "o.mcap"
     assert not overlay(log, o, results=results).diagnostics.notes
-    found = [m for name, _, m in messages(tmp_path / "o.mcap") if name.endswith("e")]
-    for message, image in zip(found, noise(3), strict=True):
-        png = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
-        shown = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
+    for (_, _, shown), image in zip(pictures(o), noise(3), strict=True):
         np.testing.assert_array_equal(shown, image[:, ::-1] + 100)
     other = overlay(log, tmp_path / "a.mcap", results=results, topic="/a")
     assert other.diagnostics.notes == [f"{results}: results of topic /b, drawn onto /a"]

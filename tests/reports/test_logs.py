@@ -13,8 +13,10 @@ from tests.support.claims import evaluate
 from tests.support.pages import PLACED, reported, tables
 
 
-def write_log(folder: Path, rng: np.random.Generator, frames: int = 120) -> None:
+@pytest.fixture(scope="module")
+def random_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Random results of two methods and random truth, with positions."""
+    folder, rng, frames = tmp_path_factory.mktemp("random") / "log", np.random.default_rng(5), 120
     places = rng.uniform((1.5, -10), (3.5, 10), (5, 2))
     rows, truth = [], []
     for n in range(frames):
@@ -28,15 +30,8 @@ def write_log(folder: Path, rng: np.random.Generator, frames: int = 120) -> None
                     f"{rng.integers(1, 5)},{s},{int(s > 0.4)}"
                 )
     tables(folder, ((n, n * 250_000_000) for n in range(frames)), PLACED, rows)
-    (folder / "gt.csv").write_text(
-        "\n".join(["frame,landmark,range_m,bearing_deg,visible", *dict.fromkeys(truth)]) + "\n"
-    )
-
-
-@pytest.fixture(scope="module")
-def random_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("random") / "log"
-    write_log(folder, np.random.default_rng(5))
+    lines = ["frame,landmark,range_m,bearing_deg,visible", *dict.fromkeys(truth), ""]
+    (folder / "gt.csv").write_text("\n".join(lines))
     return folder
 
 
