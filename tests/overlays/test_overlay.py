@@ -171,5 +171,5 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
         return found
 
     peak(5)  # imports
-    # With fewer frames the first chunk is not full yet.
-    assert peak(440) - peak(240) < 200_000
+    # With fewer frames the first chunk of the file, and of estimates.csv, is not full yet.
+    assert peak(1440) - peak(1240) < 200_000
