@@ -172,10 +172,10 @@ class Motion:
 class Selection:
     """Stage 1: the candidates of one frame.
 
-    score_map: (rows, columns) float32, 0 to 1, over the working plane. positions: (n, 2) float,
-    (column, row) in plane pixels. scores: (n,), best first. mean, sigma: float32, mean and standard
-    deviation (above 0) of the grey levels in each pixel's surroundings, on coarse grids; see
-    CandidateSelector.levels.
+    score_map: (rows, columns) float32, 0 to 1, over the working plane, with a value for each block
+    of step x step pixels. positions: (n, 2) float, (column, row) in plane pixels. scores: (n,),
+    best first. mean, sigma: float32, mean and standard deviation (above 0) of the grey levels in
+    each pixel's surroundings, on coarse grids; see CandidateSelector.levels.
     """
 
     score_map: FloatImage
@@ -183,6 +183,7 @@ class Selection:
     scores: FloatArray
     mean: FloatImage
     sigma: FloatImage
+    step: int = 1
 
 
 @dataclass(frozen=True, slots=True)

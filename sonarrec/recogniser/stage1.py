@@ -6,6 +6,7 @@ correlation (Hough) map above a threshold are candidates.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, Protocol
 
 import cv2
@@ -17,6 +18,7 @@ from sonarrec.config import Candidates
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan, Selection
 from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage3 import settled
 
 # The ring filter compares the ring with the gap inside it, less a margin, and with the floor
 # outside, in disc radii.
@@ -33,6 +35,12 @@ EDGE_TOLERANCE_PX = 2  # how far from the outline an edge may lie and still coun
 COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
 LEAST_SIGMA = 0.5  # grey levels
 LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
+# In large images a ring is searched for on blocks of SEARCHED x SEARCHED pixels, unless the disc's
+# radius is then below LEAST_RADIUS blocks. There its score is COARSE_SHARE of that on pixels (the
+# median on simulated and recorded logs; hardly one has less than LEAST_SHARE). Peaks are scored
+# again on pixels, which costs as much as the search on LARGE images.
+LARGE, SEARCHED, LEAST_RADIUS = 2**16, 2, 4.5
+COARSE_SHARE, LEAST_SHARE = 0.77, 0.63
 BESIDE = np.ones((3, 3), np.uint8)  # a pixel and its neighbours
 # At most MOST_PEAKS peaks are compared with each other on a floor with room for FLOOR_DISCS discs
 # or fewer; a frame with more is all noise. On a larger floor the limits of peaks and candidates
@@ -53,14 +61,12 @@ class CandidateSelector:
     ) -> None:
         """beam_width_deg: as in Features. detector: by default the one that `config` names."""
         self._config = config
-        self._inside = plane.inside
-        self._cells = max(1, int(np.count_nonzero(plane.inside)))
-        discs = self._cells / (np.pi * plane.axes[0] * plane.axes[1])
+        self._surroundings = Surroundings(plane)
+        discs = self._surroundings.cells / (np.pi * plane.axes[0] * plane.axes[1])
         times = min(max(discs / FLOOR_DISCS, 1), MOST_TIMES)
         self._most_peaks = round(times * MOST_PEAKS)
         self._most = round(times * config.max_candidates)
-        self._diameter = 2 * np.array(plane.axes)
-        self._surroundings = Surroundings(plane)
+        self._diameter = 2 * plane.axes[0], 2 * plane.axes[1]
         self._detector: Detector
         if detector is not None:
             self._detector = detector
@@ -68,94 +74,120 @@ class CandidateSelector:
             self._detector = EdgeScore(config, plane)
         else:
             share = gap_share(landmarks, plane.fan, beam_width_deg)
-            self._detector = RingScore(config, plane, landmarks, self._surroundings, share)
+            self._detector = RingScore(config, plane, landmarks, share)
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape), best first."""
-        around = self._surroundings
-        mean = around.mean(cv2.bitwise_and(image, image, mask=self._inside))
-        relief = np.asarray(
-            cv2.subtract(image, around.fine(mean), mask=self._inside, dtype=cv2.CV_32F), np.float32
-        )
-        # A black or uniform frame has only rounding errors as relief.
-        sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
-        sigma = max(sigma, LEAST_SIGMA)
-        maps = self._detector(image, relief, sigma)
-        positions, scores = self._peaks(maps)
+        levels = self._surroundings(image)
+        maps = self._detector(image, levels)
+        positions, scores = self._peaks(image, levels, maps)
         score = np.clip(maps.score, 0, 1, out=maps.score)
-        return Selection(score, positions, scores, mean, maps.sigma)
+        return Selection(score, positions, scores, levels.mean, maps.sigma, maps.step)
 
     def levels(self, selection: Selection, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) mean and standard deviation of the grey levels around (n, 2) positions, pixels."""
         around = self._surroundings
         return around.at(selection.mean, places), around.at(selection.sigma, places)
 
-    def _peaks(self, maps: ScoreMaps) -> tuple[FloatArray, FloatArray]:
+    def _peaks(
+        self, image: ByteImage, levels: Levels, maps: ScoreMaps
+    ) -> tuple[FloatArray, FloatArray]:
         """(n, 2) sub-pixel positions of peaks above the threshold, (n,) scores; best first."""
-        peaks, score = maps.peaks, maps.peak_score
-        top = (peaks >= cv2.dilate(peaks, BESIDE)) & (score >= self._config.threshold)
-        row, column = np.divmod(np.flatnonzero(top), score.shape[1])
-        order = np.lexsort((-peaks[row, column], -score[row, column]))[: self._most_peaks]
-        row, column = row[order], column[order]
-        positions = _refine(peaks, column, row)
-        kept = self._apart(positions)
-        return positions[kept], np.minimum(score[row, column][kept], 1).astype(float)
+        peaks, least = maps.peaks, self._config.threshold
+        searched = least if maps.step == 1 else LEAST_SHARE / COARSE_SHARE * least
+        top = (peaks >= cv2.dilate(peaks, BESIDE)) & (maps.peak_score >= searched)
+        index = np.flatnonzero(top)
+        height, scores = peaks.ravel()[index], maps.peak_score.ravel()[index].astype(float)
+        order = np.lexsort((-height, -scores))[: self._most_peaks]
+        positions, scores = _refine(peaks, index[order]), scores[order]
+        if isinstance(self._detector, RingScore) and maps.step > 1:
+            places = maps.step * (positions + 0.5) - 0.5
+            places = places[self._apart(places, 2 * self._most)]
+            positions, scores = self._detector.on_pixels(image, levels, places, self._surroundings)
+            order = np.argsort(-scores, kind="stable")[: np.count_nonzero(scores >= least)]
+            positions, scores = positions[order], scores[order]
+        kept = self._apart(positions, self._most)
+        return positions[kept], np.minimum(scores[kept], 1)
 
-    def _apart(self, positions: FloatArray) -> list[int]:
-        """Indices of the peaks, best first, that are not too near a better one."""
-        offset = (positions[:, None] - positions[None]) / self._diameter
-        far = np.hypot(offset[..., 0], offset[..., 1]) >= self._config.separation
-        left = np.ones(len(positions), bool)
+    def _apart(self, positions: FloatArray, most: int) -> list[int]:
+        """Indices of the peaks, best first, that are not too near a better one; `most` of them."""
+        across, along = self._diameter
         kept: list[int] = []
-        while left.any() and len(kept) < self._most:
-            kept.append(int(left.argmax()))
-            left &= far[kept[-1]]
-            left[kept[-1]] = False  # also where separation is 0
+        places: list[tuple[float, float]] = []
+        # Few are kept, so plain numbers are faster than arrays.
+        for i, (x, y) in enumerate(positions.tolist()):
+            if all(
+                math.hypot((x - u) / across, (y - v) / along) >= self._config.separation
+                for u, v in places
+            ):
+                kept.append(i)
+                places.append((x, y))
+                if len(kept) == most:
+                    break
         return kept
 
 
+class Levels(NamedTuple):
+    """The grey levels of one working image."""
+
+    half: FloatImage
+    """Mean of each block of SEARCHED x SEARCHED pixels, 0 outside the fan."""
+    mean: FloatImage
+    """Mean in each pixel's surroundings, on the coarse grid."""
+    sigma: FloatImage
+    """Standard deviation there; not far below that of the whole frame, else the noise of a uniform
+    patch would score as rings."""
+    whole: float
+    """Standard deviation over the whole frame."""
+
+
 class Surroundings:
-    """Means over each pixel's surroundings, on a coarse grid, since they are smooth."""
+    """Means over each pixel's surroundings, on a coarse grid, since they are smooth.
+
+    cells: number of pixels in the fan.
+    """
 
     def __init__(self, plane: Plane) -> None:
         size = 4 * _reach(plane) // COARSE + 1
         self._size = (size, size)
         self._shape = plane.inside.shape
-        seen = self._sum(_whole(plane.inside.astype(np.float32)))
-        self._seen = np.maximum(seen, np.float32(1e-3))
+        self._inside = plane.inside
+        self.cells = max(1, int(np.count_nonzero(plane.inside)))
+        self._block = _shrunk(_whole(plane.inside).astype(np.float32), COARSE)
+        self._seen = np.maximum(self._blur(self._block), np.float32(1e-3))
 
-    def mean(self, values: npt.NDArray[Any]) -> FloatImage:
-        """Local means, on the coarse grid, of (rows, columns) values that are 0 outside the fan."""
-        return np.asarray(self._sum(_whole(values)) / self._seen, np.float32)
-
-    def mean_square(self, values: FloatImage) -> FloatImage:
-        """Local means of the values' squares, as `mean`."""
-        whole = _whole(values)
-        return np.asarray(self._sum(np.multiply(whole, whole, out=whole)) / self._seen, np.float32)
-
-    def fine(self, coarse: FloatArray) -> FloatImage:
-        """Values on the coarse grid interpolated to every pixel: (rows, columns)."""
-        size = (coarse.shape[1] * COARSE, coarse.shape[0] * COARSE)
-        rows, columns = self._shape
-        fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-        return np.asarray(fine[:rows, :columns], np.float32)
+    def __call__(self, image: ByteImage) -> Levels:
+        """The levels of a working image."""
+        grey = _whole(image * self._inside)
+        half = _shrunk(grey.astype(np.float32), SEARCHED)
+        block = _shrunk(half, COARSE // SEARCHED)
+        mean = np.asarray(self._blur(block) / self._seen, np.float32)
+        # The relief is the level over that of the surroundings, which is even within a block.
+        squares = _shrunk(_shrunk(np.square(grey, dtype=np.uint16), 2), COARSE // 2)
+        squares = squares.astype(np.float32)
+        squares += mean * (mean * self._block - 2 * block)
+        whole = math.sqrt(max(float(squares.sum()), 0.0) * COARSE**2 / self.cells)
+        # A black or uniform frame has only rounding errors as relief.
+        whole = max(whole, LEAST_SIGMA)
+        variance = self._blur(squares) / self._seen
+        least = np.float32((LEAST_LOCAL_SIGMA * whole) ** 2)
+        sigma = np.sqrt(np.maximum(variance, least), dtype=np.float32)
+        return Levels(half, mean, sigma, whole)
 
     def at(self, coarse: FloatImage, places: FloatArray) -> FloatArray:
-        """(n,) values of `fine` at the pixels nearest to (n, 2) positions."""
+        """(n,) values on the coarse grid, interpolated to the pixels at (n, 2) positions."""
         if len(places) == 0:  # OpenCV refuses empty maps
             return np.empty(0)
         rows, columns = self._shape
-        pixel = np.rint(places).clip(0, (columns - 1, rows - 1))
+        pixel = np.minimum(np.maximum(np.rint(places), 0), (columns - 1, rows - 1))
         column, row = ((pixel + 0.5) / COARSE - 0.5).astype(np.float32).T
         border = cv2.BORDER_REPLICATE
         found = cv2.remap(coarse, column, row, cv2.INTER_LINEAR, borderMode=border)
         return np.asarray(found, float).ravel()
 
-    def _sum(self, whole: npt.NDArray[Any]) -> FloatImage:
-        """Sum over each pixel's surroundings, divided by their size. whole: from `_whole`."""
-        size = (whole.shape[1] // COARSE, whole.shape[0] // COARSE)
-        coarse = cv2.resize(whole, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        return np.asarray(cv2.blur(coarse, self._size, borderType=cv2.BORDER_CONSTANT), np.float32)
+    def _blur(self, blocks: FloatImage) -> FloatImage:
+        """Mean over each block's surroundings; 0 beyond the image."""
+        return np.asarray(cv2.blur(blocks, self._size, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
 def _whole(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -163,6 +195,21 @@ def _whole(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     rows, columns = (-side % COARSE for side in values.shape)
     filled = cv2.copyMakeBorder(values, 0, rows, 0, columns, cv2.BORDER_CONSTANT, value=0)
     return np.asarray(filled)
+
+
+def _shrunk(values: npt.NDArray[Any], factor: int) -> npt.NDArray[Any]:
+    """Means over blocks of factor x factor."""
+    size = (values.shape[1] // factor, values.shape[0] // factor)
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA))
+
+
+def enlarged(coarse: FloatImage, shape: tuple[int, int], step: int = 1) -> FloatImage:
+    """Values on the coarse grid interpolated to every pixel, or every block of step x step:
+    `shape` (rows, columns) of them."""
+    factor = COARSE // step
+    size = (coarse.shape[1] * factor, coarse.shape[0] * factor)
+    fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine[: shape[0], : shape[1]], np.float32)
 
 
 class ScoreMaps(NamedTuple):
@@ -177,17 +224,15 @@ class ScoreMaps(NamedTuple):
     sigma: FloatImage
     """Standard deviation of the grey levels in each pixel's surroundings, on their coarse grid; one
     value where it is the same everywhere."""
+    step: int = 1
+    """Of the working image's pixels from one of the maps' to the next."""
 
 
 class Detector(Protocol):
     """Scores how well a landmark's circle fits at every pixel."""
 
-    def __call__(self, image: ByteImage, relief: FloatImage, sigma: float, /) -> ScoreMaps:
-        """The score maps of a working image.
-
-        relief: (rows, columns) grey level over that of the surroundings; it may be overwritten.
-        sigma: its standard deviation.
-        """
+    def __call__(self, image: ByteImage, levels: Levels, /) -> ScoreMaps:
+        """The score maps of a working image, which has these levels."""
         ...
 
 
@@ -201,19 +246,14 @@ class EdgeScore:
         outline = np.abs(radius - 1) < 0.5 * pixel
         kernel = (outline / outline.sum()).astype(np.float32)
         self._correlate = Correlation(kernel, plane.inside.shape)
-        self._gain = _gain(plane, outline.astype(float), config)
+        self._gain = _gain(plane.inside.astype(np.float32), outline.astype(float), config)
         # The fan's own edge, widened by the blur, must not count as an edge of the image.
         border = BLUR_PX // 2 + 1
         self._away = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
         self._tolerance = np.ones((2 * EDGE_TOLERANCE_PX + 1,) * 2, np.uint8)
 
-    def __call__(
-        self,
-        image: ByteImage,
-        relief: FloatImage,  # noqa: ARG002
-        sigma: float,
-    ) -> ScoreMaps:
-        """Edges are found in the grey levels, so the relief is not used."""
+    def __call__(self, image: ByteImage, levels: Levels) -> ScoreMaps:
+        """Edges are found in the grey levels themselves."""
         config = self._config
         grey_sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
         blurred = cv2.GaussianBlur(image, (BLUR_PX, BLUR_PX), 0)
@@ -226,47 +266,88 @@ class EdgeScore:
         size = 2 * EDGE_TOLERANCE_PX + 3
         peaks = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
         best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
-        return ScoreMaps(score, peaks, best, np.full((1, 1), sigma, np.float32))
+        return ScoreMaps(score, peaks, best, np.full((1, 1), levels.whole, np.float32))
 
 
 class RingScore:
     """The default score: a bright ring's contrast over its surroundings, 1 for full contrast."""
 
     def __init__(
-        self,
-        config: Candidates,
-        plane: Plane,
-        landmarks: LandmarkSet,
-        surroundings: Surroundings,
-        share: float,
+        self, config: Candidates, plane: Plane, landmarks: LandmarkSet, share: float
     ) -> None:
         """share: from `gap_share`."""
-        self._surroundings = surroundings
-        radius, pixel = _radii(plane)
-        ring = _band(radius, landmarks.ring, pixel)
-        gap = _band(
-            radius, (landmarks.symbol[1] + GAP_MARGIN, landmarks.ring[0] - GAP_MARGIN), pixel
-        )
-        outside = _band(radius, OUTSIDE, pixel)
-        kernel = (
-            ring / ring.sum() - share * gap / gap.sum() - (1 - share) * outside / outside.sum()
-        ).astype(np.float32)
-        self._correlate = Correlation(kernel, plane.inside.shape)
-        self._gain = _gain(plane, ring, config) / np.float32(config.ring_full_contrast)
+        gap = landmarks.symbol[1] + GAP_MARGIN, landmarks.ring[0] - GAP_MARGIN
 
-    def __call__(
-        self,
-        image: ByteImage,  # noqa: ARG002
-        relief: FloatImage,
-        sigma: float,
-    ) -> ScoreMaps:
+        def contrast(step: int) -> tuple[FloatArray, FloatArray]:
+            """The kernel on blocks of step x step pixels, and the ring's part of it."""
+            radius, pixel = _radii(plane, step)
+            bands = [
+                _shrunk(_band(radius, band, pixel), step) for band in (landmarks.ring, gap, OUTSIDE)
+            ]
+            ring, within, outside = (band / band.sum() for band in bands)
+            kernel = ring - share * within - (1 - share) * outside
+            return (kernel + kernel[::-1, ::-1]) / 2, bands[0]  # exactly symmetric
+
+        large = plane.inside.size > LARGE and min(plane.axes) >= SEARCHED * LEAST_RADIUS
+        self._step = step = SEARCHED if large else 1
+        kernel, ring = contrast(step)
+        self._inside = _shrunk(_whole(plane.inside).astype(np.float32), step)
+        self._correlate = Correlation(kernel.astype(np.float32), self._inside.shape)
+        self._gain = _gain(self._inside, ring, config) / np.float32(config.ring_full_contrast)
+        self._scale = np.float32(1 if step == 1 else 1 / COARSE_SHARE)
+        if step == 1:
+            return
+        # The kernel at a pixel and its neighbours, in a patch that holds them all.
+        fine = contrast(1)[0]
+        self._side = side = fine.shape[0] + 2
+        patch = np.zeros((3, 3, side, side))
+        for row in range(3):
+            for column in range(3):
+                patch[row, column, row : side - 2 + row, column : side - 2 + column] = fine
+        self._patch = patch.reshape(9, -1).T.copy()
+        self._pixels = self._padded(plane.inside)
+
+    def __call__(self, image: ByteImage, levels: Levels) -> ScoreMaps:
         """Contrast is in standard deviations of the relief around each pixel."""
-        # Not far below the whole frame's, else the noise of a uniform patch would score as rings.
-        least = (LEAST_LOCAL_SIGMA * sigma) ** 2
-        local = np.sqrt(np.maximum(self._surroundings.mean_square(relief), least))
-        score = np.multiply(self._correlate(relief), self._gain, out=relief)
-        score /= self._surroundings.fine(local)
-        return ScoreMaps(score, score, score, local)
+        step, shape = self._step, self._inside.shape
+        grey = levels.half if step == SEARCHED else _whole(image).astype(np.float32)
+        relief = grey - enlarged(levels.mean, shape, step) * self._inside
+        if step == 1:
+            relief *= self._inside
+        score = self._correlate(relief)
+        score *= self._gain * self._scale
+        score /= enlarged(levels.sigma, shape, step)
+        return ScoreMaps(score, score, score, levels.sigma, step)
+
+    def on_pixels(
+        self, image: ByteImage, levels: Levels, places: FloatArray, around: Surroundings
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, 2) positions, (column, row), and (n,) scores of rings at or beside (n, 2) places."""
+        rows, columns = image.shape  # which whole blocks may exceed
+        pixel = np.minimum(np.rint(places).astype(int), (columns - 1, rows - 1))
+        patches = np.empty((2, len(places), self._side, self._side), np.uint8)
+        padded = self._padded(image)
+        for n, (column, row) in enumerate(pixel.tolist()):
+            part = slice(row, row + self._side), slice(column, column + self._side)
+            patches[0, n], patches[1, n] = padded[part], self._pixels[part]
+        grey, inside = patches.reshape(2, len(places), self._side**2)
+        # The surroundings' level is nearly even within a patch, and the kernel sums to 0.
+        relief = (grey - around.at(levels.mean, pixel)[:, None]) * inside
+        found = (relief @ self._patch).reshape(-1, 3, 3)
+        lines = np.stack([found[:, 1], found[:, :, 1]])  # along a row, and down a column
+        before, here, after = np.moveaxis(lines, 2, 0)
+        shift = _vertex(before, here, after, 1.0)
+        block = pixel // self._step
+        gain = self._gain[block[:, 1], block[:, 0]]
+        scores = found.max(axis=(1, 2), initial=0) * gain / around.at(levels.sigma, pixel)
+        # Rounded, since the last digits of a product depend on the processor.
+        return np.round(pixel + shift.T, 4), settled(scores)
+
+    def _padded(self, image: ByteImage) -> ByteImage:
+        """An image with room for the patch of every pixel."""
+        m = self._side // 2
+        padded = cv2.copyMakeBorder(image, m, m, m, m, cv2.BORDER_CONSTANT, value=0)
+        return np.asarray(padded, np.uint8)
 
 
 class Correlation:
@@ -336,21 +417,25 @@ def _reach(plane: Plane) -> int:
     return int(np.ceil(max(plane.axes) * OUTSIDE[1]))
 
 
-def _radii(plane: Plane) -> tuple[FloatArray, float]:
-    """Distance of each pixel of a kernel from its middle, and a pixel's size, in disc radii."""
+def _radii(plane: Plane, step: int = 1) -> tuple[FloatArray, float]:
+    """Distance of each pixel of a kernel from its middle, and a pixel's size, in disc radii.
+
+    The kernel is an odd number of blocks of step x step pixels wide.
+    """
     across, along = plane.axes
-    reach = _reach(plane)
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(float)
-    return np.hypot(x / across, y / along), 1 / min(across, along)
+    side = step * (2 * -(-_reach(plane) // step) + 1)
+    offset = np.arange(side) + 0.5 - side / 2
+    return np.hypot(offset / across, offset[:, None] / along), 1 / min(across, along)
 
 
-def _gain(plane: Plane, ring: FloatArray, config: Candidates) -> FloatImage:
+def _gain(inside: FloatImage, ring: FloatArray, config: Candidates) -> FloatImage:
     """(rows, columns) factor of a score by how much of the ring lies inside the fan.
 
-    ring: weights of a kernel's pixels. Where less than min_visible shows, the factor is 0.
+    inside: the share of each pixel in the fan. ring: weights of a kernel's pixels. Where less than
+    min_visible shows, the factor is 0.
     """
     least = config.min_visible
-    visible = _correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
+    visible = _correlate(inside, ring.astype(np.float32))
     visible /= ring.sum()
     # The correlation falls with the visible share, its noise with the root of that share. Divided
     # by the root, false candidates are as frequent at the fan's edge as within it.
@@ -372,13 +457,25 @@ def _band(radius: FloatArray, band: tuple[float, float], pixel: float) -> FloatA
     return np.asarray(np.minimum(inner, outer))
 
 
-def _refine(score: FloatImage, column: IndexArray, row: IndexArray) -> FloatArray:
-    """(n, 2) sub-pixel peaks, by a parabola through three samples in each axis."""
+def _refine(score: FloatImage, index: IndexArray) -> FloatArray:
+    """(n, 2) sub-pixel peaks, (column, row), by a parabola through three samples in each axis.
+
+    index: (n,) of the highest pixels, counted row by row.
+    """
     rows, columns = score.shape
+    row, column = np.divmod(index, columns)
     pixels, step = score.ravel(), np.array([[1], [columns]])  # along a row, and down a column
-    at = row.clip(1, rows - 2) * columns + column.clip(1, columns - 2)
-    before, after = pixels[at - step], pixels[at + step]  # (2, n)
-    bend = before - 2 * pixels[at] + after
-    shift = np.clip(0.5 * (before - after) / np.minimum(bend, np.float32(-1e-12)), -0.5, 0.5)
-    shift[bend >= 0] = 0.0
+    row_at, column_at = np.maximum(row, 1), np.maximum(column, 1)
+    at = np.minimum(row_at, rows - 2) * columns + np.minimum(column_at, columns - 2)
+    shift = _vertex(pixels[at - step], pixels[at], pixels[at + step])
     return np.asarray((np.stack([column, row]) + shift).T, float)
+
+
+def _vertex(
+    before: FloatArray, here: FloatArray, after: FloatArray, most: float = 0.5
+) -> FloatArray:
+    """Where a parabola through three samples has its maximum, at most so many steps from the
+    middle; 0 if it has none."""
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / np.minimum(bend, np.float32(-1e-12))
+    return np.where(bend < 0, np.maximum(np.minimum(shift, most), -most), 0.0)

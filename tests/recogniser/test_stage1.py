@@ -101,6 +101,16 @@ def test_of_several_discs_all_are_found_best_first_and_apart(kind):
     assert distance.min() >= DETECTORS[kind].separation - 1e-6
 
 
+def test_peaks_at_the_edge_of_an_image_that_is_not_whole_blocks_are_scored():
+    """As in a part of a mean: whatever is in the last rows and columns lies in the image."""
+    plane, _ = selector("ring", make_fan(512, 0.5, 10.0, 130.0, tilt_deg=15.0, height_m=1.5))
+    plane.inside, plane.shape = np.ones((321, 323), np.uint8), (321, 323)
+    select = CandidateSelector(dataclasses.replace(RING, threshold=0.1), plane, BASIN, BEAM_DEG)
+    found = select(np.random.default_rng(7).integers(1, 255, plane.shape).astype(np.uint8))
+    assert (found.positions <= np.array([322, 320]) + 1).all()
+    assert found.positions.max() > 300
+
+
 @pytest.mark.slow
 def test_of_many_discs_on_a_large_floor_all_are_found():
     """A fan of 130 deg to 10 m shows a floor forty times as large as the one above."""
@@ -128,7 +138,7 @@ def test_a_part_of_a_ring_at_the_fan_s_edge_is_found(kind, bearing_deg):
     # At 2.4 m a disc spans 7.5 degrees: from 45 to 62 % of its ring lies within 14.4 degrees.
     plane, select = SELECTORS[kind]
     found = select(plane.warp(picture(np.random.default_rng(1), [(2.4, bearing_deg)])))
-    assert miss(plane, found, 2.4, bearing_deg) < (0.5 if kind == "ring" else 0.2 * plane.axes[0])
+    assert miss(plane, found, 2.4, bearing_deg) < (0.6 if kind == "ring" else 0.2 * plane.axes[0])
 
 
 @pytest.mark.parametrize("kind", DETECTORS)

@@ -21,7 +21,7 @@ from sonarrec.recogniser.drawn.stage3 import PlateMeasurement
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import Plane, working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
-from sonarrec.recogniser.stage1 import CandidateSelector, ScoreMaps
+from sonarrec.recogniser.stage1 import CandidateSelector, Levels, ScoreMaps, enlarged
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
 
@@ -75,12 +75,15 @@ class PlateScore:
         side = 2 * plane.axes[0]
         self._window = tuple(max(3, round(share * side)) for share in WINDOW)
         self._sizes = tuple(max(1, round(share * side)) for share in (FINE_SHARE, BROAD_SHARE))
+        self._inside = plane.inside
         inside = plane.inside.astype(np.float32)
         seen = np.asarray(cv2.blur(inside, self._window), np.float32)
         self._share = np.where(seen >= LEAST_SEEN, 1 / np.maximum(seen, 0.1), 0).astype(np.float32)
 
-    def __call__(self, _: ByteImage, relief: FloatImage, sigma: float) -> ScoreMaps:
+    def __call__(self, image: ByteImage, levels: Levels) -> ScoreMaps:
         """As of `Detector`."""
+        around, sigma = enlarged(levels.mean, image.shape), levels.whole
+        relief = (image - around) * self._inside
         fine, broad = (cv2.blur(relief, (size, size)) for size in self._sizes)
         inner = np.maximum(self._mean((fine - broad) ** 2), 0)
         bright = np.maximum(self._mean(relief), 0)
