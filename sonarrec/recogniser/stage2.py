@@ -19,15 +19,17 @@ out of view too long, if it did not show where it should, or if the motion is no
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined
+from sonarrec.arrays import FloatArray
 from sonarrec.config import Continuity
 from sonarrec.nouns import Groups, Motion, Selection
-from sonarrec.recogniser.particles import LostGroups, ParticleGroups
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.particles import Particles
+from sonarrec.recogniser.plane import Plane, as_complex
 
 NEW_EXISTENCE = 0.5  # probability of existence of a group that has just begun
 WHOLE = 0.9  # share of a disc in view from which on its object should be a candidate
@@ -46,12 +48,36 @@ P_HIT_OBJECT, P_HIT_CLUTTER = 0.9, 0.4
 RECALL, RECALL_DRIFT, RECALL_MOST, RECALL_IN_VIEW = 0.2, 0.02, 0.5, 0.5
 
 
+@dataclass(slots=True)
+class _Group:
+    """What is known of a group beside its particles. There are few, so plain numbers do."""
+
+    number: int
+    """Stable over frames."""
+    x: float
+    """Working pixels, as `y`: where it was last a candidate, moved with the floor since. Unlike
+    the particles it leaves the fan with its object."""
+    y: float
+    existence: float = NEW_EXISTENCE
+    """Probability that there is an object, 0 to 1."""
+    sight_deg: float = 0.0
+    """Rotation over the floor of the line of sight to it since the group began."""
+    strikes: int = 0
+    """Frames in which the group was too wide, counted as Continuity.count_strikes says."""
+    # Of a remembered one:
+    frames_left: int = 0
+    """For which it is still remembered."""
+    drift: float = 0.0
+    """Variance of the position, in disc diameters squared."""
+    missed: int = 0
+    """Frames in which its position was in view but it was no candidate."""
+
+
 class ContinuityFilter:
     """The particle groups of all objects in view."""
 
     def __init__(self, config: Continuity, plane: Plane, rng: np.random.Generator) -> None:
         self._config = config
-        self._rng = rng
         self._plane = plane
         self._sigma = config.sigma_px * plane.scale
         self._sigma_known = config.sigma_known_px * plane.scale
@@ -59,88 +85,79 @@ class ContinuityFilter:
         # began as wide as that would move to neighbouring peaks before it has converged.
         self._sigma_new = self._sigma if config.motion == "random_walk" else self._sigma_known
         self._diameter = 2 * np.array(plane.axes)
+        self._across, self._along = self._diameter.tolist()
         # The border stands for all positions beyond the image.
         self._share = cv2.copyMakeBorder(
             plane.disc_share(), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=-1
         )
-        self._last_share = np.array(self._share.shape[::-1]) - 1
         self._next = 1
-        self._groups = self._new(np.empty(0, np.int64), np.empty((0, 2)), *np.empty((2, 0)))
-        self._lost = _no_lost_groups()
+        self._groups: list[_Group] = []  # by number
+        self._particles = Particles(config, rng)  # of these, in their order
+        self._lost: list[_Group] = []  # remembered out of view
 
     def step(self, selection: Selection, motion: Motion | None = None) -> Groups:
         """The groups after one frame, by rising number.
 
         motion: of the sonar since the last frame; None if unknown.
         """
-        # Predict.
-        before = self._groups.places
-        self._predict(motion)
-        expected = self._groups.mean()
-        # Weigh.
-        positions, spread = self._weigh(selection, motion)
+        particles = self._particles
+        # Predict (Eq. 3): a random walk; a narrower one, after the sonar's motion, if it is known.
+        before = [(g.x, g.y) for g in self._groups]
+        sigma = self._sigma
+        if motion is not None:
+            particles.places = self._plane.moved(particles.places, motion)
+            self._carry([*self._groups, *self._lost], motion)
+            sigma = math.hypot(self._sigma_known, self._uncertain(motion))
+        particles.walk(sigma)
+        expected = particles.mean()
+        # Weigh (Eq. 4), and resample.
+        weight = particles.weigh(selection.score_map, selection.step)
+        if motion is not None:
+            weight = self._without_neighbours(weight, selection.positions)
+        positions, spread = particles.weighted(weight)
+        particles.resample(weight)
+        spread /= self._diameter
         # Strike.
-        distances = self._distances(positions, selection.positions)
-        hit = np.any(distances < self._config.merge, axis=1)
-        pulled = self._pulled(positions, expected, motion)
-        self._place(positions, hit & ~pulled, motion)
+        near = self._distances(positions, selection.positions) < self._config.merge
+        hit: list[bool] = np.asarray(near.any(axis=1)).tolist()
+        pulled = self._pulled(positions - expected, motion)
+        self._place(positions, hit, pulled, motion)
         shown, in_view = self._in_view(positions, before, hit, motion)
         self._strike(spread, hit, in_view)
         # Delete.
         kept = self._delete(pulled, in_view, motion)
+        positions, spread, shown = positions[kept], spread[kept], [shown[i] for i in kept]
         # Begin.
-        born = self._begin(positions[kept], selection)
-        return self._as_groups(positions[kept], spread[kept], shown[kept], born)
+        born = self._begin(positions, selection.positions)
+        if born:
+            places = np.array([(g.x, g.y) for g in born])
+            particles.begin(places, self._sigma_new)
+            groups = self._groups + born
+            # A recalled group has an old number, so the order must be restored.
+            order = sorted(range(len(groups)), key=lambda i: groups[i].number)
+            self._groups = [groups[i] for i in order]
+            particles.take(order)
+            wide = np.full((len(born), 2), self._sigma_new) / self._diameter
+            positions = np.concatenate([positions, places])[order]
+            spread = np.concatenate([spread, wide])[order]
+            shown += [self._shows(g.x, g.y) >= self._config.least_in_view for g in born]
+            shown = [shown[i] for i in order]
+        return Groups(
+            numbers=np.array([g.number for g in self._groups], np.int64),
+            positions=positions,
+            spread=spread,
+            existence=np.array([g.existence for g in self._groups], float),
+            sight_deg=np.array([g.sight_deg for g in self._groups], float),
+            in_view=np.array(shown, bool),
+            remembered=np.array([g.number for g in self._lost], np.int64),
+        )
 
     def centre(self, groups: Groups) -> None:
         """Shift whole groups to the positions in `groups`, which were measured more exactly."""
-        rows = np.flatnonzero(np.isin(self._groups.numbers, groups.numbers))
-        shift = groups.positions - self._groups.mean()[rows]
-        self._groups.particles[rows] += shift[:, None].astype(np.float32)
-        self._groups.places[rows] = groups.positions
-
-    def _as_groups(
-        self, positions: FloatArray, spread: FloatArray, shown: BoolArray, born: FloatArray
-    ) -> Groups:
-        """The groups by rising number; born: (n, 2) centres of those that have just begun."""
-        if len(born):
-            # A recalled group has an old number, so the order must be restored.
-            order = np.argsort(self._groups.numbers)
-            self._groups = self._groups.take(order)
-            wide = np.full((len(born), 2), self._sigma_new) / self._diameter
-            positions = np.concatenate([positions, born])[order]
-            spread = np.concatenate([spread, wide])[order]
-            new_shown = self._shares(born) >= self._config.least_in_view
-            shown = np.concatenate([shown, new_shown])[order]
-        groups = self._groups
-        return Groups(
-            numbers=groups.numbers,
-            positions=positions,
-            spread=spread,
-            existence=groups.existence,
-            sight_deg=groups.sight_deg,
-            in_view=shown,
-            remembered=self._lost.numbers,
-        )
-
-    def _predict(self, motion: Motion | None) -> None:
-        """Eq. 3: a random walk; a narrower one, after the sonar's motion, if that is known."""
-        groups, sigma = self._groups, self._sigma
-        if motion is not None:
-            groups.particles = self._plane.moved(groups.particles, motion).astype(np.float32)
-            self._carry(groups, motion)
-            sigma = math.hypot(self._sigma_known, self._uncertain(motion))
-        groups.walk(sigma, self._rng)
-
-    def _weigh(self, selection: Selection, motion: Motion | None) -> tuple[FloatArray, FloatArray]:
-        """Eq. 4, and resampling: (n, 2) positions, and spread per axis in disc diameters."""
-        config, groups = self._config, self._groups
-        weight = groups.weigh(selection.score_map, config)
-        if motion is not None:
-            weight = self._without_neighbours(weight, selection.positions)
-        positions, spread = groups.weighted(weight)
-        groups.resample(weight, self._rng)
-        return positions, spread / self._diameter
+        shift = groups.positions - self._particles.mean()
+        self._particles.places += shift[:, None].astype(np.float32)
+        for group, place in zip(self._groups, groups.positions.tolist(), strict=True):
+            group.x, group.y = place
 
     def _without_neighbours(self, weight: FloatArray, candidates: FloatArray) -> FloatArray:
         """(n, particles) weights, 0 for particles that are nearer to a neighbour's candidate.
@@ -150,11 +167,12 @@ class ContinuityFilter:
         beyond the middle between the two do not count, else the broader peak would attract the
         group.
         """
-        groups = self._groups
-        if len(groups) == 0 or len(candidates) == 0:
+        if not self._groups or len(candidates) < 2:
             return weight
-        own = groups.places.copy()
+        own = np.array([(g.x, g.y) for g in self._groups])
         apart = self._distances(own, candidates)
+        if ((apart < 1 + OWN_CANDIDATE).sum(axis=1) < 2).all():
+            return weight  # as usual
         there = apart.min(axis=1) <= OWN_CANDIDATE
         own[there] = candidates[apart.argmin(axis=1)[there]]
         apart = self._distances(own, candidates)
@@ -167,45 +185,53 @@ class ContinuityFilter:
             # Which side of the perpendicular bisector a particle is on, in disc diameters.
             way = (place - own[beside]) / self._diameter**2
             middle = (place + own[beside]) / 2
-            off = groups.particles[beside] - middle[:, None].astype(np.float32)
+            off = self._particles.places[beside] - middle[:, None].astype(np.float32)
             theirs[beside] |= (off @ way[:, :, None].astype(np.float32))[..., 0] > 0
         kept = np.where(theirs, 0.0, weight)
         total = kept.sum(axis=1, keepdims=True)
         return np.where(total > 0, kept / np.maximum(total, 1e-12), weight)
 
-    def _pulled(
-        self, positions: FloatArray, expected: FloatArray, motion: Motion | None
-    ) -> BoolArray:
-        """(n,) which groups are too far from the (n, 2) positions where the motion expects them.
+    def _pulled(self, moved: FloatArray, motion: Motion | None) -> list[bool]:
+        """Which groups are too far from where the motion expects them. moved: (n, 2) by how far.
 
         Objects on the floor do not move, so such a group has left its object for another.
         """
-        moved = np.hypot(*((positions - expected) / self._diameter).T)
-        farthest = JUMP + 2 * self._uncertain(motion) / self._diameter[0]
-        return np.asarray((moved > farthest) & (motion is not None))
+        if motion is None:
+            return [False] * len(moved)
+        farthest = JUMP + 2 * self._uncertain(motion) / self._across
+        return [self._diameters(x, y) > farthest for x, y in moved.tolist()]
 
     def _in_view(
-        self, positions: FloatArray, before: FloatArray, hit: BoolArray, motion: Motion | None
-    ) -> tuple[BoolArray, BoolArray]:
-        """(n,) which groups show enough of the disc, and which are in view.
+        self,
+        positions: FloatArray,
+        before: Sequence[tuple[float, float]],
+        hit: Sequence[bool],
+        motion: Motion | None,
+    ) -> tuple[list[bool], list[bool]]:
+        """Which groups show enough of the disc, and which are in view.
 
-        Those just coming in count as in view. before: (n, 2) positions in the last frame.
+        Those just coming in count as in view. before: positions in the last frame.
         """
-        shares = self._shares(self._groups.places)
+        shares = [self._shows(g.x, g.y) for g in self._groups]
         if motion is not None:
             # At the fan's edge particles may stay behind their object, or leave before it.
-            shares = np.minimum(shares, self._shares(positions))
-        shown = shares >= self._config.least_in_view
-        if motion is None or shown.all():
+            of_particles = [self._shows(x, y) for x, y in positions.tolist()]
+            shares = [min(both) for both in zip(shares, of_particles, strict=True)]
+        shown = [share >= self._config.least_in_view for share in shares]
+        if motion is None or all(shown):
             return shown, shown
-        return shown, shown | (hit & (shares > self._shares(before)))
+        coming = [
+            is_hit and share > self._shows(*place)
+            for is_hit, share, place in zip(hit, shares, before, strict=True)
+        ]
+        return shown, [a or b for a, b in zip(shown, coming, strict=True)]
 
-    def _uncertain(self, motion: Motion | None) -> float:
+    def _uncertain(self, motion: Motion) -> float:
         """Standard error in pixels, at the middle of the window, of positions after a motion.
 
         0 after a pan alone, whose error sigma_known_px covers.
         """
-        if motion is None or not (motion.right_m or motion.ahead_m):
+        if not (motion.right_m or motion.ahead_m):
             return 0.0
         fan = self._plane.fan
         turned = math.radians(motion.pan_sigma_deg) * (fan.range_min_m + fan.range_max_m) / 2
@@ -215,165 +241,155 @@ class ContinuityFilter:
         """A length on the floor in working pixels."""
         return metres * self._plane.scale / self._plane.fan.metres_per_pixel
 
-    def _place(self, positions: FloatArray, there: BoolArray, motion: Motion | None) -> None:
-        """Update the objects' positions: the group's own where `there`, else moved by the motion.
+    def _place(
+        self,
+        positions: FloatArray,
+        hit: Sequence[bool],
+        pulled: Sequence[bool],
+        motion: Motion | None,
+    ) -> None:
+        """Update the objects' positions: the group's own where it is hit, else moved by the motion.
 
         Remembered groups are moved too, and their drift grows.
         """
-        groups, lost = self._groups, self._lost
+        rows = zip(self._groups, positions.tolist(), hit, pulled, strict=True)
+        for group, place, is_hit, is_pulled in rows:
+            if motion is None or (is_hit and not is_pulled):
+                group.x, group.y = place
         if motion is None:
-            groups.places = positions
-            self._lost = _no_lost_groups()  # their positions are no longer known
-            return
-        groups.places[there] = positions[there]
-        if len(lost):
-            self._carry(lost, motion)
-            away = np.hypot(*((lost.places - self._plane.apex) / self._diameter).T)
-            turned = np.radians(motion.pan_sigma_deg) * away
+            self._lost = []  # their positions are no longer known
+        elif self._lost:
             carried = 0.0
             if motion.right_m or motion.ahead_m:
                 carried = math.hypot(motion.right_sigma_m, motion.ahead_sigma_m)
-                carried = self._pixels(carried) / self._diameter[0]
-            lost.drift += turned**2 + carried**2 + RECALL_DRIFT**2
+                carried = self._pixels(carried) / self._across
+            x, y = self._plane.apex
+            for lost in self._lost:
+                away = self._diameters(lost.x - x, lost.y - y)
+                turned = math.radians(motion.pan_sigma_deg) * away
+                lost.drift += turned**2 + carried**2 + RECALL_DRIFT**2
 
-    def _carry(self, table: ParticleGroups | LostGroups, motion: Motion) -> None:
+    def _carry(self, groups: Sequence[_Group], motion: Motion) -> None:
         """Move positions by the sonar's motion, and rotate the lines of sight to them."""
-        after = self._plane.moved(table.places, motion)
-        table.sight_deg = table.sight_deg + self._plane.sight_turned(table.places, after, motion)
-        table.places = after
+        if not groups:
+            return
+        before = np.array([(g.x, g.y) for g in groups])
+        after = self._plane.moved(before, motion)
+        turned = self._plane.sight_turned(before, after, motion).tolist()
+        for group, place, by in zip(groups, after.tolist(), turned, strict=True):
+            group.x, group.y = place
+            group.sight_deg += by
 
-    def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
+    def _strike(self, spread: FloatArray, hit: Sequence[bool], in_view: Sequence[bool]) -> None:
         """Count strikes of groups that are too wide, and update existence by hit or miss (Bayes).
 
         Existence does not change while the object is out of view, where a miss is no evidence.
         """
-        config, groups = self._config, self._groups
-        wide = (spread > config.spread_limit).any(axis=1)
-        left = groups.strikes if config.count_strikes == "in_all" else 0
-        groups.strikes = np.where(wide, groups.strikes + 1, left)
-        hit_or_miss = np.where(hit, P_HIT_OBJECT, 1 - P_HIT_OBJECT)
-        of_object = groups.existence * hit_or_miss
-        hit_or_miss = np.where(hit, P_HIT_CLUTTER, 1 - P_HIT_CLUTTER)
-        of_clutter = (1 - groups.existence) * hit_or_miss
-        existence = np.clip(of_object / (of_object + of_clutter), 0.01, 0.99)
-        groups.existence = np.where(in_view, existence, groups.existence)
+        config = self._config
+        wide = np.asarray((spread > config.spread_limit).any(axis=1)).tolist()
+        rows = zip(self._groups, wide, hit, in_view, strict=True)
+        for group, is_wide, is_hit, is_seen in rows:
+            if is_wide:
+                group.strikes += 1
+            elif config.count_strikes != "in_all":
+                group.strikes = 0
+            if is_seen:
+                of_object = group.existence * (P_HIT_OBJECT if is_hit else 1 - P_HIT_OBJECT)
+                clutter = P_HIT_CLUTTER if is_hit else 1 - P_HIT_CLUTTER
+                of_clutter = (1 - group.existence) * clutter
+                existence = of_object / (of_object + of_clutter)
+                group.existence = min(max(existence, 0.01), 0.99)
 
-    def _delete(self, pulled: BoolArray, in_view: BoolArray, motion: Motion | None) -> BoolArray:
-        """Delete groups for the five reasons above. Returns (n,) which are kept."""
+    def _delete(
+        self, pulled: Sequence[bool], in_view: Sequence[bool], motion: Motion | None
+    ) -> list[int]:
+        """Delete groups for the five reasons above. Returns the indices of those kept."""
         config, groups = self._config, self._groups
-        spread_out = groups.strikes >= config.strikes
-        unlikely = groups.existence < config.min_existence
-        astray = pulled & in_view
-        alive = ~(spread_out | unlikely | astray)
+        alive = [
+            group.strikes < config.strikes  # not spread out
+            and group.existence >= config.min_existence  # nor unlikely
+            and not (astray and seen)
+            for group, astray, seen in zip(groups, pulled, in_view, strict=True)
+        ]
         # Groups are ordered by age; of two on one object the older stays.
-        near = np.tril(self._distances(groups.places, groups.places) < config.merge, k=-1)
-        merged = (near & alive[None, :]).any(axis=1)
-        alive &= ~merged
-        out_of_view = ~in_view
+        merged = [
+            any(
+                alive[k] and self._diameters(g.x - groups[k].x, g.y - groups[k].y) < config.merge
+                for k in range(i)
+            )
+            for i, g in enumerate(groups)
+        ]
+        alive = [a and not m for a, m in zip(alive, merged, strict=True)]
         if motion is not None:
             self._forget()
-            self._remember(alive & out_of_view)
-        kept = alive & ~out_of_view
-        self._groups = groups.take(kept)
+            self._lost += [
+                replace(g, strikes=0, frames_left=config.remember_frames)
+                for g, a, seen in zip(groups, alive, in_view, strict=True)
+                if a and not seen
+            ]
+        kept = [i for i, (a, seen) in enumerate(zip(alive, in_view, strict=True)) if a and seen]
+        if len(kept) < len(groups):
+            self._groups = [groups[i] for i in kept]
+            self._particles.take(kept)
         return kept
 
     def _forget(self) -> None:
         """Forget groups that were out of view too long, or did not show where they should."""
-        lost = self._lost
-        if len(lost) == 0:
-            return
-        lost.frames_left -= 1
-        lost.missed += self._shares(lost.places) > WHOLE
-        self._lost = lost.take((lost.frames_left > 0) & (lost.missed <= self._config.strikes))
+        for lost in self._lost:
+            lost.frames_left -= 1
+            lost.missed += self._shows(lost.x, lost.y) > WHOLE
+        self._lost = [
+            g for g in self._lost if g.frames_left > 0 and g.missed <= self._config.strikes
+        ]
 
-    def _remember(self, left: BoolArray) -> None:
-        """Remember groups that were deleted only because they are out of view. left: (n,) which."""
-        if not left.any():
-            return
-        groups = self._groups
-        count = np.count_nonzero(left)
-        gone = LostGroups(
-            numbers=groups.numbers[left],
-            places=groups.places[left],
-            existence=groups.existence[left],
-            sight_deg=groups.sight_deg[left],
-            frames_left=np.full(count, self._config.remember_frames),
-            drift=np.zeros(count),
-            missed=np.zeros(count, np.int64),
-        )
-        self._lost = joined([self._lost, gone])
+    def _begin(self, positions: FloatArray, candidates: FloatArray) -> list[_Group]:
+        """New groups, one at every candidate without one. positions: (m, 2) of the existing ones.
 
-    def _begin(self, positions: FloatArray, selection: Selection) -> FloatArray:
-        """Start a group round every candidate without one. Returns their (n, 2) centres.
-
-        positions: (m, 2) of the existing groups.
+        One that begins near a remembered group takes over all of it but the position, the nearest
+        pairs first; the others get a new number.
         """
-        far = self._distances(selection.positions, positions) > self._config.new_group
-        born = selection.positions[far.all(axis=1)]
-        if len(self._lost) and len(born):
-            # A candidate that may be a lost group waits until enough of it is in view to decide.
-            near = (self._distances(born, self._lost.places) <= self._gate()).any(axis=1)
-            hidden = self._shares(born) < RECALL_IN_VIEW
-            born = born[~(near & hidden)]
-        if len(born):
-            self._groups = joined([self._groups, self._new(*self._recall(born))])
+        far = (self._distances(candidates, positions) > self._config.new_group).all(axis=1)
+        places = candidates[far].tolist()
+        pairs = sorted(
+            (distance, new, old)
+            for new, (x, y) in enumerate(places)
+            for old, lost in enumerate(self._lost)
+            if (distance := self._diameters(x - lost.x, y - lost.y)) <= _gate(lost)
+        )
+        # A candidate that may be a lost group waits until enough of it is in view to decide.
+        waits = {new for _, new, _ in pairs if self._shows(*places[new]) < RECALL_IN_VIEW}
+        recalled: dict[int, int] = {}
+        for _, new, old in pairs:
+            if new not in waits and new not in recalled and old not in recalled.values():
+                recalled[new] = old
+        born = []
+        for new, (x, y) in enumerate(places):
+            if new in recalled:
+                lost = self._lost[recalled[new]]
+                born.append(_Group(lost.number, x, y, lost.existence, lost.sight_deg))
+            elif new not in waits:
+                born.append(_Group(self._next, x, y))
+                self._next += 1
+        back = recalled.values()
+        self._lost = [lost for old, lost in enumerate(self._lost) if old not in back]
         return born
 
-    def _recall(self, born: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """Numbers, positions, existence and sight_deg of groups that begin at (n, 2) positions.
+    def _shows(self, x: float, y: float) -> float:
+        """Share inside the fan of a disc at a pixel; -1 beyond the image."""
+        rows, columns = self._share.shape
+        row, column = min(max(round(y) + 1, 0), rows - 1), min(max(round(x) + 1, 0), columns - 1)
+        return float(self._share[row, column])
 
-        A group that begins near a lost one takes over all of these but the position; the nearest
-        pairs first. Others get a new number.
-        """
-        lost = self._lost
-        numbers = np.zeros(len(born), np.int64)
-        existence: FloatArray = np.full(len(born), NEW_EXISTENCE)
-        sight_deg: FloatArray = np.zeros(len(born))
-        distance = self._distances(born, lost.places)
-        distance[distance > self._gate()] = np.inf
-        while distance.size and distance.min() < np.inf:
-            new, old = np.unravel_index(distance.argmin(), distance.shape)
-            numbers[new], existence[new] = lost.numbers[old], lost.existence[old]
-            sight_deg[new] = lost.sight_deg[old]
-            distance[new], distance[:, old] = np.inf, np.inf
-        self._lost = lost.take(~np.isin(lost.numbers, numbers))
-        unknown = numbers == 0
-        count = int(np.count_nonzero(unknown))
-        numbers[unknown] = self._next + np.arange(count)
-        self._next += count
-        return numbers, born, existence, sight_deg
-
-    def _gate(self) -> FloatArray:
-        """(n,) largest distance at which a candidate recalls each lost group, in disc diameters."""
-        return np.minimum(RECALL + 2 * np.sqrt(self._lost.drift), RECALL_MOST)
-
-    def _new(
-        self, numbers: IntArray, places: FloatArray, existence: FloatArray, sight_deg: FloatArray
-    ) -> ParticleGroups:
-        count, sigma = self._config.particles, self._sigma_new
-        return ParticleGroups.around(numbers, places, existence, sight_deg, count, sigma, self._rng)
-
-    def _shares(self, positions: FloatArray) -> FloatArray:
-        """(n,) share of the disc inside the fan; -1 beyond the image."""
-        pixel = np.rint(positions).astype(int) + 1
-        column, row = np.minimum(
-            np.maximum(pixel, 0), self._last_share
-        ).T  # clip takes twice as long
-        return np.asarray(self._share[row, column])
+    def _diameters(self, x: float, y: float) -> float:
+        """Length of a way in disc diameters, along the semi-axes of the disc's image."""
+        return math.hypot(x / self._across, y / self._along)
 
     def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """(len(a), len(b)) distances in disc diameters, along the semi-axes of the disc's image."""
-        offset = (a[:, None] - b[None]) / self._diameter
-        return np.asarray(np.hypot(offset[..., 0], offset[..., 1]))
+        """(len(a), len(b)) distances in disc diameters, as `_diameters`."""
+        one, other = as_complex(a / self._diameter), as_complex(b / self._diameter)
+        return np.asarray(np.abs(one[:, None] - other))
 
 
-def _no_lost_groups() -> LostGroups:
-    return LostGroups(
-        numbers=np.empty(0, np.int64),
-        places=np.empty((0, 2)),
-        existence=np.empty(0),
-        sight_deg=np.empty(0),
-        frames_left=np.empty(0, np.int64),
-        drift=np.empty(0),
-        missed=np.empty(0, np.int64),
-    )
+def _gate(lost: _Group) -> float:
+    """Largest distance at which a candidate recalls a remembered group, in disc diameters."""
+    return min(RECALL + 2 * math.sqrt(lost.drift), RECALL_MOST)

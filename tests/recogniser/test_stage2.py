@@ -10,6 +10,7 @@ from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import Motion, Selection
 from sonarrec.recogniser import stage2
+from sonarrec.recogniser.particles import Particles
 from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
@@ -79,9 +80,9 @@ def resampled(weight_map: np.ndarray, places: np.ndarray, settings, seed: int) -
     follow = new_filter(settings, seed)
     follow.step(selection(weight_map, tuple(places[0])))
     # No other way in: the particles are put where their weights are known.
-    follow._groups.particles = places[None].astype(np.float32)
+    follow._particles.places = places[None].astype(np.float32)
     follow.step(selection(weight_map))
-    kept, counts = np.unique(follow._groups.particles[0], axis=0, return_counts=True)
+    kept, counts = np.unique(follow._particles.places[0], axis=0, return_counts=True)
     table = {tuple(p): int(c) for p, c in zip(kept, counts, strict=True)}
     return np.array([table.get(tuple(p), 0) for p in places.astype(np.float32)])
 
@@ -118,7 +119,7 @@ def test_groups_do_not_exchange_particles():
     for _ in range(5):
         groups = follow.step(selection(score, *places))
         np.testing.assert_allclose(groups.positions, places, atol=3)
-        for particles, place in zip(follow._groups.particles, places, strict=True):
+        for particles, place in zip(follow._particles.places, places, strict=True):
             assert np.median(np.abs(particles - place)) < 15
 
 
@@ -127,10 +128,10 @@ def test_a_particle_walks_randn_sigma_in_each_frame():
     follow = new_filter()
     even = np.ones(PLANE.shape, np.float32)
     follow.step(selection(even, START))
-    before = follow._groups.particles.copy()
+    before = follow._particles.places.copy()
     follow.step(selection(even))
     np.testing.assert_allclose(
-        (follow._groups.particles - before).std(axis=1), PAPER.sigma_px, rtol=0.1
+        (follow._particles.places - before).std(axis=1), PAPER.sigma_px, rtol=0.1
     )
 
 
@@ -169,14 +170,15 @@ def test_a_narrow_frame_in_between_starts_the_count_again(count, lives):
 def test_p_hit_is_the_map_s_power_or_its_share_of_the_group():
     """Eq. 4 written out for four particles, of which one is on a peak."""
     still = dataclasses.replace(PAPER, z_hit=0.8, z_rand=0.2, hit_power=2.0, particles=4)
-    group = new_filter(still)._new(np.array([1]), np.zeros((1, 2)), np.ones(1), np.zeros(1))
-    group.particles = np.array([[(10, 10), (20, 10), (20, 20), (9999, 0)]], np.float32)
+    places = np.array([[(10, 10), (20, 10), (20, 20), (9999, 0)]], np.float32)
     score = np.full(PLANE.shape, 0.1, np.float32)
     score[10, 10] = 0.9
     hits = np.array([0.81, 0.01, 0.01, 0.0])
     for p_hit, of_all in (("map", 1.0), ("normalised", hits.sum())):
         weight = 0.8 * hits / of_all + 0.2 / 4
-        found = group.weigh(score, dataclasses.replace(still, p_hit=p_hit))
+        group = Particles(dataclasses.replace(still, p_hit=p_hit), np.random.default_rng(0))
+        group.places = places
+        found = group.weigh(score)
         np.testing.assert_allclose(found[0], weight / weight.sum(), rtol=1e-5)
 
 
