@@ -62,6 +62,7 @@ class Samples:
 class _Recorder:
     """Takes the place of the model while samples are gathered; keeps the last features."""
 
+    every_frame = True
     features: FloatArray
     smear: FloatArray
 

@@ -9,11 +9,12 @@ beliefs of the track's frames so far are pooled (opinions.py), in place of Eq. 5
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, joined
+from sonarrec.arrays import BoolArray, FloatArray, IndexArray, IntArray, joined
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Groups
@@ -21,17 +22,26 @@ from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3.description import Describer
 from sonarrec.recogniser.stage3.opinions import TrackBelief
-from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, whole_steps
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 
 # An ID is declared from the LEAST_FRAMES-th frame of a track on, if enough of the disc is in view.
 # Discs fewer than FEW_BEAMS beams wide need more, since one frame hardly shows their symbol.
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
+# Most new tracks are chance and soon gone: one is judged from its second frame on, if there is
+# likelier an object than not. Its picture changes little from frame to frame: once it has more than
+# SETTLED frames, every third is judged, and between them the last judgement counts.
+SETTLED, JUDGED_EVERY, LEAST_EXISTENCE = 8, 3, 0.5
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
 
 
 class Classifier(Protocol):
     """Judges discs by their features."""
+
+    @property
+    def every_frame(self) -> bool:
+        """Whether it is to see every track in every frame."""
+        ...
 
     def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         """(n, K + 1): every ID, then 'none of these'; rows sum to 1.
@@ -39,6 +49,19 @@ class Classifier(Protocol):
         features: (n, K, F). smear: (n,) the beam's sigma across the line of sight, in disc radii.
         """
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """What the model says of n objects.
+
+    probabilities: (n, K + 1). rotation, rotation_sigma: (n, K) steps; the rotation is counted from
+    the line of sight at the track's beginning.
+    """
+
+    probabilities: FloatArray
+    rotation: FloatArray
+    rotation_sigma: FloatArray
 
 
 class AppearanceMeasurement:
@@ -61,6 +84,12 @@ class AppearanceMeasurement:
             sampler.bands, sampler.radii, landmarks, correlation_length=config.alike_radii
         )
         self._model = model
+        # Of each track and episode that is in view or remembered, the last judgement, after that
+        # of an object of which nothing is known.
+        self._rows: dict[tuple[int, int], int] = {}
+        ids = len(landmarks.ids)
+        nothing = np.zeros((1, ids)), np.full((1, ids), np.nan)
+        self._earlier = _Judged(np.full((1, ids + 1), 1 / (ids + 1)), *nothing)
         self._belief = TrackBelief(len(landmarks.ids), remember_frames)
         self._beam_sigma = np.radians(beam_width_deg / HALF_POWER)
         self._radius_m = landmarks.radius_m
@@ -73,18 +102,63 @@ class AppearanceMeasurement:
         """The beliefs, see Measurement."""
         tracked = joined(groups)
         smear = self._smear(tracked.positions)
-        description = self._describe(evidence.brightness, evidence.count, tracked.existence, smear)
-        of_frames = self._model.probabilities(description.features, smear)
-        probabilities = self._belief(groups, evidence, of_frames)
+        steps, _ = whole_steps(tracked.sight_deg)
+        judged, row = self._judged(groups, tracked, evidence, smear, steps)
+        probabilities = self._belief(groups, evidence, judged.probabilities[row])
         best, _ = likeliest(probabilities)
-        at = (np.arange(len(best)), best)
         # A beam is HALF_POWER sigmas wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
         earned = evidence.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
         earned &= tracked.in_view
         return Beliefs(
-            probabilities, description.rotation[at], description.rotation_sigma[at], earned
+            probabilities,
+            judged.rotation[row, best] - steps,
+            judged.rotation_sigma[row, best],
+            earned,
         )
+
+    def _judged(
+        self,
+        groups: Sequence[Groups],
+        tracked: Groups,
+        evidence: Evidence,
+        smear: FloatArray,
+        steps: IntArray,
+    ) -> tuple[_Judged, IndexArray]:
+        """What the model says, and the row of it that counts for each of n objects.
+
+        tracked: the n of all groups. steps: (n,) rotation of the line of sight since the track
+        began, in whole steps.
+        """
+        rows = self._rows
+        due: list[int] = []
+        first = len(self._earlier.probabilities)
+        row = np.zeros(len(smear), np.intp)
+        keys = [*zip(tracked.numbers.tolist(), evidence.episodes.tolist(), strict=True)]
+        ages = zip(evidence.frames.tolist(), tracked.existence.tolist(), strict=True)
+        for i, (key, (frames, existence)) in enumerate(zip(keys, ages, strict=True)):
+            likely = frames >= LEAST_FRAMES and existence >= LEAST_EXISTENCE
+            wanted = key not in rows or frames <= SETTLED or (frames + key[0]) % JUDGED_EVERY == 0
+            if (likely and wanted) or self._model.every_frame:
+                rows[key] = first + len(due)
+                due.append(i)
+            row[i] = rows.get(key, 0)
+        description = self._describe(
+            evidence.brightness[due], evidence.count[due], tracked.existence[due], smear[due]
+        )
+        now = _Judged(
+            self._model.probabilities(description.features, smear[due]),
+            description.rotation + steps[due, None],
+            description.rotation_sigma,
+        )
+        judged = joined([self._earlier, now])
+        last = groups[-1]
+        known = {*last.numbers.tolist(), *last.remembered.tolist()}
+        kept = [key for key in rows if key[0] in known]
+        of_kept = [0, *(rows[key] for key in kept)]
+        self._earlier = _Judged(*(getattr(judged, f.name)[of_kept] for f in fields(judged)))
+        self._rows = {key: i for i, key in enumerate(kept, 1)}
+        return judged, row
 
     def _smear(self, positions: FloatArray) -> FloatArray:
         """(n,) the beam's standard deviation across the line of sight, in disc radii.

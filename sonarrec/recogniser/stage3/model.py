@@ -49,6 +49,11 @@ class AppearanceModel:
     knots: tuple[FloatArray, ...]
     values: tuple[FloatArray, ...]
 
+    @property
+    def every_frame(self) -> bool:
+        """No: see AppearanceMeasurement."""
+        return False
+
     def log_odds(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         """(n, K) log odds of each ID against 'none of these'.
 
