@@ -29,7 +29,8 @@ class _View(NamedTuple):
     """A picture, prepared for correlation."""
 
     spectrum: npt.NDArray[np.complexfloating[Any]]
-    """(RANGES, CIRCLE / 2 + 1) Fourier transform of its zero-padded rows."""
+    """(RANGES / 2, CIRCLE) Fourier transform of its zero-padded rows, two as one complex row: the
+    real part of a product's inverse is then the sum of both rows' correlations."""
     energy: FloatArray
     """(BEARINGS + 1,) cumulative sum of squares over the beams, from 0."""
 
@@ -55,7 +56,8 @@ class PanEstimator:
         self.seen = np.asarray(seen, dtype=np.float32)
         self._map = _as_map(np.where(seen, column, -9), row)  # beyond the image it is 0
         self.picture: FloatImage = np.zeros_like(self.seen)
-        self._cells = np.maximum(self.seen.sum(axis=1, keepdims=True), 1)
+        self._share = 1 / np.maximum(self.seen.sum(axis=1, keepdims=True), 1)
+        self._rows: npt.NDArray[Any] = np.zeros((RANGES // 2, CIRCLE), np.complex64)
         self._shift = shift = np.arange(-MOST_SHIFT, MOST_SHIFT + 1)
         # The beams [low, high) of the later frame that overlap the earlier one at each shift.
         self._low, self._high = np.maximum(-shift, 0), np.minimum(BEARINGS - shift, BEARINGS)
@@ -73,16 +75,19 @@ class PanEstimator:
         polar = cv2.remap(image, *self._map, cv2.INTER_LINEAR).astype(np.float32)
         # What does not move with the floor would bias the pan towards 0: the fall-off with range,
         # which is in the range bins' means, and the beams' gains, which are in the beams' means.
-        mean = polar.sum(axis=1, keepdims=True) / self._cells
+        mean = np.asarray(cv2.reduce(polar, 1, cv2.REDUCE_SUM)) * self._share
         # Not by BLAS: the last digits of its sums depend on the processor.
         of_mean = np.einsum("i,ij->j", mean[:, 0], self.seen)
-        polar -= mean + (polar.sum(axis=0) - of_mean) / RANGES
+        of_beam = (np.asarray(cv2.reduce(polar, 0, cv2.REDUCE_SUM)) - of_mean) / RANGES
+        polar -= mean
+        polar -= of_beam
         polar *= self.seen
         self.picture = polar
-        wide = cv2.copyMakeBorder(polar, 0, 0, 0, CIRCLE - BEARINGS, cv2.BORDER_CONSTANT)
+        self._rows.real[:, :BEARINGS], self._rows.imag[:, :BEARINGS] = np.split(polar, 2)
         # norm="forward" keeps float32; without it numpy computes in float64, in twice the time.
-        spectrum = np.fft.rfft(wide, norm="forward")
-        energy = np.concatenate([[0.0], np.cumsum(np.einsum("ij,ij->j", polar, polar))])
+        spectrum = np.fft.fft(self._rows, norm="forward")
+        energy = np.zeros(BEARINGS + 1)
+        np.einsum("ij,ij->j", polar, polar).cumsum(out=energy[1:])
         view = _View(spectrum, energy)
         before, self._before = self._before, view
         if before is None:
@@ -117,7 +122,7 @@ class PanEstimator:
         """(rotation in deg from one view to another, correlation there, 0 to 1)."""
         # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a rotation to the right.
         crossed = (before.spectrum * now.spectrum.conj()).sum(axis=0)
-        product = CIRCLE * np.fft.irfft(crossed, CIRCLE, norm="forward")[self._shift]
+        product = CIRCLE * np.fft.ifft(crossed, norm="forward").real[self._shift]
         low, high = self._low, self._high
         now_energy = now.energy[high] - now.energy[low]
         before_energy = before.energy[BEARINGS - low] - before.energy[BEARINGS - high]
