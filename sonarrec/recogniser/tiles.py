@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -48,12 +48,12 @@ class Tiles:
         return iter([*self._in_memory, *self._on_disk])
 
     def tile(self, tile: Tile) -> FloatImage:
-        """(SIDE, SIDE, layers) of a tile, to be read and written; valid until the next call."""
+        """(layers, SIDE, SIDE) of a tile, to be read and written; valid until the next call."""
         found = self._in_memory.pop(tile, None)
         if found is None and (path := self._on_disk.pop(tile, None)) is not None:
             found = np.asarray(np.load(path), np.float32)
         elif found is None:
-            found = np.zeros((SIDE, SIDE, self._layers), np.float32)
+            found = np.zeros((self._layers, SIDE, SIDE), np.float32)
         self._in_memory[tile] = found
         if len(self._in_memory) > self._most:
             oldest = next(iter(self._in_memory))
@@ -64,13 +64,13 @@ class Tiles:
         return found
 
     def rows(self, row: int, first: int, columns: int) -> FloatImage:
-        """(SIDE, columns, layers) of the tiles of one row, from a tile's column on."""
-        whole = np.zeros((SIDE, columns, self._layers), np.float32)
+        """(layers, SIDE, columns) of the tiles of one row, from a tile's column on."""
+        whole = np.zeros((self._layers, SIDE, columns), np.float32)
         for n in range(-(-columns // SIDE)):
             tile = (first + n, row)
             if tile in self._in_memory or tile in self._on_disk:
-                part = whole[:, n * SIDE : (n + 1) * SIDE]
-                part[:] = self.tile(tile)[:, : part.shape[1]]
+                part = whole[..., n * SIDE : (n + 1) * SIDE]
+                part[:] = self.tile(tile)[..., : part.shape[2]]
         return whole
 
 
@@ -87,29 +87,32 @@ def placement(
     return np.column_stack([rotation, position * (1, -1) - rotation @ apex])
 
 
-def warped(picture: FloatImage, matrix: FloatArray) -> tuple[FloatImage, tuple[int, int]]:
-    """A picture (rows, columns, layers) on the grid, and the (column, row) of its first pixel.
+def warped(
+    layers: Sequence[FloatImage], matrix: FloatArray
+) -> tuple[list[FloatImage], tuple[int, int]]:
+    """A picture's layers, each (rows, columns), on the grid; the (column, row) of the first pixel.
 
     matrix: (2, 3) from the picture's (column, row, 1) to the grid's (column, row).
     """
-    right, bottom = picture.shape[1] - 1, picture.shape[0] - 1
+    right, bottom = layers[0].shape[1] - 1, layers[0].shape[0] - 1
     reached = np.array([[0, 0, 1], [right, 0, 1], [0, bottom, 1], [right, bottom, 1]]) @ matrix.T
     low, high = np.floor(reached.min(axis=0)).astype(int), np.ceil(reached.max(axis=0)).astype(int)
     moved = matrix.copy()
     moved[:, 2] -= low
     (column, row), (width, height) = low.tolist(), (high - low + 1).tolist()
-    return np.asarray(cv2.warpAffine(picture, moved, (width, height)), np.float32), (column, row)
+    on_grid = [np.asarray(cv2.warpAffine(x, moved, (width, height)), np.float32) for x in layers]
+    return on_grid, (column, row)
 
 
 def parts(
-    shape: tuple[int, ...], first: tuple[int, int]
+    shape: tuple[int, int], first: tuple[int, int]
 ) -> Iterator[tuple[Tile, tuple[slice, slice], tuple[slice, slice]]]:
     """The tiles under a picture on the grid: (tile, its pixels in the tile, those in the picture).
 
-    shape: (rows, columns, ...). first: (column, row) of the picture's first pixel.
+    shape: (rows, columns). first: (column, row) of the picture's first pixel.
     """
     spans = []
-    for begin, length in zip(first[::-1], shape[:2], strict=True):
+    for begin, length in zip(first[::-1], shape, strict=True):
         along = []
         for n in range(begin // SIDE, (begin + length - 1) // SIDE + 1):
             a, b = max(begin, n * SIDE), min(begin + length, (n + 1) * SIDE)

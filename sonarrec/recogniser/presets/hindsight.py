@@ -84,16 +84,32 @@ class Hindsight:
 
     def revised(self, result: FrameResult) -> FrameResult:
         """A past result, which `learn` has had, with its tracks' beliefs by now."""
-        own = self._method
-        estimates = (self._revise(e) if e.method == own else e for e in result.estimates)
+        own = [e for e in result.estimates if e.method == self._method]
+        if not own:
+            return result
+        opinions = [self._opinions.get(e.object, e.episode) for e in own]
+        beliefs = np.stack([opinion.beliefs() for opinion in opinions])
+        best, scores = likeliest(beliefs)
+        claimed = declared(scores, self._threshold).tolist()
+        rows = zip(own, opinions, beliefs, best.tolist(), scores.tolist(), claimed, strict=True)
+        revised = iter([self._revised(*row) for row in rows])
+        estimates = (next(revised) if e.method == self._method else e for e in result.estimates)
         return replace(result, estimates=tuple(estimates))
 
-    def _revise(self, estimate: Estimate) -> Estimate:
-        """The estimate with its track's belief and orientation."""
-        opinion = self._opinions.get(estimate.object, estimate.episode)
-        beliefs = opinion.beliefs()
-        (index,), (score,) = likeliest(beliefs[None])
-        claimed = bool(declared(score, self._threshold))
+    def _revised(
+        self,
+        estimate: Estimate,
+        opinion: _HindsightOpinion,
+        beliefs: FloatArray,
+        index: int,
+        score: float,
+        claimed: bool,
+    ) -> Estimate:
+        """The estimate with its track's belief and orientation.
+
+        beliefs: (K + 1,) of the opinion. index, score: of the likeliest ID, and the belief in it.
+        claimed: whether that is enough.
+        """
         if claimed and opinion.beliefs_sum[index] < LEAST_MEAN_BELIEF * opinion.frames:
             return estimate
         rotation = _sight_rotation(estimate)
@@ -103,7 +119,7 @@ class Hindsight:
             estimate,
             probabilities=beliefs,
             landmark=self._ids[index],
-            score=float(score),
+            score=score,
             declared=claimed and estimate.in_view,
             orientation_deg=(orientation - rotation) % 360,
             orientation_sigma_deg=sigma,

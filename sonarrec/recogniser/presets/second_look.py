@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from sonarrec.recogniser.between_stages import WorkingImage
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
-from sonarrec.recogniser.stage1 import CandidateSelector, Surroundings
+from sonarrec.recogniser.stage1 import CandidateSelector, enlarged
 from sonarrec.recogniser.stage3 import Evidence, likeliest
 from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
 from sonarrec.recogniser.stage3.model import built_in_model
@@ -32,6 +32,7 @@ from sonarrec.recogniser.tiles import SIDE, Tiles, parts, placement, warped
 
 MOST_STEP_ERROR = 0.25  # disc radii; a motion with a larger standard error begins a new mean
 OLD_SHARE = 0.5  # weight of the frames of a look in the next
+SUMMED_EVERY = 2  # every second frame is summed: neighbours show nearly the same speckle
 LEAST_WEIGHT = 2.0  # frames in a pixel of the mean that is searched
 LEAST_FRAMES = 12  # in view of a disc; with fewer, a track knows as much as the mean
 LEAST_SCORE = 0.25  # of a candidate: the mean is less noisy than a frame, so a low score will do
@@ -53,15 +54,18 @@ class _Disc:
     """A disc in the mean.
 
     number: of its object, if it has no track. position: (2,) pixels of the grid. probabilities:
-    (K + 1,). orientation_deg: counter-clockwise from the right of yaw 0.
+    (K + 1,). index, score: of the likeliest ID, and the belief in it. declared: whether that is
+    enough without a track. orientation_deg: counter-clockwise from the right of yaw 0.
     """
 
     number: int
     position: FloatArray
     probabilities: FloatArray
+    index: int
+    score: float
+    declared: bool
     orientation_deg: float
     orientation_sigma_deg: float
-    earned: bool
 
 
 @dataclass(slots=True)
@@ -105,7 +109,6 @@ class SecondLook:
         self._pixel_m = fan.metres_per_pixel / plane.scale
         self._inside = plane.inside.astype(np.float32)
         self._share = plane.disc_share()
-        self._surroundings = Surroundings(plane)
         self._sampler = ShapeSampler(landmarks, plane.axes)
         self._measurement = AppearanceMeasurement(
             features,
@@ -138,20 +141,27 @@ class SecondLook:
         """Add the oldest picture to the mean, by the motion in its result."""
         image, mean, sigma = self._waiting.popleft()
         self._move(result.motion)
-        fine = self._surroundings.fine
-        picture = np.empty((*image.shape, 2), np.float32)
-        relief = (image - fine(mean)) / fine(sigma)
-        picture[..., 0], picture[..., 1] = relief * self._inside, self._inside
-        matrix = placement(self._pose[0], self._pose[1:], self._plane.apex)
-        on_grid, first = warped(picture, matrix)
-        # Pixels at the edge are interpolated with what was not seen.
-        on_grid *= on_grid[..., 1:] > 0.99
-        for tile, inside, part in parts(on_grid.shape, first):
-            self.tiles.tile(tile)[inside] += on_grid[part]
         self._now.poses.append(self._pose)
         self._seen[result.index] = self._pose, self._now
+        if len(self._now.poses) % SUMMED_EVERY == 0:
+            self._sum(image, mean, sigma)
         if len(self._now.poses) == self._half:
             self._look()
+
+    def _sum(self, image: ByteImage, mean: FloatImage, sigma: FloatImage) -> None:
+        """Add a picture to the mean. mean, sigma: as in Selection."""
+        relief = image - enlarged(mean, image.shape)
+        relief /= enlarged(sigma, image.shape)
+        relief *= self._inside
+        matrix = placement(self._pose[0], self._pose[1:], self._plane.apex)
+        (relief, seen), first = warped([relief, self._inside], matrix)
+        # Pixels at the edge are interpolated with what was not seen.
+        seen = np.multiply(seen > 0.99, SUMMED_EVERY, dtype=np.float32)
+        relief *= seen
+        for tile, inside, part in parts((seen.shape[0], seen.shape[1]), first):
+            total, count = self.tiles.tile(tile)
+            total[inside] += relief[part]
+            count[inside] += seen[part]
 
     def finish(self) -> None:
         """Look at the remaining frames: no more follow."""
@@ -208,12 +218,12 @@ class SecondLook:
             begin = left // SIDE
             width = size + 2 * margin + left - begin * SIDE
             rows = [self.tiles.rows(r, begin, width) for r in range(first, last + 1)]
-            whole = np.concatenate(rows)[top - first * SIDE :, left - begin * SIDE :]
-            seen = whole[: size + 2 * margin, :, 1] >= LEAST_WEIGHT
+            whole = np.concatenate(rows, axis=1)[:, top - first * SIDE :, left - begin * SIDE :]
+            seen = whole[1, : size + 2 * margin] >= LEAST_WEIGHT
             if not seen.any():
                 continue
             down, across = (np.flatnonzero(seen.any(axis=a))[[0, -1]] for a in (1, 0))
-            part = whole[down[0] : down[1] + 1, across[0] : across[1] + 1]
+            part = whole[:, down[0] : down[1] + 1, across[0] : across[1] + 1]
             corner = (left + int(across[0]), top + int(down[0]))
             yield part, corner, (column * size, row * size)
 
@@ -221,11 +231,11 @@ class SecondLook:
         self, sums: FloatImage, corner: tuple[int, int], block: tuple[int, int]
     ) -> list[_Disc]:
         """The discs in a block of the mean. The arguments are from `_blocks`."""
-        count = sums[..., 1]
+        total, count = sums
         inside = (count >= LEAST_WEIGHT).astype(np.uint8)
         plane = copy.copy(self._plane)
         plane.inside, plane.shape = inside, (inside.shape[0], inside.shape[1])
-        mean = sums[..., 0] / np.maximum(count, 1e-6)
+        mean = total / np.maximum(count, 1e-6)
         image = np.clip(MIDDLE_LEVEL + SIGMA_LEVELS * mean, 0, 255).astype(np.uint8)
         select = CandidateSelector(self._select, plane, self._landmarks, self._beam_width_deg)
         pixels = select(image * inside).positions
@@ -268,14 +278,18 @@ class SecondLook:
         evidence = Evidence(grey, often, frames, np.zeros(n, np.int64))
         beliefs = self._measurement.beliefs([groups], evidence)
         orientation = np.degrees(sight) + beliefs.rotation * STEP_DEG
+        best, scores = likeliest(beliefs.probabilities)
+        claimed = declared(scores, max(self._features.declare, DECLARE_ALONE)) & beliefs.earned
         return [
             _Disc(
                 self._number(on_grid[i]),
                 on_grid[i],
                 beliefs.probabilities[i],
+                int(best[i]),
+                float(scores[i]),
+                bool(claimed[i]),
                 float(orientation[i]),
                 float(beliefs.rotation_sigma[i] * STEP_DEG),
-                bool(beliefs.earned[i]),
             )
             for i in np.flatnonzero(frames >= LEAST_FRAMES).tolist()
         ]
@@ -298,42 +312,53 @@ class SecondLook:
         estimates = list(result.estimates)
         own = [i for i, e in enumerate(estimates) if e.method == self._method]
         polar = np.array([(estimates[i].range_m, estimates[i].bearing_deg) for i in own])
-        tracks = np.column_stack(self._plane.from_polar(*polar.reshape(-1, 2).T))
-        distance = np.linalg.norm(positions[:, None] - tracks, axis=2) / (2 * self._plane.axes[0])
-        added = 0
+        found = np.column_stack(self._plane.from_polar(*polar.reshape(-1, 2).T))
+        distance = np.linalg.norm(positions[:, None] - found, axis=2) / (2 * self._plane.axes[0])
+        both: list[tuple[int, _Disc]] = []  # the estimate of a disc's track
+        added = []
         for n, disc in enumerate(half.discs):
             nearest = int(distance[n].argmin()) if own else -1
             if own and distance[n, nearest] <= SAME_DISC and distance[:, nearest].argmin() == n:
-                i = own[nearest]
-                estimates[i] = self._joined(estimates[i], disc, pose)
-            elif shares[n] >= LEAST_SHARE and (not own or distance[n].min() > 2 * SAME_DISC):
-                new = self._estimate(disc, positions[n], pose)
-                if new.declared:
-                    estimates.append(new)
-                    added += 1
-        return replace(result, estimates=tuple(estimates), tracks=result.tracks + added)
+                both.append((own[nearest], disc))
+            elif (
+                disc.declared
+                and shares[n] >= LEAST_SHARE
+                and (not own or distance[n].min() > 2 * SAME_DISC)
+            ):
+                added.append(self._estimate(disc, positions[n], pose))
+        if both:
+            self._join(estimates, both, pose)
+        tracks = result.tracks + len(added)
+        return replace(result, estimates=(*estimates, *added), tracks=tracks)
 
-    def _joined(self, estimate: Estimate, disc: _Disc, pose: FloatArray) -> Estimate:
-        """A track's estimate with the joint belief of the track and the look."""
-        logs = [
-            np.log(np.maximum(p, LEAST_BELIEF))
-            for p in (estimate.probabilities, disc.probabilities)
-        ]
-        pool = np.exp(TRACK_EXPONENT * logs[0] + LOOK_EXPONENT * logs[1])
-        beliefs = pool / pool.sum()
-        (index,), (score,) = likeliest(beliefs[None])
-        orientation = estimate.orientation_deg, estimate.orientation_sigma_deg
-        if index == likeliest(disc.probabilities[None])[0][0]:
-            orientation = self._orientation(disc, pose), disc.orientation_sigma_deg
-        return replace(
-            estimate,
-            probabilities=beliefs,
-            landmark=self._landmarks.ids[index],
-            score=float(score),
-            declared=bool(declared(score, self._features.declare)) and estimate.in_view,
-            orientation_deg=orientation[0],
-            orientation_sigma_deg=orientation[1],
-        )
+    def _join(
+        self, estimates: list[Estimate], both: Sequence[tuple[int, _Disc]], pose: FloatArray
+    ) -> None:
+        """Give tracks' estimates the joint belief of the track and the look.
+
+        both: the index of each estimate, and its disc.
+        """
+        of_tracks = np.stack([estimates[i].probabilities for i, _ in both])
+        of_look = np.stack([disc.probabilities for _, disc in both])
+        pool = np.maximum(of_tracks, LEAST_BELIEF) ** TRACK_EXPONENT
+        pool *= np.maximum(of_look, LEAST_BELIEF) ** LOOK_EXPONENT
+        beliefs = pool / pool.sum(axis=1, keepdims=True)
+        best, scores = likeliest(beliefs)
+        claimed = declared(scores, self._features.declare)
+        for n, (i, disc) in enumerate(both):
+            estimate, index = estimates[i], int(best[n])
+            orientation = estimate.orientation_deg, estimate.orientation_sigma_deg
+            if index == disc.index:
+                orientation = self._orientation(disc, pose), disc.orientation_sigma_deg
+            estimates[i] = replace(
+                estimate,
+                probabilities=beliefs[n],
+                landmark=self._landmarks.ids[index],
+                score=float(scores[n]),
+                declared=bool(claimed[n]) and estimate.in_view,
+                orientation_deg=orientation[0],
+                orientation_sigma_deg=orientation[1],
+            )
 
     def _orientation(self, disc: _Disc, pose: FloatArray) -> float:
         """The disc's orientation in a frame of this pose, as in Estimate."""
@@ -342,9 +367,7 @@ class SecondLook:
     def _estimate(self, disc: _Disc, position: FloatArray, pose: FloatArray) -> Estimate:
         """An estimate of a disc that has no track."""
         plane = self._plane
-        (index,), (score,) = likeliest(disc.probabilities[None])
         range_sigma, bearing_sigma = plane.polar_sigma(position[None], np.full((1, 2), SPREAD))
-        least = max(self._features.declare, DECLARE_ALONE)
         column, row = plane.to_fan(*position)
         range_m, bearing_deg = plane.to_polar(*position)
         return Estimate(
@@ -357,9 +380,9 @@ class SecondLook:
             orientation_deg=self._orientation(disc, pose),
             existence=EXISTENCE,
             probabilities=disc.probabilities,
-            landmark=self._landmarks.ids[index],
-            score=float(score),
-            declared=bool(declared(score, least)) and disc.earned,
+            landmark=self._landmarks.ids[disc.index],
+            score=disc.score,
+            declared=True,
             range_sigma_m=float(range_sigma[0]),
             bearing_sigma_deg=float(bearing_sigma[0]),
             orientation_sigma_deg=disc.orientation_sigma_deg,
