@@ -18,7 +18,6 @@ from sonarrec.config import Candidates
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Fan, Selection
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3 import settled
 
 # The ring filter compares the ring with the gap inside it, less a margin, and with the floor
 # outside, in disc radii.
@@ -341,7 +340,7 @@ class RingScore:
         gain = self._gain[block[:, 1], block[:, 0]]
         scores = found.max(axis=(1, 2), initial=0) * gain / around.at(levels.sigma, pixel)
         # Rounded, since the last digits of a product depend on the processor.
-        return np.round(pixel + shift.T, 4), settled(scores)
+        return np.round(pixel + shift.T, 4), np.round(scores, 6)
 
     def _padded(self, image: ByteImage) -> ByteImage:
         """An image with room for the patch of every pixel."""
