@@ -33,57 +33,45 @@ def simulate(
     *,
     seed: int | None = None,
     frames: int | None = None,
-    image_format: str | None = None,
 ) -> Path:
     """Render a recording with known truth into `out`, and return it.
 
     scene: the name of a built-in one, a TOML file or a Scene. out: a new folder, or NAME.mcap.
-    seed, frames: replace those of the scene. image_format: "png" or "mcap"; default: by the ending
-    of `out`. Raises SonarrecError if the scene cannot be used, or if `out` cannot be written or is
-    in use.
+    seed, frames: replace those of the scene. Raises SonarrecError if the scene cannot be used, or
+    if `out` cannot be written or is in use.
     """
     chosen = load_scene(scene) if isinstance(scene, str | Path) else scene
     changed = {"seed": seed, "frames": frames}
     given: Any = {key: value for key, value in changed.items() if value is not None}
-    write_recording(replace(chosen, **given), Path(local(out)), image_format)
+    write_recording(replace(chosen, **given), Path(local(out)))
     return Path(out)
 
 
 def write_recording(
-    scene: AnyScene,
-    out: Path,
-    image_format: str | None = None,
-    progress: Callable[[int], None] | None = None,
+    scene: AnyScene, out: Path, progress: Callable[[int], None] | None = None
 ) -> None:
     """Write frames, sonar.toml, gt.csv and scene.toml; of plates corners.csv and no scene.toml.
 
-    out: an empty or new folder for NNNNNN.png or frames.mcap; or a file NAME.mcap, beside which
-    NAME.sonar.toml, NAME.gt.csv and NAME.scene.toml are written. progress: called after each frame
-    with the number of frames done. The messages of an MCAP of polar images state the sonar's
-    geometry, and sonar.toml only the rest. Raises SonarrecError if `out` cannot be written or is in
-    use.
+    out: an empty or new folder for NNNNNN.png; or a file NAME.mcap, beside which NAME.sonar.toml,
+    NAME.gt.csv and NAME.scene.toml are written. progress: called after each frame with the number
+    of frames done. The messages of an MCAP of polar images state the sonar's geometry, and
+    sonar.toml only the rest. Raises SonarrecError if `out` cannot be written or is in use.
     """
+    import tomli_w
+
     from sonarrec.simulation.mcap import McapWriter
 
-    image_format = image_format or ("mcap" if out.suffix == ".mcap" else "png")
-    if image_format not in ("png", "mcap"):
-        raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
-    plates, mcap = isinstance(scene, PlateScene), image_format == "mcap"
+    plates, mcap = isinstance(scene, PlateScene), out.suffix == ".mcap"
     if plates and mcap:
         raise UsageError("recordings of plates are written as PNGs; give a folder, not an MCAP")
-    single_file = out.suffix == ".mcap"
-    if single_file and not mcap:
-        raise UsageError(f"{out}: a name ending in .mcap is of an MCAP, not of PNGs")
-    if single_file and out.is_dir():
-        raise SonarrecError(f"{out}: is a folder; choose another --out")
     sonar = scene_sonar(scene)
     geometry = sonar.complete(scene.name) if sonar.layout == "polar" else None
     if mcap and geometry is not None:  # its messages state the rest
         kept = ("tilt_deg", "height_m", "frame_rate_hz", "beam_width_deg")
         sonar = Sonar(**{key: getattr(sonar, key) for key in kept})
-    folder, prefix = (out.parent, f"{out.stem}.") if single_file else (out, "")
+    folder, prefix = (out.parent, f"{out.stem}.") if mcap else (out, "")
     for path in (out, *(folder / f"{prefix}{name}" for name in COMPANIONS)):
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if path.exists() and (mcap or not path.is_dir() or any(path.iterdir())):
             raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
     documents = {} if isinstance(scene, PlateScene) else {"scene": scene_table(scene)}
     if plates or scene.landmark_set != load_landmarks("basin"):
@@ -93,45 +81,35 @@ def write_recording(
     frames = render(scene)
     first = next(frames)  # a scene that cannot be rendered leaves no folder behind
     with writing(out), ExitStack() as stack:
+
+        def table(name: str, columns: Iterable[str]) -> Any:
+            path = folder / f"{prefix}{name}"
+            file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            return writer
+
         folder.mkdir(parents=True, exist_ok=True)
-        columns = PLATE_COLUMNS if plates else TRUTH_COLUMNS
-        truth = _table(stack, folder / f"{prefix}gt.csv", columns)
+        truth = table("gt.csv", PLATE_COLUMNS if plates else TRUTH_COLUMNS)
         if plates:
-            corners = _table(stack, out / "corners.csv", ("frame", "landmark", *CORNERS))
+            corners = table("corners.csv", ("frame", "landmark", *CORNERS))
         if mcap:
-            name = out if single_file else out / "frames.mcap"
-            messages = stack.enter_context(McapWriter(name, geometry))
+            messages = stack.enter_context(McapWriter(out, geometry))
         for frame in chain([first], frames):
             if mcap:
                 messages.write(frame.timestamp_ns, frame.image)
             else:  # not by imwrite, which dies of names that are not UTF-8
                 png = cv2.imencode(".png", frame.image)[1].tobytes()
                 (out / f"{frame.index:06d}.png").write_bytes(png)
-            if plates:
-                for one in frame.truth:
-                    assert one.corners is not None
-                    truth.writerow([round(v, 4) for v in (frame.index, one.landmark, *one[3:7])])
-                    of_plate = np.round(one.corners.ravel(), 4).tolist()
-                    corners.writerow([frame.index, one.landmark, *of_plate])
-            else:
+            if not plates:
                 truth.writerows(truth_rows(frame.index, frame.truth))
+            for one in frame.truth if plates else ():
+                assert one.corners is not None
+                truth.writerow([round(v, 4) for v in (frame.index, one.landmark, *one[3:7])])
+                of_plate = np.round(one.corners.ravel(), 4).tolist()
+                corners.writerow([frame.index, one.landmark, *of_plate])
             if progress:
                 progress(frame.index + 1)
-        _write_documents(folder, prefix, documents)
-
-
-def _table(stack: ExitStack, path: Path, columns: Iterable[str]) -> Any:
-    """A writer of the rows of a CSV file, whose header is written. Raises OSError."""
-    file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(columns)
-    return writer
-
-
-def _write_documents(folder: Path, prefix: str, documents: dict[str, Any]) -> None:
-    """Write each document as <prefix><name>.toml, in order. Raises OSError."""
-    import tomli_w  # only writers of TOML need it
-
-    for name, document in documents.items():
-        text = tomli_w.dumps(document)
-        (folder / f"{prefix}{name}.toml").write_text(text, encoding="utf-8", newline="")
+        for name, document in documents.items():
+            text = tomli_w.dumps(document)
+            (folder / f"{prefix}{name}.toml").write_text(text, encoding="utf-8", newline="")

@@ -89,7 +89,7 @@ def test_a_recording_is_written_with_its_truth(tmp_path: Path) -> None:
         *("000000.png", "000001.png", "gt.csv", "corners.csv", "landmarks.toml", "sonar.toml")
     }
     with pytest.raises(UsageError, match="PNGs"):
-        simulate("plates", tmp_path / "other", image_format="mcap")
+        simulate("plates", tmp_path / "other.mcap")
 
 
 @pytest.mark.parametrize(

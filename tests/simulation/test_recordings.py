@@ -100,7 +100,7 @@ def test_written_recordings_read_back(tmp_path) -> None:
     scene = replace(load_scene("basin"), frames=3, rate_hz=3.0)
     done: list[int] = []
     write_recording(scene, tmp_path / "log", progress=done.append)
-    write_recording(scene, tmp_path / "log.mcap", "mcap")
+    write_recording(scene, tmp_path / "log.mcap")
     assert done == [1, 2, 3]
     frames = list(render(scene))
     for frame in frames:
@@ -134,7 +134,7 @@ def test_written_recordings_read_back(tmp_path) -> None:
 def test_a_set_that_only_has_the_name_of_the_built_in_one_is_written(tmp_path, radius) -> None:
     discs = replace(load_landmarks("basin"), radius_m=radius)
     write_recording(replace(BARE, landmark_set=discs), tmp_path / "log")
-    write_recording(replace(BARE, landmark_set=discs), tmp_path / "log.mcap", "mcap")
+    write_recording(replace(BARE, landmark_set=discs), tmp_path / "log.mcap")
     for path in (tmp_path / "log" / "landmarks.toml", tmp_path / "log.landmarks.toml"):
         assert path.exists() == (radius != 0.15)
         assert radius == 0.15 or load_landmarks(path) == discs

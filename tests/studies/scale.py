@@ -42,7 +42,7 @@ def recordings(folder: Path) -> list[Path]:
     made = []
     for seed in SEEDS:
         path = folder / f"made{seed}.mcap"
-        write_recording(replace(load_scene("sample_pan"), seed=seed, frames=FRAMES), path, "mcap")
+        write_recording(replace(load_scene("sample_pan"), seed=seed, frames=FRAMES), path)
         made.append(path)
     shutil.copy(made[0].with_suffix(".sonar.toml"), folder / "sonar.toml")
     return made

@@ -1,4 +1,4 @@
-"""What `make transfer` leaves out, how it counts, and the second renderer's truth."""
+"""What `make transfer` leaves out, and how it counts."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.description import FEATURES
 from tests.studies.learning.built_in import samples_of
 from tests.studies.learning.random_scenes import ALL_KINDS
-from tests.studies.learning.second_renderer import MAP_KINDS
 from tests.studies.transfer import FOLDS, figures, folds
 
 
-def test_every_kind_is_left_out_once_and_the_second_renderer_s_together() -> None:
-    parts = folds([*ALL_KINDS, *MAP_KINDS])
-    assert len(parts) == FOLDS + 1
-    assert sorted(kind for part in parts for kind in part) == sorted([*ALL_KINDS, *MAP_KINDS])
-    assert parts[-1] == list(MAP_KINDS)
+def test_every_kind_is_left_out_once() -> None:
+    parts = folds(ALL_KINDS)
+    assert len(parts) == FOLDS
+    assert sorted(kind for part in parts for kind in part) == sorted(ALL_KINDS)
 
 
 def test_figures_by_hand() -> None:
@@ -33,9 +31,8 @@ def test_figures_by_hand() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["plain", "map_plain"])
-def test_landmarks_of_both_renderers_look_like_what_they_are(kind: str) -> None:
-    samples = samples_of((kind, 2000), every=3)
+def test_landmarks_look_like_what_they_are() -> None:
+    samples = samples_of(("plain", 2000), every=3)
     on = samples.label < samples.features.shape[1]
     assert np.count_nonzero(on) > 20
     best = samples.features[on][..., FEATURES.index("rival_misfit")].argmin(axis=1)

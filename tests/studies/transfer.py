@@ -1,7 +1,7 @@
 """`make transfer`: what a choice of features is worth in kinds of world it was not learned from.
 
-Whole kinds of the simulator's scenes are left out in turn; the kinds of the second renderer are
-left out together. Single frames are judged, without pooling along tracks.
+Whole kinds of the simulator's scenes are left out in turn. Single frames are judged, without
+pooling along tracks.
 """
 
 from __future__ import annotations
@@ -18,12 +18,10 @@ from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.description import FEATURES
 from tests.studies.learning.built_in import samples_of
 from tests.studies.learning.random_scenes import ALL_KINDS
-from tests.studies.learning.second_renderer import MAP_KINDS
 from tests.studies.results.record import options, save, show
 from tests.support.simulated import in_processes
 
 SEEDS = range(2000, 2004)
-"""Of the simulator's kinds; twice as many of the second renderer's."""
 EVERY = 3  # so many frames apart are those that are judged: neighbours are much the same
 FOLDS = 5
 DECLARE = 0.75
@@ -44,9 +42,8 @@ WITHOUT: dict[str, tuple[str, ...]] = {
 
 def folds(kinds: Iterable[str]) -> list[list[str]]:
     """The kinds that are left out together, every kind once."""
-    simulated = sorted({kind for kind in kinds if kind not in MAP_KINDS})
-    shuffled = np.random.default_rng(5).permutation(simulated).tolist()
-    return [*(shuffled[i::FOLDS] for i in range(FOLDS)), list(MAP_KINDS)]
+    shuffled = np.random.default_rng(5).permutation(sorted(set(kinds))).tolist()
+    return [shuffled[i::FOLDS] for i in range(FOLDS)]
 
 
 def left_out(samples: Sequence[tuple[str, Samples]], names: Sequence[str]) -> list[FloatArray]:
@@ -101,22 +98,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser = options("transfer", __doc__, SEEDS)
     parser.add_argument("--only", nargs="*", choices=WITHOUT, default=list(WITHOUT))
     asked = parser.parse_args(arguments)
-    numbers = [*asked.seeds]
-    twice = [*numbers, *(n + len(numbers) for n in numbers)]
-    wanted = [(kind, n) for kind in ALL_KINDS for n in numbers]
-    wanted += [(kind, n) for kind in MAP_KINDS for n in twice]
+    wanted = [(kind, n) for kind in ALL_KINDS for n in asked.seeds]
     made = in_processes(partial(samples_of, every=EVERY), wanted)
     samples = [(kind, one) for (kind, _), one in zip(wanted, made, strict=True)]
-    tables: dict[bool, list[dict[str, str]]] = {False: [], True: []}
+    table = []
     for name in asked.only:
-        found = left_out(samples, WITHOUT[name])
-        for by_map, table in tables.items():
-            of = [i for i, (kind, _) in enumerate(samples) if (kind in MAP_KINDS) == by_map]
-            some = figures([samples[i] for i in of], [found[i] for i in of])
-            number = str(len(FEATURES) - len(WITHOUT[name]))
-            table.append({"features": name, "number": number} | some)
-    show("Kinds of the simulator, each left out of learning", tables[False])
-    show("Kinds of a second renderer, all left out of learning", tables[True])
+        found = figures(samples, left_out(samples, WITHOUT[name]))
+        table.append({"features": name, "number": len(FEATURES) - len(WITHOUT[name]), **found})
+    show("Kinds of the simulator, each left out of learning", table)
     save(asked.record)
 
 

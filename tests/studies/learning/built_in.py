@@ -17,11 +17,10 @@ from sonarrec.learning.samples import Samples, describe, label
 from sonarrec.nouns import Frame
 from sonarrec.recogniser.stage3.model import BUILT_IN
 from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import Scene, scene_sonar
+from sonarrec.simulation.scene import scene_sonar
 from sonarrec.simulation.truth import Truth
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
-from tests.studies.learning.second_renderer import MAP_KINDS, map_frames, map_scene
 from tests.support.simulated import in_processes
 
 FRAMES = 64  # of each recording: more recordings teach more than longer ones
@@ -37,21 +36,23 @@ RECORDINGS = {
     # These change only the geometry or the floor, so they are near the basin's.
     **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12),
 }
-Shown = list[tuple[int, Truth]]
-"""Frames, and landmarks that they show."""
 
 
 def samples_of(recording: tuple[str, int], every: int = 1) -> Samples:
     """Samples from a random recording of a kind and seed. every: so many frames apart."""
     kind, seed = recording
-    truth: Shown = []
-    if kind in MAP_KINDS:
-        scene = map_scene(seed, kind, FRAMES)
-        frames = map_frames(scene, kind, truth)
-    else:
-        scene = random_scene(seed, kind, wide=True, frames=FRAMES)
-        frames = scene_frames(scene, truth)
-    tracks = describe(frames, preset("default"), scene.landmark_set)
+    truth: list[tuple[int, Truth]] = []
+    scene = random_scene(seed, kind, wide=True, frames=FRAMES)
+
+    def frames() -> Iterator[Frame]:  # as a reader would give them
+        polar = None
+        for frame in render(scene):
+            truth.extend((frame.index, landmark) for landmark in frame.truth)
+            if scene.sonar.layout == "polar" and polar is None:
+                polar = PolarToFan(scene_sonar(scene).complete(scene.name), *frame.image.shape)
+            yield Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan, polar=polar)
+
+    tracks = describe(frames(), preset("default"), scene.landmark_set)
     chosen = np.flatnonzero(tracks.row % every == 0)
     columns = ("row", "number", "position", "features", "smear")
     tracks = replace(tracks, **{name: getattr(tracks, name)[chosen] for name in columns})
@@ -62,16 +63,6 @@ def samples_of(recording: tuple[str, int], every: int = 1) -> Samples:
         np.array([tracks.landmarks.ids.index(t.landmark) for _, t in truth], np.int64),
         plane_from_polar(*polar.T),
     )
-
-
-def scene_frames(scene: Scene, truth: Shown) -> Iterator[Frame]:
-    """A scene's frames as a reader would give them; their truth is added to `truth`."""
-    polar = None
-    for frame in render(scene):
-        truth += [(frame.index, landmark) for landmark in frame.truth]
-        if scene.sonar.layout == "polar" and polar is None:
-            polar = PolarToFan(scene_sonar(scene).complete(scene.name), *frame.image.shape)
-        yield Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan, polar=polar)
 
 
 def make_model() -> None:
