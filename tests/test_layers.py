@@ -33,7 +33,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2792,
+    "cli": 2791,
     "drawing": 820,
     "evaluation": 3976,
     "geometry": 415,
@@ -47,7 +47,7 @@ MOST_LINES = {
     "runs": 1710,
     "simulation": 2493,
     "tables": 804,
-    "truth": 1194,
+    "truth": 1072,
 }
 """Of a room; set to what stands after an issue, and it only falls."""
 SMALL = 400  # lines of a room of one module

@@ -139,9 +139,8 @@ def check(
 
     It reports, with the line: IDs not in the set, frames not in the log, discs wholly outside the
     fan, `visible` outside 0 to 1 or above the share of the disc in the fan image, repeated rows,
-    landmarks that overlap or change their ID, pixels that contradict range and bearing, and jumps
-    that no turn of the sonar explains. `overlay --ground-truth` draws it.
-    Exit code 3: something was found.
+    landmarks that overlap or change their ID, and jumps that no turn of the sonar explains.
+    `overlay --ground-truth` draws it. Exit code 3: something was found.
 
     \b
     Examples:
@@ -156,21 +155,22 @@ def check(
 
     landmark_set, _ = chosen_landmarks(find_log(log), landmarks, read_run(None))
     with open_log(log, **reading) as opened:
-        checked = check_truth(ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg)
+        rows, faults, told = check_truth(
+            ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg
+        )
     lines, counts = list[str](), Counter[str]()
-    for fault in checked.faults:
+    for fault in faults:
         counts[fault.kind] += 1
         if counts[fault.kind] <= MOST_FAULTS:
             lines.append(f"{ground_truth} line {fault.line}: {fault.text}")
     for kind, count in counts.items():
         if count > MOST_FAULTS:
             lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
-    told = checked.diagnostics
     tell(told.problems)
-    say(*lines, *([] if quiet else [f"{ground_truth}: {checked.summary()}"]))
-    others = [f"{number_of(checked.others, 'row')} of other logs not checked"]
-    tell((), [*told.notes, *others[: checked.others]])
-    if checked.faults or told.problems:
+    found = number_of(len(faults), "fault") if faults else "no fault"
+    say(*lines, *([] if quiet else [f"{ground_truth}: {number_of(rows, 'row')}, {found}"]))
+    tell((), told.notes)
+    if faults or told.problems:
         leave(PARTLY)
 
 

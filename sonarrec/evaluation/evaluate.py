@@ -143,7 +143,7 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
         return log.name, fault
     told, rows, truth = Diagnostics(), table.rows_of(log.name), truths[-1]
     proposals = "they say nothing about the results that they came from"
-    tell_fit(told, table, last, truth, "are scored", proposals)
+    tell_fit(told, table, last, truth, proposals)
     score = LogScore(
         log=log,
         recording=of,

@@ -175,7 +175,7 @@ def _lesson(
         told.problem(f"{unlike}; nothing is learned from {name}")
     else:
         proposals = "they teach what the program takes for true already"
-        tell_fit(told, table, tracks, truth, "teach", proposals)
+        tell_fit(told, table, tracks, truth, proposals)
         tell_rows(told, name, truth.rows, truth.between)
         if truth.unprocessed:
             told.problem(

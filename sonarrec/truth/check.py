@@ -5,29 +5,28 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from functools import partial
+from itertools import combinations, pairwise
 from math import dist
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.geometry import ground_range, plane_from_polar, polar_from_pixel, polar_from_plane
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Fan
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.results.folders import possible_names
 from sonarrec.tables.read import line_numbers
-from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, match_times, pixels_apart, share_in_image
+from sonarrec.truth.match import ReadLog, Truth, match_times, share_in_image
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
 """Tolerance for labels made by eye: a tenth of the radius in position, of the area in `visible`."""
-FEWEST = 5  # frames or rows from which on a pattern in them is told
-_UNITS_NS = {"nanoseconds": 1, "microseconds": 10**3, "milliseconds": 10**6, "seconds": 10**9}
+FEWEST = 5  # frames from which on a pattern in them is told
 
 
 # --- As a whole ----------------------------------------------------------------------------------
@@ -39,10 +38,6 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
     truth: as matched to the log.
     """
     at, fan = table.at[table.rows_of(log.name)], log.fan
-    if table.key != "frame" and log.timestamp_ns is not None:
-        wrong = _other_unit(log.timestamp_ns, at, log.name)
-        if wrong is not None:
-            return f"{table.path}: {wrong}"
     if truth.rows and not len(truth.frame_index):
         near, of_frames = "on", log.frame
         if truth.tolerance_ns is not None and log.timestamp_ns is not None:
@@ -53,36 +48,14 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
             f"{of_frames.min()} to {of_frames.max()}); is this the truth of another log?"
         )
     outside = _outside_image(log, truth)
-    if fan is not None and truth.position is not None and len(outside) and outside.all():
-        range_m, bearing_deg = (values[0] for values in polar_from_plane(truth.position))
+    if fan is not None and truth.position is not None and np.sum(outside) > len(outside) / 2:
+        range_m, bearing_deg = (v[outside][0] for v in polar_from_plane(truth.position))
         return (
-            f"{table.path}: none of its {len(outside)} positions lies in the image of {log.name} "
-            f"({fan.range_min_m:g} to {fan.range_max_m:g} m, {fan.bearing_min_deg:g} to "
-            f"{fan.bearing_max_deg:g} deg); the first is {range_m:.4g} m, {bearing_deg:.4g} deg; "
-            "are the units and the log right?"
+            f"{table.path}: {np.sum(outside)} of its {len(outside)} positions lie outside the "
+            f"image of {log.name} ({fan.range_min_m:g} to {fan.range_max_m:g} m, "
+            f"{fan.bearing_min_deg:g} to {fan.bearing_max_deg:g} deg); "
+            f"such as {range_m:.4g} m, {bearing_deg:.4g} deg; are the units and the log right?"
         )
-    return None
-
-
-def _other_unit(timestamp_ns: IntArray, at: IntArray, log: str) -> str | None:
-    """That times cannot be nanoseconds but are of another unit; None if they can be.
-
-    timestamp_ns: (F,) of frames. at: (R,). It is another unit if with it at least nine of ten rows
-    have a frame, and these are three or more frames and three times as many as with nanoseconds. In
-    ns, times of a clock that starts at 0 would nearly all fall on the first frame.
-    """
-    in_ns = 0
-    for unit, unit_ns in _UNITS_NS.items():
-        if len(at) and np.abs(at).max() < 2**63 // unit_ns:
-            nearest, matched, _ = match_times(timestamp_ns, at * unit_ns)
-            frames = len(np.unique(nearest[matched]))
-            if unit_ns == 1:
-                in_ns = frames
-            elif matched.mean() >= 0.9 and frames >= 3 * max(in_ns, 1):
-                return (
-                    f"timestamp_ns must be nanoseconds; its times fit the frames of {log} only if "
-                    f"they are {unit}"
-                )
     return None
 
 
@@ -128,16 +101,14 @@ def tell_other_logs(
 
 
 def tell_fit(
-    told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, use: str, of_proposals: str
+    told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, of_proposals: str
 ) -> None:
-    """Tell what a reader should know of the rows on one log, and signs that they are not its own.
+    """Tell what a reader should know of the rows on one log.
 
-    truth: as matched to the log. use: what is done with range and bearing, a verb. of_proposals:
-    the consequence of rows as `truth propose` wrote them, a clause.
+    truth: as matched to the log. of_proposals: the consequence of rows as `truth propose` wrote
+    them, a clause.
     """
-    rows, path, name, fan = table.rows_of(log.name), table.path, log.name, log.fan
-    if table.not_read:
-        told.note(table.not_read)
+    rows, path, name = table.rows_of(log.name), table.path, log.name
     if proposed := np.count_nonzero(table.proposed[rows]):
         told.note(
             f"{path}: by `source`, {proposed} of {len(rows)} rows for {name} are unchecked "
@@ -148,26 +119,15 @@ def tell_fit(
             f"{path}: {outside} of {len(truth.frame_index)} positions lie outside the image of "
             f"{name}; `sonarrec truth check` names them"
         )
-    if fan is not None and (apart := np.sum(pixels_apart(table, rows, fan) > SLACK_PX)):
+    frames, half = np.unique(truth.frame_index), len(log.frame) / 2
+    if len(frames) >= FEWEST and (
+        np.diff(frames).min() > 1 or frames[-1] < half or frames[0] >= half
+    ):
+        first, last = log.frame[frames[[0, -1]]]
         told.note(
-            f"{path}: {number_of(int(apart), 'row')} for {name} with x_px,y_px elsewhere than "
-            f"range_m,bearing_deg, which {use}; `sonarrec truth check` tells which"
+            f"{path}: {len(frames)} of {len(log.frame)} frames of {name}, from {first} to {last}, "
+            "have a row; the others count as without a landmark, and claims there as false"
         )
-    frames = np.unique(truth.frame_index)
-    if len(frames) >= FEWEST and np.diff(frames).min() > 1:
-        step = int(np.median(np.diff(frames)))
-        told.note(
-            f"{path}: of {name} about one frame in {step} has a row; frames between count as "
-            "without a landmark, and claims there as false. Give every frame its rows"
-        )
-    if fan is not None and table.position is not None and table.position[0] == "polar":
-        bearings = np.abs(table.position[2][rows])
-        widest = max(-fan.bearing_min_deg, fan.bearing_max_deg)
-        if len(rows) >= FEWEST and 0 < bearings.max() <= np.radians(widest):
-            told.note(
-                f"{path}: no bearing for {name} is beyond {bearings.max():.2g} deg, of "
-                f"{widest:.3g} in view; are they in radians?"
-            )
 
 
 def _outside_image(log: ReadLog, truth: Truth) -> BoolArray:
@@ -200,28 +160,13 @@ class Fault:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedTruth:
-    """A gt.csv checked against its log: how many rows are on this log and on others, the faults in
-    order of the lines, and what is told of the columns and the log."""
-
-    rows: int
-    others: int
-    faults: list[Fault]
-    diagnostics: Diagnostics
-
-    def summary(self) -> str:
-        """How many rows were checked, and how many faults there are."""
-        faults = number_of(len(self.faults), "fault") if self.faults else "no fault"
-        return f"{number_of(self.rows, 'row')}, {faults}"
-
-
 def check_truth(
     path: Path, log: Log, landmarks: LandmarkSet, *, max_pan_deg: float
-) -> CheckedTruth:
+) -> tuple[int, list[Fault], Diagnostics]:
     """Check a gt.csv against the log it describes: one pass over the log, for its frames.
 
-    max_pan_deg: by how much the sonar may turn from one frame to the next.
+    max_pan_deg: by how much the sonar may turn from one frame to the next. Returns the number of
+    rows on this log, the faults in order of the lines, and what is told of the log.
     Raises SonarrecError if either cannot be read at all.
     """
     table = read_rows(path)
@@ -252,26 +197,28 @@ def check_truth(
         for a, b in lines[repeated_rows(table)].tolist():
             if b in line:
                 faults.append(Fault(b, "repeated", f"repeats line {a}"))
-        apart = pixels_apart(table, row, fan)
-        for n in np.flatnonzero(apart > SLACK_PX):  # one of the two was edited
-            text = f"x_px,y_px and range_m,bearing_deg are {apart[n]:.1f} pixels apart"
-            faults.append(Fault(line[n], "position", text))
         # Nearer than the floor counts as straight below.
         floor = plane_from_polar(np.nan_to_num(ground_range(fan, range_m)), bearing_deg)
-        columns = (line, *(v.tolist() for v in (landmark, frame, range_m, bearing_deg, floor)))
-        rows = [_Row(*cells) for cells in zip(*columns, strict=True)]
-        faults += _outside(rows, visible, fan, radius_m)
+        share = share_in_image(fan, range_m, bearing_deg, radius_m)
+        near = share_in_image(fan, range_m, bearing_deg, radius_m * (1 + SLACK))
+        # Something else may hide a landmark too, so `visible` may be less.
+        for n in np.flatnonzero((near == 0) | ((visible <= 1) & (visible > share + SLACK))):
+            kind = "visible"
+            text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
+            if near[n] == 0:
+                where = f"range {range_m[n]:.2f} m, bearing {bearing_deg[n]:.1f} deg"
+                kind, text = "outside", f"the whole disc is outside the fan ({where})"
+            faults.append(Fault(line[n], kind, text))
+        columns = (landmark, frame, range_m, bearing_deg, floor, share)
+        rows = [_Row(*c) for c in zip(line, *(v.tolist() for v in columns), strict=True)]
         faults += _overlaps(rows, radius_m)
-        changes = [*_changes(rows, radius_m)]
-        changed = {fault.line for fault in changes}
-        jumps = _jumps(rows, fan, radius_m, max_pan_deg)
-        faults += [*changes, *(jump for jump in jumps if jump.line not in changed)]
-    diagnostics = Diagnostics()
-    if table.not_read:
-        diagnostics.note(table.not_read)
-    diagnostics.problem(*log.diagnostics.problems)
-    ordered = sorted(faults, key=lambda fault: fault.line)
-    return CheckedTruth(len(row), len(table.at) - len(row), ordered, diagnostics)
+        faults += _changes(rows, radius_m)
+        faults += _jumps(rows, radius_m, max_pan_deg)
+    told = Diagnostics()
+    told.problem(*log.diagnostics.problems)
+    if others := len(table.at) - len(row):
+        told.note(f"{number_of(others, 'row')} of other logs not checked")
+    return len(row), sorted(faults, key=lambda fault: fault.line), told
 
 
 def _frames(
@@ -284,9 +231,6 @@ def _frames(
         known = np.isin(at, numbers)
         frames = np.where(known, at, -1)
     else:
-        wrong = _other_unit(stamps, at, log.name)
-        if wrong is not None:
-            return np.full(len(at), -1), [Fault(line[0], "frame", wrong)]
         nearest, known, kept = match_times(stamps, at)
         # If truth is denser than the frames, the nearest row counts, as in scoring.
         frames = np.where(kept, numbers[nearest], -1)
@@ -303,7 +247,7 @@ def _frames(
 
 class _Row(NamedTuple):
     """A row with a position. frame: -1 if the log has no such frame. floor: m on the floor, to the
-    right and ahead of the sonar."""
+    right and ahead of the sonar. share: of the disc in the fan image."""
 
     line: int
     landmark: int
@@ -311,6 +255,7 @@ class _Row(NamedTuple):
     range_m: float
     bearing_deg: float
     floor: list[float]
+    share: float
 
 
 def _by_frame(rows: Iterable[_Row]) -> dict[int, list[_Row]]:
@@ -319,27 +264,6 @@ def _by_frame(rows: Iterable[_Row]) -> dict[int, list[_Row]]:
     for row in rows:
         groups[row.frame].append(row)
     return {frame: groups[frame] for frame in sorted(groups) if frame >= 0}
-
-
-def _outside(
-    rows: Sequence[_Row], visible: FloatArray, fan: Fan, radius_m: float
-) -> Iterator[Fault]:
-    """Discs that lie outside the fan, or show less than `visible` says.
-
-    Something else may hide a landmark too, so `visible` may be less than the geometry allows.
-    """
-    range_m, bearing_deg = np.array([row[3:5] for row in rows]).reshape(-1, 2).T
-    share, near = (
-        share_in_image(fan, range_m, bearing_deg, radius)
-        for radius in (radius_m, radius_m * (1 + SLACK))
-    )
-    for n in np.flatnonzero((near == 0) | ((visible <= 1) & (visible > share + SLACK))):
-        kind = "visible"
-        text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
-        if near[n] == 0:
-            where = f"range {range_m[n]:.2f} m, bearing {bearing_deg[n]:.1f} deg"
-            kind, text = "outside", f"the whole disc is outside the fan ({where})"
-        yield Fault(rows[int(n)].line, kind, text)
 
 
 def _overlaps(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
@@ -370,40 +294,25 @@ def _changes(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
                     yield Fault(b.line, "changed", f"{text}{a.line})")
 
 
-def _jumps(rows: Sequence[_Row], fan: Fan, radius_m: float, max_pan_deg: float) -> Iterator[Fault]:
+def _jumps(rows: Sequence[_Row], radius_m: float, max_pan_deg: float) -> Iterator[Fault]:
     """Rows too far from every row of the same ID in the last frame that has one.
 
-    A pan leaves ranges as they are; a disc radius a frame is allowed for heave and drift. No faults
-    are the step back after a wrong row, and a second landmark of the ID that enters at an edge of
-    the fan while the first stays in view.
+    A pan leaves ranges as they are; a disc radius a frame is allowed for heave and drift. One that
+    is partly outside the fan may be a second landmark of the ID, which enters.
     """
 
     def step(a: _Row, b: _Row) -> float:
         """The step from one row to another; 1: the limit."""
-        frames = max(b.frame - a.frame, 1)
-        pan = abs(a.bearing_deg - b.bearing_deg) / (max_pan_deg * frames)
-        return max(pan, abs(a.range_m - b.range_m) / (radius_m * frames))
+        pan = abs(a.bearing_deg - b.bearing_deg) / max_pan_deg
+        return max(pan, abs(a.range_m - b.range_m) / radius_m) / (b.frame - a.frame)
 
-    def may_enter(b: _Row, frames: int) -> bool:
-        """Whether a row's disc may have been partly outside the fan so many frames before."""
-        ranges = b.range_m + radius_m * frames * np.array([1, -1, 0, 0])
-        bearings = b.bearing_deg + max_pan_deg * frames * np.array([0, 0, 1, -1])
-        return bool((share_in_image(fan, ranges, bearings, radius_m) < 1).any())
-
-    wrong: set[int] = set()
     for landmark in sorted({row.landmark for row in rows}):
-        groups = [*_by_frame(row for row in rows if row.landmark == landmark).values()]
-        for earlier, before, group in zip([[], *groups], groups, groups[1:], strict=False):
-            from_row = {b.line: min(before, key=lambda a: step(a, b)) for b in group}
-            stay = {from_row[b.line].line for b in group if step(from_row[b.line], b) <= 1}
+        groups = _by_frame(row for row in rows if row.landmark == landmark).values()
+        for before, group in pairwise(groups):
             for b in group:
-                a = from_row[b.line]
-                if step(a, b) <= 1 or (a.line in stay and may_enter(b, b.frame - a.frame)):
-                    continue
-                if a.line in wrong and any(step(c, b) <= 1 for c in earlier):
-                    continue
-                wrong.add(b.line)
-                pan, shift = b.bearing_deg - a.bearing_deg, b.range_m - a.range_m
-                text = f"ID.{landmark} jumps by {pan:+.1f} deg and {shift:+.2f} m from frame "
-                text += f"{a.frame} (line {a.line}) to {b.frame}"
-                yield Fault(b.line, "jump", text)
+                a = min(before, key=partial(step, b=b))
+                if b.share == 1 and step(a, b) > 1:
+                    pan, shift = b.bearing_deg - a.bearing_deg, b.range_m - a.range_m
+                    text = f"ID.{landmark} jumps by {pan:+.1f} deg and {shift:+.2f} m from frame "
+                    text += f"{a.frame} (line {a.line}) to {b.frame}"
+                    yield Fault(b.line, "jump", text)

@@ -14,7 +14,6 @@ from sonarrec.geometry import (
     ground_range,
     in_image,
     pixel_from_plane,
-    pixel_from_polar,
     plane_position,
     points_on_disc,
 )
@@ -49,22 +48,6 @@ class Truth:
     def pixels(self, fan: Fan) -> FloatArray | None:
         """(T, 2) column and row in the fan image; None if positions are not known."""
         return None if self.position is None else pixel_from_plane(fan, self.position)
-
-
-SLACK_PX = 2.0
-"""Tolerance between pixels and range and bearing: they are rounded, as scale and apex are."""
-
-
-def pixels_apart(table: TruthTable, row: IntArray, fan: Fan) -> FloatArray:
-    """(n,) pixels from x_px,y_px to range and bearing; NaN for rows without both.
-
-    row: (n,) into the table.
-    """
-    if table.pixels is None or table.position is None:
-        return np.full(len(row), np.nan)
-    _, range_m, bearing_deg = table.position
-    x, y = pixel_from_polar(fan, range_m[row], bearing_deg[row])
-    return np.asarray(np.hypot(table.pixels[0][row] - x, table.pixels[1][row] - y))
 
 
 class ReadLog(Protocol):

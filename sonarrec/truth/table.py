@@ -20,7 +20,6 @@ from sonarrec.tables.read import (
     Kind,
     line_number,
     position_pair,
-    read_header,
     read_table,
 )
 
@@ -46,11 +45,9 @@ class TruthTable:
 
     key: the column that names the frame, "frame" or "timestamp_ns"; at: (R,) its values. landmark:
     (R,) IDs; NONE for an object that is no landmark of the set: a stranger. visible: (R,) share of
-    the disc, 0 to 1. log: (R,) names. position: as tables.position_pair gives it. pixels: (R,)
-    column and (R,) row beside a position by range and bearing, NaN where blank. orientation: (R,)
-    deg, NaN where blank. All four are None without their columns. proposed: (R,) whether
-    `truth propose` wrote the row, by the column `source`. not_read: a note on columns that are not
-    read, where positions or `visible` are missing: perhaps they are these; else "".
+    the disc, 0 to 1. log: (R,) names. position: as tables.position_pair gives it. orientation: (R,)
+    deg, NaN where blank. All three are None without their columns. proposed: (R,) whether
+    `truth propose` wrote the row, by the column `source`.
     """
 
     path: Path
@@ -60,10 +57,8 @@ class TruthTable:
     visible: FloatArray
     log: Any
     position: tuple[str, FloatArray, FloatArray] | None
-    pixels: tuple[FloatArray, FloatArray] | None
     orientation: FloatArray | None
     proposed: BoolArray
-    not_read: str
 
     def rows_of(self, name: str, *, strangers: bool = False) -> IntArray:
         """(n,) the rows on a log that name a landmark, or those on strangers; rising."""
@@ -121,12 +116,6 @@ def read_rows(path: Path) -> TruthTable:
         )
     rows = len(table["landmark"])
     visible, source = table.get("visible", np.ones(rows)), table.get("source")
-    position, pixels, others = position_pair(path, table), None, []
-    if position is not None and position[0] == "polar" and {"x_px", "y_px"} <= table.keys():
-        pixels = table["x_px"], table["y_px"]
-    if rows and (position is None or "visible" not in table):
-        read = {"", "track", *_KINDS} - ({*POSITION_KINDS} if position is None else set())
-        others = [name for name in read_header(path, HEADER) if name not in read]
     return TruthTable(
         path=path,
         key=key,
@@ -134,11 +123,9 @@ def read_rows(path: Path) -> TruthTable:
         landmark=table["landmark"],
         visible=np.where(np.isnan(visible), 1.0, visible),
         log=table.get("log"),
-        position=position,
-        pixels=pixels,
+        position=position_pair(path, table),
         orientation=table.get("orientation_deg"),
         proposed=np.zeros(rows, bool) if source is None else source.isin((TRACKED, FILLED_IN)),
-        not_read=f"{path}: columns {', '.join(others)} are not read" if others else "",
     )
 
 
