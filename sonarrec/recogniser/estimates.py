@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Groups
-from sonarrec.recogniser.between_stages import Batch
+from sonarrec.recogniser.between_stages import Tracked
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, likeliest, settled
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, whole_steps
@@ -38,44 +38,45 @@ def wins(probabilities: FloatArray) -> BoolArray:
     return np.asarray(beliefs.argmax(axis=0)[beliefs.argmax(axis=1)] == np.arange(len(beliefs)))
 
 
-class EstimateMaker:
+class Estimates:
     """Makes the Estimates of both methods from their arrays."""
 
     def __init__(self, config: Config, plane: Plane, landmarks: LandmarkSet) -> None:
-        self._plane = plane
-        self._ids = landmarks.ids
-        self._features = config.features
-        self._declare_smi = config.smi.declare
+        self._config, self._plane, self._ids = config, plane, landmarks.ids
 
-    def of_groups(self, method: str, batch: Batch, beliefs: Beliefs) -> list[Estimate]:
-        """The framework's estimates of a batch's groups. Its score is the belief in the ID.
+    def of_groups(
+        self, method: str, groups: Sequence[Groups], episodes: IntArray, beliefs: Beliefs
+    ) -> list[Estimate]:
+        """The framework's estimates of the groups of some frames, n in all.
 
-        Where objects are compared, one that loses its ID to another has score 0.
+        The score is the belief in the ID. Where objects are compared, one that loses its ID to
+        another has score 0. episodes: (n,) as in Evidence.
         """
         _, scores = likeliest(beliefs.probabilities)
-        if self._features.decide == "comparison":
-            ends = np.cumsum([len(g.numbers) for g in batch.groups])[:-1]
+        if self._config.features.decide == "comparison":
+            ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
             won = np.concatenate([wins(p) for p in np.split(beliefs.probabilities, ends)])
             scores = np.where(won, scores, 0.0)
             beliefs = replace(beliefs, earned=beliefs.earned & won)
-        episodes, least = batch.evidence.episodes, self._features.declare
-        return self._estimates(method, batch.tracked, episodes, beliefs, scores, least)
+        least = self._config.features.declare
+        return self._estimates(method, joined(groups), episodes, beliefs, scores, least)
 
-    def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
-        """SMI's estimates of a batch's candidates, without standard errors."""
-        n = len(batch.candidates)
+    def of_candidates(
+        self, method: str, frames: Sequence[Tracked], found: Identification
+    ) -> list[Estimate]:
+        """SMI's estimates of the candidates of some frames, without standard errors."""
+        n = len(found.rotation)
         objects = Groups(
-            numbers=batch.candidate_numbers,
-            positions=batch.candidates,
+            numbers=np.concatenate([np.arange(len(f.candidates)) for f in frames]),
+            positions=np.concatenate([f.candidates for f in frames]),
             spread=np.full((n, 2), np.nan),
-            existence=batch.scores,
+            existence=np.concatenate([f.scores for f in frames]),
             sight_deg=np.zeros(n),
             in_view=np.ones(n, bool),
             remembered=np.empty(0, np.int64),
         )
-        episodes = np.zeros(n, np.int64)
-        threshold = self._declare_smi
-        return self._estimates(method, objects, episodes, found.beliefs, found.score, threshold)
+        episodes, least = np.zeros(n, np.int64), self._config.smi.declare
+        return self._estimates(method, objects, episodes, found.beliefs, found.score, least)
 
     def _estimates(
         self,

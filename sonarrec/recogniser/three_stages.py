@@ -5,18 +5,19 @@ Drawn plates: `drawn/three_stages.py`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, ByteImage, FloatArray
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray, joined
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.nouns import Fan, Frame, FrameResult, Groups, Selection
-from sonarrec.recogniser.between_stages import AfterStage2, Batch, Parts, WorkingImage
-from sonarrec.recogniser.estimates import EstimateMaker
+from sonarrec.nouns import Estimate, Fan, Frame, FrameResult, Groups, Selection
+from sonarrec.recogniser.between_stages import Parts, Tracked
+from sonarrec.recogniser.estimates import Estimates
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
@@ -112,60 +113,61 @@ class ThreeStages:
         else:
             self.parts = of_discs(config, fan, landmarks, model, poses)
         self.odometry = self.parts.odometry
-        self._estimates = EstimateMaker(config, self.parts.plane, landmarks)
+        self._estimates = Estimates(config, self.parts.plane, landmarks)
         self._method, self._smi = method, smi
 
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
         image = self.working_image(frame)
-        return self.stage3([self.stage2(image, self.stage1(image))])[0]
+        return self.stage3([self.stage2(frame, image, self.stage1(image))])[0]
 
-    def working_image(self, frame: Frame) -> WorkingImage:
-        """The frame in the working plane, which stage 1 works on. Frames may come in any order."""
-        image = self.parts.plane.warp(frame.pixels, frame.polar)
-        return WorkingImage(frame.index, frame.timestamp_ns, image)
+    def working_image(self, frame: Frame) -> ByteImage:
+        """The frame in the working plane, (rows, columns), which stage 1 works on."""
+        return self.parts.plane.warp(frame.pixels, frame.polar)
 
-    def stage1(self, image: WorkingImage) -> Selection:
-        """Candidate selection (Section 3.2): where could a landmark's circle be?
+    def stage1(self, image: ByteImage) -> Selection:
+        """Candidate selection (Section 3.2): where could a landmark's circle be?"""
+        return self.parts.detect(image)
 
-        Frames may come in any order, and from several threads.
-        """
-        return self.parts.detect(image.image)
-
-    def stage2(self, frame: WorkingImage, selection: Selection) -> AfterStage2:
+    def stage2(self, frame: Frame, image: ByteImage, selection: Selection) -> Tracked:
         """Continuity evaluation (Section 3.3): which candidates are objects that persist?
 
         Frames must come in the log's order. The shape matrices for stage 3 are sampled here too, so
         that images need not be kept.
         """
-        motion = self.odometry.step(frame.image, frame.timestamp_ns)
+        motion = self.odometry.step(image, frame.timestamp_ns)
         known = motion if motion is not None and motion.known else None
-        groups = self.parts.track(frame.image, selection, known)
-        grey, seen, evidence = self.parts.gather(frame.image, selection, groups)
-        return AfterStage2(
-            frame=frame.frame,
-            timestamp_ns=frame.timestamp_ns,
-            candidates=selection.positions,
-            scores=selection.scores,
-            grey=grey,
-            seen=seen,
-            groups=groups,
-            evidence=evidence,
-            motion=motion,
-        )
+        groups = self.parts.track(image, selection, known)
+        grey, seen, evidence = self.parts.gather(image, selection, groups)
+        found = selection.positions, selection.scores, grey, seen
+        return Tracked(frame.index, frame.timestamp_ns, *found, groups, evidence, motion)
 
-    def stage3(self, frames: Sequence[AfterStage2]) -> list[FrameResult]:
+    def stage3(self, frames: Sequence[Tracked]) -> list[FrameResult]:
         """Bayesian feature estimation (Section 3.4): which landmark is each object?
 
         frames: one or more, in the log's order. How they are divided among calls affects only the
         rounding.
         """
-        batch = Batch(frames)
-        beliefs = self.parts.beliefs(batch.groups, batch.evidence)
-        tracked = self._estimates.of_groups(self._method, batch, beliefs)
+        groups, evidence = [f.groups for f in frames], joined([f.evidence for f in frames])
+        beliefs = self.parts.beliefs(groups, evidence)
+        tracked = iter(self._estimates.of_groups(self._method, groups, evidence.episodes, beliefs))
         # The paper's baseline: shape-matrix identification (SMI) of single frames.
-        single = []
+        single: Iterator[Estimate] = iter([])
         if self._smi is not None and self.parts.identify is not None:
-            identified = self.parts.identify(batch.grey, batch.seen)
-            single = self._estimates.of_candidates(self._smi, batch, identified)
-        return batch.results(single, tracked)
+            grey, seen = (np.concatenate([getattr(f, n) for f in frames]) for n in ("grey", "seen"))
+            found = self.parts.identify(grey, seen)
+            single = iter(self._estimates.of_candidates(self._smi, frames, found))
+        return [
+            FrameResult(
+                index=f.index,
+                timestamp_ns=f.timestamp_ns,
+                candidates=len(f.candidates),
+                tracks=len(f.groups.numbers),
+                estimates=(
+                    *islice(single, len(f.candidates)),
+                    *islice(tracked, len(f.groups.numbers)),
+                ),
+                motion=f.motion,
+            )
+            for f in frames
+        ]

@@ -158,7 +158,7 @@ def _recognise(
 
 def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
     """Tell the user what showed at the end of the run."""
-    log, note, restored = job.log, job.log.diagnostics.note, job.recogniser.restored
+    log, note, (static, saturated) = job.log, job.log.diagnostics.note, job.recogniser.restored
     doubts = plausibility.contradictions()
     if not writer.candidates:
         width = disc_width_px(job.fan, job.landmarks)
@@ -170,19 +170,19 @@ def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibil
     if doubts:
         look = f"`sonarrec info {log.path} --preview FILE.png`, with the same geometry"
         note(f"{'; '.join(doubts)}; look at {look}")
-    if restored.static:
+    if static:
         note(
-            f"{restored.static:.1%} of the picture never changes, like drawn lines and text, or "
+            f"{static:.1%} of the picture never changes, like drawn lines and text, or "
             "dead beams; it is filled from the pixels beside it"
         )
-    if restored.saturated:
+    if saturated:
         better = "a lower gain"
         if (white := log.found_white) is not None:
             better = (
                 f"a higher full_scale in sonar.toml than {white:.4g}, as the first frame has it,"
             )
         note(
-            f"{restored.saturated:.0%} of the frames are saturated; how strong the strongest "
+            f"{saturated:.0%} of the frames are saturated; how strong the strongest "
             f"echoes are is estimated from how many there are; {better} is better"
         )
     if log.untimed:

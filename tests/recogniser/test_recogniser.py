@@ -323,9 +323,11 @@ def test_each_preset_gives_side_by_side_what_it_gives_alone():
 
 def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     seen: list[int] = []
-    stage1 = ThreeStages.stage1
+    stage2 = ThreeStages.stage2
     monkeypatch.setattr(
-        ThreeStages, "stage1", lambda self, image: seen.append(image.frame) or stage1(self, image)
+        ThreeStages,
+        "stage2",
+        lambda self, frame, *of: seen.append(frame.index) or stage2(self, frame, *of),
     )
     log = still_log(3, 3)
     side_by_side(log, "default", "paper", "offline")

@@ -11,14 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sonarrec.arrays import ByteImage
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import FrameResult, Motion
-from sonarrec.recogniser.between_stages import WorkingImage
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.presets.second_look import MOST_STEP_ERROR, SecondLook, looks_again
+from sonarrec.recogniser.presets.second_look import (
+    MOST_STEP_ERROR,
+    SecondLook,
+    looks_again,
+    placement,
+)
 from sonarrec.recogniser.stage1 import CandidateSelector
-from sonarrec.recogniser.tiles import placement
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 from tests.support.simulated import Job, recognise, score
@@ -30,31 +34,27 @@ PLANE = FloorPlane(FAN, BASIN.radius_m, OFFLINE.candidates.disc_radius_px)
 STILL = Motion(0.0)
 
 
-def frames(n: int, seed: int, *, landmark: bool = True) -> list[WorkingImage]:
+def frames(n: int, seed: int, *, landmark: bool = True) -> list[ByteImage]:
     """Frames of ID 3 at 2.1 m on its dark plate, or of the floor, with new speckle in each."""
     rng = np.random.default_rng(seed)
     at = (FAN, 2.1, 3.0, BASIN.radius_m)
     pattern = disc_pattern(SECTORS[3], math.radians(40))
     disc, seen = draw_on_floor(*at, pattern if landmark else lambda x, _: 0 * x)
     plate, _ = draw_on_floor(*at, lambda x, y: (np.hypot(x, y) <= 1) * float(landmark))
-    return [
-        WorkingImage(i, i * 10**8, PLANE.warp(speckled(disc, seen, rng, dark=plate)))
-        for i in range(n)
-    ]
+    return [PLANE.warp(speckled(disc, seen, rng, dark=plate)) for _ in range(n)]
 
 
-def looked(images: list[WorkingImage], motions: list[Motion | None]) -> list[FrameResult]:
+def looked(images: list[ByteImage], motions: list[Motion | None]) -> list[FrameResult]:
     """The frames' results, none of which has an object before the look."""
     look = SecondLook("m", OFFLINE, FAN, BASIN, None)
     select = CandidateSelector(OFFLINE.candidates, PLANE, BASIN, 0.4)
-    results = [FrameResult(i.frame, i.timestamp_ns, 0, 0, ()) for i in images]
-    with look.tiles:
-        for image, motion, i in zip(images, motions, range(len(images)), strict=True):
-            look.take(image, select(image.image))
-            results[i] = replace(results[i], motion=motion)
-            look.learn(results[i])
-        look.finish()
-        return [look.revised(result) for result in results]
+    results = [FrameResult(i, i * 10**8, 0, 0, ()) for i in range(len(images))]
+    for image, motion, i in zip(images, motions, range(len(images)), strict=True):
+        look.take(image, select(image))
+        results[i] = replace(results[i], motion=motion)
+        look.learn(results[i])
+    look.finish()
+    return [look.revised(result) for result in results]
 
 
 @pytest.mark.parametrize("preset_name", ["default", "paper"])

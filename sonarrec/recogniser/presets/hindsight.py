@@ -12,6 +12,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.recogniser.estimates import declared
+from sonarrec.recogniser.presets.second_look import SecondLook
 from sonarrec.recogniser.stage3 import likeliest
 from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinion, Opinions
 
@@ -55,8 +56,11 @@ class Hindsight:
     lag: number of frames that a result waits for its revision.
     """
 
-    def __init__(self, method: str, config: Config, landmarks: LandmarkSet) -> None:
-        self._method = method
+    def __init__(
+        self, method: str, config: Config, landmarks: LandmarkSet, look: SecondLook | None = None
+    ) -> None:
+        """look: revises the results once more."""
+        self._method, self.look = method, look
         self.lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
@@ -81,9 +85,16 @@ class Hindsight:
                 opinion.orientations[estimate.landmark] = found
         # No result that still waits is of an older track.
         self._opinions.forget(self._frame - 2 * self.lag)
+        if self.look is not None:
+            self.look.learn(result)
 
     def revised(self, result: FrameResult) -> FrameResult:
         """A past result, which `learn` has had, with its tracks' beliefs by now."""
+        result = self._of_tracks(result)
+        return result if self.look is None else self.look.revised(result)
+
+    def _of_tracks(self, result: FrameResult) -> FrameResult:
+        """A past result with the beliefs of its tracks."""
         own = [e for e in result.estimates if e.method == self._method]
         if not own:
             return result

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import copy
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, FrameResult, Groups, Motion, Selection
-from sonarrec.recogniser.between_stages import WorkingImage
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
@@ -28,7 +28,6 @@ from sonarrec.recogniser.stage3 import Evidence, likeliest
 from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
 from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, ShapeSampler
-from sonarrec.recogniser.tiles import SIDE, Tiles, parts, placement, warped
 
 MOST_STEP_ERROR = 0.25  # disc radii; a motion with a larger standard error begins a new mean
 OLD_SHARE = 0.5  # weight of the frames of a look in the next
@@ -37,7 +36,9 @@ LEAST_WEIGHT = 2.0  # frames in a pixel of the mean that is searched
 LEAST_FRAMES = 12  # in view of a disc; with fewer, a track knows as much as the mean
 LEAST_SCORE = 0.25  # of a candidate: the mean is less noisy than a frame, so a low score will do
 SIGMA_LEVELS, MIDDLE_LEVEL = 24, 128  # grey levels of the mean: a frame's deviation, and its mean
-BLOCK_TILES = 2  # tiles along a side that are searched together
+# The sums lie in square tiles of SIDE pixels; BLOCK_TILES along a side are searched together, and a
+# tile is forgotten once all its pixels have faded to less than LEAST_KEPT frames.
+SIDE, BLOCK_TILES, LEAST_KEPT = 256, 2, 1e-3
 SAME_DISC = 0.25  # disc diameters up to which a track is of a disc
 LEAST_SHARE = 0.5  # of a disc in view, from which on a frame shows it
 FIRST_NUMBER = 1_000_000  # of the objects that have no track; tracks are fewer
@@ -87,10 +88,7 @@ def looks_again(config: Config) -> bool:
 
 
 class SecondLook:
-    """The mean of the last frames of one log, and the discs in it, for the results of one method.
-
-    tiles: the sums that make the mean; a context manager that must be entered.
-    """
+    """The mean of the last frames of one log, and the discs in it, for one method's results."""
 
     def __init__(
         self,
@@ -121,8 +119,11 @@ class SecondLook:
         )
         middle_m = (fan.range_min_m + fan.range_max_m) / 2
         self._error_of = np.array([math.radians(1) * middle_m, 1, 1]) / radius_m
-        reach = max(plane.shape) // SIDE + 2
-        self.tiles = Tiles(2, reach**2)
+        # By (column, row), which may be negative: (2, SIDE, SIDE) the sum of the pictures, and of
+        # the frames that show each pixel.
+        self._tiles = defaultdict[tuple[int, int], FloatImage](
+            lambda: np.zeros((2, SIDE, SIDE), np.float32)
+        )
         self._waiting: deque[tuple[ByteImage, FloatImage, FloatImage]] = deque()
         self._half = max(features.lag_frames // 2, 1)  # frames between two looks
         self._pose: FloatArray = np.zeros(3)
@@ -132,10 +133,10 @@ class SecondLook:
         self._numbers = FIRST_NUMBER
         self._judged = 0
 
-    def take(self, image: WorkingImage, selection: Selection) -> None:
-        """Add a frame's picture; its result follows in `learn`."""
+    def take(self, image: ByteImage, selection: Selection) -> None:
+        """Add a frame's working image; its result follows in `learn`."""
         # The selection's score map is not needed, and four times as large as the picture.
-        self._waiting.append((image.image, selection.mean, selection.sigma))
+        self._waiting.append((image, selection.mean, selection.sigma))
 
     def learn(self, result: FrameResult) -> None:
         """Add the oldest picture to the mean, by the motion in its result."""
@@ -154,14 +155,27 @@ class SecondLook:
         relief /= enlarged(sigma, image.shape)
         relief *= self._inside
         matrix = placement(self._pose[0], self._pose[1:], self._plane.apex)
-        (relief, seen), first = warped([relief, self._inside], matrix)
+        # The picture on the grid, and the tiles that hold it.
+        right, bottom = self._inside.shape[1] - 1, self._inside.shape[0] - 1
+        corners = np.array([[0, 0, 1], [right, 0, 1], [0, bottom, 1], [right, bottom, 1]])
+        reached = corners @ matrix.T
+        low = np.floor(reached.min(axis=0)).astype(int)
+        width, height = (np.ceil(reached.max(axis=0)).astype(int) - low).tolist()
+        matrix[:, 2] -= low
+        (column, row), (left, top) = (of_low.tolist() for of_low in np.divmod(low, SIDE))
+        columns, rows = (-(-(o + n) // SIDE) for o, n in ((left, width), (top, height)))
+        seen = np.asarray(cv2.warpAffine(self._inside, matrix, (width, height)))
         # Pixels at the edge are interpolated with what was not seen.
         seen = np.multiply(seen > 0.99, SUMMED_EVERY, dtype=np.float32)
-        relief *= seen
-        for tile, inside, part in parts((seen.shape[0], seen.shape[1]), first):
-            total, count = self.tiles.tile(tile)
-            total[inside] += relief[part]
-            count[inside] += seen[part]
+        whole = np.zeros((2, rows * SIDE, columns * SIDE), np.float32)
+        part = whole[:, top : top + height, left : left + width]
+        part[0] = cv2.warpAffine(relief, matrix, (width, height))
+        part[0] *= seen
+        part[1] = seen
+        blocks = whole.reshape(2, rows, SIDE, columns, SIDE)
+        for i in range(rows):
+            for j in range(columns):
+                self._tiles[column + j, row + i] += blocks[:, i, :, j]
 
     def finish(self) -> None:
         """Look at the remaining frames: no more follow."""
@@ -175,7 +189,7 @@ class SecondLook:
             sigma = np.array([motion.pan_sigma_deg, motion.right_sigma_m, motion.ahead_sigma_m])
         if motion is None or np.linalg.norm(self._error_of * sigma) > MOST_STEP_ERROR:
             self.finish()
-            self.tiles.clear()
+            self._tiles.clear()
             self._pose, self._now, self._before = np.zeros(3), _HalfLook(), _HalfLook()
             return
         yaw, x, y = self._pose
@@ -205,27 +219,29 @@ class SecondLook:
         found = [disc for block in self._blocks() for disc in self._discs(*block)]
         self._now.discs = self._before.discs = found
         self._before, self._now = self._now, _HalfLook()
-        for tile in list(self.tiles):
-            self.tiles.tile(tile)[:] *= OLD_SHARE
+        for place, tile in list(self._tiles.items()):
+            tile *= OLD_SHARE
+            if tile[1].max() < LEAST_KEPT:
+                del self._tiles[place]
 
     def _blocks(self) -> Iterator[tuple[FloatImage, tuple[int, int], tuple[int, int]]]:
         """(sums of a block of tiles with a margin, their first pixel on the grid, the block's)."""
-        margin = math.ceil(3 * self._plane.axes[0])
-        size = BLOCK_TILES * SIDE
-        for column, row in sorted({(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in self.tiles}):
-            left, top = column * size - margin, row * size - margin
-            first, last = top // SIDE, (top + size + 2 * margin - 1) // SIDE
-            begin = left // SIDE
-            width = size + 2 * margin + left - begin * SIDE
-            rows = [self.tiles.rows(r, begin, width) for r in range(first, last + 1)]
-            whole = np.concatenate(rows, axis=1)[:, top - first * SIDE :, left - begin * SIDE :]
-            seen = whole[1, : size + 2 * margin] >= LEAST_WEIGHT
+        margin = min(math.ceil(3 * self._plane.axes[0]), SIDE)
+        size, empty = BLOCK_TILES * SIDE, np.zeros((2, SIDE, SIDE), np.float32)
+        cut, near = slice(SIDE - margin, SIDE + size + margin), range(-1, BLOCK_TILES + 1)
+        for column, row in sorted({(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in self._tiles}):
+            first = column * BLOCK_TILES, row * BLOCK_TILES
+            around = [
+                [self._tiles.get((first[0] + j, first[1] + i), empty) for j in near] for i in near
+            ]
+            sums = np.block(around)[:, cut, cut]
+            seen = sums[1] >= LEAST_WEIGHT
             if not seen.any():
                 continue
             down, across = (np.flatnonzero(seen.any(axis=a))[[0, -1]] for a in (1, 0))
-            part = whole[:, down[0] : down[1] + 1, across[0] : across[1] + 1]
-            corner = (left + int(across[0]), top + int(down[0]))
-            yield part, corner, (column * size, row * size)
+            part = sums[:, down[0] : down[1] + 1, across[0] : across[1] + 1]
+            left, top = column * size, row * size
+            yield part, (left - margin + int(across[0]), top - margin + int(down[0])), (left, top)
 
     def _discs(
         self, sums: FloatImage, corner: tuple[int, int], block: tuple[int, int]
@@ -387,3 +403,14 @@ class SecondLook:
             bearing_sigma_deg=float(bearing_sigma[0]),
             orientation_sigma_deg=disc.orientation_sigma_deg,
         )
+
+
+def placement(yaw: float, position: FloatArray, apex: tuple[float, float]) -> FloatArray:
+    """(2, 3) from the pixels (column, row, 1) of a floor plane's working image to the grid's.
+
+    yaw (rad), position (2,): of the sonar; x and y in grid pixels, y against the rows. apex: of the
+    image.
+    """
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    rotation = np.array([[cos, -sin], [sin, cos]])
+    return np.column_stack([rotation, position * (1, -1) - rotation @ apex])

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
-from typing import NamedTuple
 
 import cv2
 
@@ -14,8 +12,8 @@ from sonarrec.config import Config
 from sonarrec.errors import Diagnostics
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.nouns import Fan, Frame, FrameResult, Selection
-from sonarrec.recogniser.between_stages import AfterStage2, WorkingImage
+from sonarrec.nouns import Fan, Frame, FrameResult
+from sonarrec.recogniser.between_stages import Tracked
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.presets.second_look import SecondLook, looks_again
 from sonarrec.recogniser.restore.saturation import Levels
@@ -25,13 +23,6 @@ from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 
 # Frames that stage 3 takes at once: one by one a frame costs a sixth more, more would save nothing.
 FRAMES_AT_ONCE = 16
-
-
-class Restored(NamedTuple):
-    """Shares, 0 to 1: of the fan's pixels that are static, and of frames by their levels."""
-
-    static: float
-    saturated: float
 
 
 class SideBySide:
@@ -71,24 +62,21 @@ class SideBySide:
             replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs
         ]
         self._recogniser_of = [stages.index(config) for config in stages]
-        self._recognisers: dict[int, ThreeStages] = {}
-        for i in dict.fromkeys(self._recogniser_of):
-            config, method = configs[i], self.tracking[i]
-            self._recognisers[i] = ThreeStages(
-                config, fan, landmarks, model, method, single[i], poses
+        self._recognisers = {
+            i: ThreeStages(
+                configs[i], fan, landmarks, model, self.tracking[i], single[i], poses=poses
             )
-        self._hindsight = [
-            Hindsight(method, config, landmarks) if config.features.lag_frames else None
-            for config, method in zip(configs, self.tracking, strict=True)
-        ]
-        self._looks = [
-            SecondLook(method, config, fan, landmarks, model)
-            if looks_again(config) and not drawn
-            else None
-            for config, method in zip(configs, self.tracking, strict=True)
-        ]
+            for i in dict.fromkeys(self._recogniser_of)
+        }
+        self._hindsight: dict[int, Hindsight] = {}
+        for i, (config, method) in enumerate(zip(configs, self.tracking, strict=True)):
+            if config.features.lag_frames:
+                look = None
+                if looks_again(config) and not drawn:
+                    look = SecondLook(method, config, fan, landmarks, model)
+                self._hindsight[i] = Hindsight(method, config, landmarks, look)
         self._lag = max(config.features.lag_frames for config in configs)
-        self._tracked: list[list[AfterStage2]] = []  # frames that wait for stage 3
+        self._tracked: list[list[Tracked]] = []  # frames that wait for stage 3
         self._found: deque[list[FrameResult]] = deque()  # that came out of it
         self._pending: deque[list[FrameResult]] = deque()  # that wait for their lag
         self._unchanging = Unchanging()
@@ -103,69 +91,45 @@ class SideBySide:
         cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
         broken: list[BaseException] = []
         whole = _until_broken(frames, broken)
-        restored = self._levels.restored(self._unchanging.filled(whole))
-        looks = [look for look in self._looks if look is not None]
-        with ExitStack() as running:
-            for look in looks:
-                running.enter_context(look.tiles)
-            for frame in restored:
-                self._track(frame)
-                if len(self._tracked) == FRAMES_AT_ONCE:
-                    self._identify()
-                    yield from self._settled()
-            self._identify()
-            yield from self._settled()
-            for look in looks:
-                look.finish()
+        for frame in self._levels.restored(self._unchanging.filled(whole)):
+            self._tracked.append(self._track(frame))
+            if len(self._tracked) == FRAMES_AT_ONCE:
+                yield from self._settled()
         yield from self.waiting()
         if broken:
             raise broken[0]
 
-    def _track(self, frame: Frame) -> None:
-        """Stages 1 and 2 of a frame."""
-        recognisers = self._recognisers.values()
-        images = [r.working_image(frame) for r in recognisers]
-        selected = [(i, r.stage1(i)) for r, i in zip(recognisers, images, strict=True)]
-        self._show(selected)
-        self._tracked.append([r.stage2(*of) for r, of in zip(recognisers, selected, strict=True)])
-
-    def _identify(self) -> None:
-        """Stage 3 of the frames that wait for it: of each a result of every configuration."""
-        tracked, self._tracked = self._tracked, []
-        if not tracked:
-            return
-        of_each = zip(self._recognisers.values(), zip(*tracked, strict=True), strict=True)
-        by_recogniser = [recogniser.stage3(frames) for recogniser, frames in of_each]
-        for of_frame in zip(*by_recogniser, strict=True):
-            self._found.append(self._of_each(dict(zip(self._recognisers, of_frame, strict=True))))
+    def _track(self, frame: Frame) -> list[Tracked]:
+        """Stages 1 and 2 of a frame, of each recogniser."""
+        tracked = []
+        for i, recogniser in self._recognisers.items():
+            image = recogniser.working_image(frame)
+            selection = recogniser.stage1(image)
+            for k, hindsight in self._hindsight.items():
+                if hindsight.look is not None and self._recogniser_of[k] == i:
+                    hindsight.look.take(image, selection)
+            tracked.append(recogniser.stage2(frame, image, selection))
+        return tracked
 
     def _settled(self) -> Iterator[FrameResult]:
-        """The results that are final once those found come behind them."""
+        """Stage 3 of the frames that wait for it; the results that are final by then."""
+        tracked, self._tracked = self._tracked, []
+        if tracked:
+            of_each = zip(self._recognisers.values(), zip(*tracked, strict=True), strict=True)
+            found = [recogniser.stage3(frames) for recogniser, frames in of_each]
+            for of_frame in zip(*found, strict=True):
+                by_recogniser = dict(zip(self._recognisers, of_frame, strict=True))
+                self._found.append(self._of_each(by_recogniser))
         while self._found:
             self._pending.append(self._found.popleft())
-            for i, result in enumerate(self._pending[-1]):
-                for part in (self._hindsight[i], self._looks[i]):
-                    if part is not None:
-                        part.learn(result)
-            # Each at its own lag, so that a preset's results do not depend on the others.
-            for i, hindsight in enumerate(self._hindsight):
-                if hindsight is not None and len(self._pending) > hindsight.lag:
-                    self._revise(self._pending[-1 - hindsight.lag], i, hindsight)
+            for i, hindsight in self._hindsight.items():
+                hindsight.learn(self._pending[-1][i])
+                # Each at its own lag, so that a preset's results do not depend on the others.
+                if len(self._pending) > hindsight.lag:
+                    results = self._pending[-1 - hindsight.lag]
+                    results[i] = hindsight.revised(results[i])
             if len(self._pending) > self._lag:
                 yield self._final()
-
-    def _show(self, selected: list[tuple[WorkingImage, Selection]]) -> None:
-        """Give a frame after stage 1 to the second looks."""
-        of = dict(zip(self._recognisers, selected, strict=True))
-        for i, look in zip(self._recogniser_of, self._looks, strict=True):
-            if look is not None:
-                look.take(*of[i])
-
-    def _revise(self, results: list[FrameResult], i: int, hindsight: Hindsight) -> None:
-        """Revise the i-th of one frame's results."""
-        results[i] = hindsight.revised(results[i])
-        if (look := self._looks[i]) is not None:
-            results[i] = look.revised(results[i])
 
     def _of_each(self, found: Mapping[int, FrameResult]) -> list[FrameResult]:
         """One frame's results, one for each configuration. found: by the recogniser's index."""
@@ -181,12 +145,12 @@ class SideBySide:
 
     def waiting(self) -> Iterator[FrameResult]:
         """Yield the results that wait at the end of the frames, revised by all frames so far."""
-        self._identify()
         yield from self._settled()
-        for i, hindsight in enumerate(self._hindsight):
-            if hindsight is not None:
-                for results in [*self._pending][-hindsight.lag :]:
-                    self._revise(results, i, hindsight)
+        for i, hindsight in self._hindsight.items():
+            if hindsight.look is not None:
+                hindsight.look.finish()
+            for results in [*self._pending][-hindsight.lag :]:
+                results[i] = hindsight.revised(results[i])
         while self._pending:
             yield self._final()
 
@@ -196,10 +160,10 @@ class SideBySide:
             recogniser.odometry.tell(diagnostics)
 
     @property
-    def restored(self) -> Restored:
-        """What was restored in the pictures so far, before stage 1."""
-        levels, seen = self._levels, max(self._levels.seen, 1)
-        return Restored(self._unchanging.share, levels.saturated / seen)
+    def restored(self) -> tuple[float, float]:
+        """Shares of the fan's pixels that are static, and of the frames so far that are saturated;
+        these were restored before stage 1."""
+        return self._unchanging.share, self._levels.saturated / max(self._levels.seen, 1)
 
     def _final(self) -> FrameResult:
         """The results of the oldest frame that waits, as one result."""

@@ -193,7 +193,7 @@ def lessons_of_pictures(seed: int) -> list[Part]:
         if shot.index not in LOOKED_AT:
             continue
         working = stages.working_image(frame)
-        image = smooth(working.image)
+        image = smooth(working)
         for place in stages.stage1(working).positions:
             found = fitter.candidates(image, place, [])
             fits += found
@@ -225,7 +225,7 @@ def lessons_of_tracks(seed: int) -> list[Part]:
     found: list[tuple[FloatArray, ...]] = []
     for shot, frame in frames:
         image = stages.working_image(frame)
-        after = stages.stage2(image, stages.stage1(image))
+        after = stages.stage2(frame, image, stages.stage1(image))
         evidence, groups = after.evidence, after.groups
         assert isinstance(evidence, PlateEvidence)
         middles = plane_from_polar(*stages.parts.plane.to_polar(*groups.positions.T))

@@ -32,7 +32,7 @@ class Parts:
         """The estimates of SMI, the framework and its parts in the log's next frame."""
         stages, config = self._stages, self._config
         image = stages.working_image(frame)
-        after = stages.stage2(image, stages.stage1(image))
+        after = stages.stage2(frame, image, stages.stage1(image))
         made = list(stages.stage3([after])[0].estimates)
         held = identify(
             after.evidence.brightness, after.evidence.count > 0, self._bands, self._codes
