@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,12 +22,10 @@ MOST_NOTES = 5
 
 
 @command(short_help="Score results against ground truth, or compare them.")
-@click.argument("results", type=ANY, nargs=-1)
+@click.argument("results", type=ANY, required=False)
 @options.ground_truth("gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.")
 @options.pairs
-@options.compare(
-    "What got better or worse from OLD to NEW; RESULTS are then further ones to compare with OLD."
-)
+@options.compare("What got better or worse from OLD to NEW, in place of RESULTS.")
 @options.limits
 @options.scoring
 @in_batch(
@@ -47,7 +46,7 @@ MOST_NOTES = 5
 @options.out(ANY, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]")
 @options.quiet
 def evaluate(
-    results: tuple[Path, ...],
+    results: Path | None,
     ground_truth: Path | None,
     pairs: Path | None,
     compare: tuple[Path, Path] | None,
@@ -74,35 +73,27 @@ def evaluate(
     """
     if as_json and compare is not None:
         raise UsageError("--json is not available with --compare; compare.csv has the rates")
-    if pairs is not None and (ground_truth or (results and compare is None)):
+    if pairs is not None and (ground_truth or results):
         raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
-    if compare is None and results[1:]:
-        raise UsageError("several RESULTS need --compare; a folder that holds several logs is one")
-    if compare is not None and details:
-        raise UsageError("--details is not available with --compare")
+    if compare is not None and (details or results):
+        raise UsageError("--compare names both results; leave out RESULTS and --details")
     limits = replace(limits, methods=scoring.methods)
     from sonarrec.evaluation.pairs import read_pairs
 
-    folder_of_logs = results[0] if results else Path("sonarrec_out")
+    folder_of_logs = results or Path("sonarrec_out")
     beside = folder_of_logs if pairs is None else pairs.parent
     truth = ground_truth if pairs is None else read_pairs(pairs)
-    worse: list[str] = []
+    worse: Sequence[str]
     if compare is not None:
         from sonarrec.evaluation import compare as comparing
 
-        old, *news = (*compare, *results)
-        found, written, screens = [], [], []
-        for n, new in enumerate(news, 1):
-            one = comparing.compare(old, new, truth, scoring, jobs=jobs)
-            place = out / f"{n}-{new.name}" if out and news[1:] else out
-            folder = place or new / "evaluation"
-            written.append((folder, comparing.write_comparison(folder, one)))
-            judged = comparing.judge(one, limits)
-            worse += judged.faults if limits.are_given else ()
-            found.append(one)
-            screens.append(f"{new} against {old}: {comparing.screen(one, judged)}")
-        notes = tuple(dict.fromkeys(note for one in found for note in one.notes))
-        unused = tuple(dict.fromkeys(line for one in found for line in one.unused))
+        old, new = compare
+        found = comparing.compare(old, new, truth, scoring, jobs=jobs)
+        notes, unused, folder = found.notes, found.unused, out or new / "evaluation"
+        files = comparing.write_comparison(folder, found)
+        judged = comparing.judge(found, limits)
+        worse = judged.faults if limits.are_given else ()
+        shown = f"{new} against {old}: {comparing.screen(found, judged)}"
         document = ""
     else:
         from sonarrec.evaluation.evaluate import evaluate_logs
@@ -115,22 +106,21 @@ def evaluate(
             scoring,
             jobs=jobs,
         )
-        notes, unused = tuple(scored.notes), tuple(scored.unused)
-        folder = out or beside / "evaluation"
-        written = [(folder, write_evaluation(folder, scored))]
-        worse += limits.broken(scored.counts.scored) if limits.are_given else []
+        notes, unused, folder = scored.notes, scored.unused, out or beside / "evaluation"
+        files = write_evaluation(folder, scored)
+        worse = limits.broken(scored.counts.scored)
         document = json_text(scored) if as_json else ""
-        screens = [screen(scored, details), ""]
+        shown = screen(scored, details) + "\n"
     tell(unused, notes if quiet and not as_json else ())
     if as_json:
         click.echo(document, nl=False)
     elif not quiet:
-        click.echo("\n".join(screens))
+        click.echo(shown)
         more = len(notes) - MOST_NOTES
         if more > 0 and compare is None and not details:
             notes = (*notes[:MOST_NOTES], f"and {number_of(more, 'more note')}; see --details")
         lines = (f"note: {note}" for note in notes)
-        say(*lines, *(f"{folder}: {', '.join(files)}" for folder, files in written))
+        say(*lines, f"{folder}: {', '.join(files)}")
     tell(worse)
     if code := WORSE if worse else PARTLY if unused else 0:
         leave(code)

@@ -21,8 +21,8 @@ from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import LogToScore, score_logs
 from sonarrec.evaluation.figures import BY_NAME, MAIN, draws, rates_of, units_text
 from sonarrec.evaluation.match import ScoringOptions, scoring_options
-from sonarrec.evaluation.pairs import Pair, find_truths_beside, pair_up, read_pairs, truths_of
-from sonarrec.evaluation.uncertainty import MIN_UNITS, differences
+from sonarrec.evaluation.pairs import Pair, find_truths_beside, pair_up, read_pairs
+from sonarrec.evaluation.uncertainty import differences
 from sonarrec.evaluation.write import write_table
 from sonarrec.nouns import follows
 from sonarrec.results.columns import chosen
@@ -74,15 +74,15 @@ class Limits:
             raise UsageError(f"method {unknown[0]}: the results have no such method, but {has}")
         return self.methods or tuple(filter(follows, there)) or there
 
-    def broken(self, scored: Sequence[Scored]) -> list[str]:
+    def broken(self, scored: Sequence[Scored], looked_at: Sequence[str] = ()) -> list[str]:
         """A line for each absolute limit that the results do not keep.
 
-        Raises UsageError for a limit of a method that they lack.
+        looked_at: methods; empty: as of `looked_at`, which raises UsageError for one not there.
         """
-        looked_at = self.looked_at(s.method for s in scored)
+        looked_at = looked_at or self.looked_at(s.method for s in scored)
         protocol = max(s.protocol for s in scored)  # strict, if it is scored
         lines = []
-        for s in scored:
+        for s in scored if self.are_given else ():
             for name, limits in (("TPR", self.least_tpr), ("FPR", self.most_fpr)):
                 limit = limits.get(s.method, limits.get(EACH) if s.method in looked_at else None)
                 if limit is None or s.protocol != protocol:
@@ -143,28 +143,16 @@ def rate_text(rate: float) -> str:
 
 
 class Row(NamedTuple):
-    """The rates of one method under one protocol: of a log, or of all."""
+    """The rates of one method under one protocol: of a log, or of all (TOTAL)."""
 
     log: str
-    """Its name, or TOTAL."""
     method: str
     protocol: str
     tpr: Change
     fpr: Change
-
-    def mark(self, band: float | None) -> str:
-        """ "worse", "better" or "mixed", or "" if no rate changed by more than the band.
-
-        With a band "worse" if either rate is; without, if the other one is not better by more than
-        a tenth of that.
-        """
-        less, more = sorted((self.tpr, self.fpr), key=lambda rate: abs(rate.worse))
-        signs = {less.sign(band), more.sign(band)} - {0}
-        if signs == {1, -1} and band is None:
-            if abs(less.worse) > abs(more.worse) / 10:
-                return "mixed"
-            signs = {more.sign(band)}
-        return "worse" if 1 in signs else "better" if signs else ""
+    mark: str
+    """"worse", "better", or "" if no rate changed by more than the band. With a band "worse" if
+    either rate is; without, the rate that changed more decides."""
 
     @property
     def text(self) -> str:
@@ -179,9 +167,6 @@ class Row(NamedTuple):
 class Comparison:
     """What `compare` found."""
 
-    old: str
-    new: str
-    """The results folders as given."""
     before: Counts
     after: Counts
     """Of the same logs, frames and passes."""
@@ -204,9 +189,8 @@ class Comparison:
     @property
     def verdict(self) -> str:
         """Whether the new results are better or worse, in one sentence."""
-        return judge(
-            self, Limits(methods=tuple(dict.fromkeys(m for _, m in self.methods)))
-        ).sentence
+        methods = tuple(dict.fromkeys(method for _, method in self.methods))
+        return judge(self, Limits(methods=methods)).sentence
 
     @property
     def figures(self) -> pd.DataFrame:
@@ -236,12 +220,12 @@ def compare(
     Logs are read one at a time, so memory does not grow with their number. A log that cannot be
     compared is left out if there are others.
 
-    old, new: their logs are paired by name or SHA-256; if each holds one log, these are paired.
-    ground_truth: one table for all logs, or pairs that name a truth per log; None: the truth
-    beside each log. pairs: a CSV that names the truth of each log. options: how it is scored; else
-    `scoring`, as `evaluate` takes it, `method` to `sonar`. baseline: whether methods without
-    tracks, which changes of stages 2 and 3 leave as they were, are compared too, if none is named
-    in options. jobs: as of `evaluate`.
+    old, new: their logs are paired by name; if each holds one log, these are paired. ground_truth:
+    one table for all logs, or pairs that name a truth per log; None: the truth beside each log.
+    pairs: a CSV that names the truth of each log. options: how it is scored; else `scoring`, as
+    `evaluate` takes it, `method` to `sonar`. baseline: whether methods without tracks, which
+    changes of stages 2 and 3 leave as they were, are compared too, if none is named in options.
+    jobs: as of `evaluate`.
     Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
     read.
     """
@@ -250,20 +234,7 @@ def compare(
     told, old, new = Diagnostics(), Path(old), Path(new)
     ground_truth = Path(ground_truth) if isinstance(ground_truth, str) else ground_truth
     ground_truth = read_pairs(Path(pairs)) if pairs else ground_truth
-    folders = pair_up(old, new, told)
-    truths: Sequence[Pair | None]
-    if ground_truth is None:
-        beside = {p.results: p for p in find_truths_beside([now for _, now in folders], told)}
-        truths = [beside.get(now) for _, now in folders]
-    elif isinstance(ground_truth, Path):
-        truths = [Pair(now, ground_truth) for _, now in folders]
-    else:
-        truths = truths_of(folders, ground_truth, told)
-    logs = [
-        LogToScore(pair, truth.ground_truth, truth.log or log_of(pair[1]))
-        for pair, truth in zip(folders, truths, strict=True)
-        if truth is not None
-    ]
+    logs = _logs(pair_up(old, new, told), ground_truth, told)
     scores = score_logs(logs, options, jobs, "compared", isinstance(ground_truth, Path) and new)
     before, after = scores.sides
     told.problem(*(line for log in scores.logs for line in log.unused))
@@ -293,8 +264,6 @@ def compare(
             printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
         )
     return Comparison(
-        old=str(old),
-        new=str(new),
         before=before,
         after=after,
         methods=compared,
@@ -304,6 +273,35 @@ def compare(
         notes=tuple(told.notes),
         unused=tuple(told.problems),
     )
+
+
+def _logs(
+    folders: Sequence[tuple[Path, Path]],
+    ground_truth: Path | Sequence[Pair] | None,
+    told: Diagnostics,
+) -> list[LogToScore]:
+    """The logs of these old and new folders that have a truth, by name; others are told."""
+    if ground_truth is None:
+        pairs: Sequence[Pair] = find_truths_beside([now for _, now in folders], told)
+    elif isinstance(ground_truth, Path):
+        pairs = [Pair(now, ground_truth) for _, now in folders]
+    else:
+        pairs = ground_truth
+    of_name: dict[str | None, Pair] = {}
+    for pair in pairs:
+        of_name.setdefault(pair.log, pair)
+        of_name.setdefault(pair.results.absolute().name, pair)
+    logs = []
+    for both in folders:
+        found = [of_name[f.absolute().name] for f in reversed(both) if f.absolute().name in of_name]
+        if found:
+            name = found[0].log or log_of(both[1])
+            logs.append(LogToScore(both, found[0].ground_truth, name))
+        elif pairs is ground_truth:
+            told.problem(f"{both[1]}: the pairs name no truth for it; not compared")
+    if not logs:
+        raise SonarrecError(told.problems[-1])
+    return logs
 
 
 def _changes(
@@ -328,6 +326,11 @@ def _changes(
                 yield Change(protocol, method, TOTAL, rate, *values, _cases(new, rate), log)
 
 
+def _larger(tpr: Change, fpr: Change) -> Change:
+    """The rate that changed more."""
+    return max(tpr, fpr, key=lambda rate: abs(rate.worse))
+
+
 def _cases(count: Count, rate: str) -> int:
     """The denominator of a rate."""
     return count.fp + count.tn if rate == "fpr" else count.tp + count.fn
@@ -338,13 +341,11 @@ class Judgement:
     """What `judge` found."""
 
     sentence: str
-    """Begins with worse, limit not kept, better, neither, as good, or unchanged."""
+    """Begins with worse, limit not kept, better, as good, or unchanged."""
     rows: tuple[Row, ...]
     """Of every log, then of all if there are several."""
     faults: tuple[str, ...]
     """A line for each rate that is worse, and for each limit that is not kept."""
-    band: float | None
-    """As in Limits."""
 
 
 def judge(found: Comparison, limits: Limits) -> Judgement:
@@ -353,153 +354,96 @@ def judge(found: Comparison, limits: Limits) -> Judgement:
     Worse, with a band, is a rate over all IDs in one log, or of one ID or of all IDs in all logs.
     Raises UsageError if a method that the limits name is in neither.
     """
+    band = limits.band
     named = (*(method for _, method in found.methods), *found.gained, *found.lost)
     looked_at = limits.looked_at(named)
     faults = [f"worse: {m}: no longer in the results" for m in found.lost if m in looked_at]
     if found.before.placed and not found.after.placed:
         faults.append("worse: protocol strict: no longer scored")
     rates = {(r.log, r.method, r.protocol, r.rate): r for r in found.rates if r.landmark == TOTAL}
+    rows = []
     several = len(found.logs) > 1
-    logs = [
-        *((log, log) for log in found.logs if several),
-        (TOTAL if several else found.logs[0], ""),
-    ]
-    rows = tuple(
-        Row(name, method, protocol, *(rates[log, method, protocol, rate] for rate in RATES))
-        for name, log in logs
-        for protocol, method in sorted(found.methods, key=lambda of: of[0], reverse=True)
-        if method in looked_at
-    )
-    for r in found.rates if limits.band is not None else ():
-        if r.method in looked_at and r.sign(limits.band) > 0:
+    for log in [*found.logs, TOTAL] if several else found.logs:
+        of = log if several and log != TOTAL else ""
+        for protocol, method in sorted(found.methods, key=lambda of: of[0], reverse=True):
+            if method in looked_at:
+                tpr, fpr = (rates[of, method, protocol, rate] for rate in RATES)
+                deciding = (tpr, fpr) if band is not None else (_larger(tpr, fpr),)
+                signs = {rate.sign(band) for rate in deciding}
+                mark = "worse" if 1 in signs else "better" if -1 in signs else ""
+                rows.append(Row(log, method, protocol, tpr, fpr, mark))
+    for r in found.rates if band is not None else ():
+        if r.method in looked_at and r.sign(band) > 0:
             log = f"{r.log}: " if r.log else ""
             of = "" if r.log else f", {'ID.' * r.landmark.isdigit()}{r.landmark}"
             faults.append(
                 f"worse: {log}{r.method}, {r.protocol}{of}: {BY_NAME[r.rate].label} was "
                 f"{rate_text(r.old)}, is {rate_text(r.new)}"
             )
-    there = {EACH, *found.after.methods}
-    least, most = (
-        {m: rate for m, rate in of.items() if m in there}
-        for of in (limits.least_tpr, limits.most_fpr)
-    )
-    still = tuple(m for m in looked_at if m in there)
-    broken = Limits(None, least, most, still).broken(found.after.scored)
-    sentence = _sentence(found, rows, faults, broken, limits.band)
-    return Judgement(sentence, rows, (*faults, *broken), limits.band)
+    broken = limits.broken(found.after.scored, looked_at)
+    sentence = _sentence(found, rows, faults, broken, band)
+    return Judgement(sentence, tuple(rows), (*faults, *broken))
 
 
 def _sentence(
     found: Comparison,
     rows: Sequence[Row],
-    worse: Sequence[str],
+    faults: Sequence[str],
     broken: Sequence[str],
     band: float | None,
 ) -> str:
-    many = len(found.logs)
-    totals = [row for row in rows if row.log == TOTAL or many == 1]
+    """What is worse, else better, else as it was; then how far, and whether it may be chance."""
+    logs = found.logs
+    totals = [row for row in rows if row.log == TOTAL or len(logs) == 1]
     # Without a band the leading method, in all logs, under the stricter protocol decides.
     deciding = [*totals, *rows] if band is not None else totals[:1]
-    marked = {mark: [r for r in deciding if r.mark(band) == mark] for mark in ("worse", "better")}
-    head, word = next(iter(totals), None), "unchanged"
-    if worse and not marked["worse"]:  # a curve, one ID, or a method that is gone
-        more = f" (and {len(worse) - 1} more)" if len(worse) > 1 else ""
-        return "; ".join([worse[0] + more, *broken])
-    if broken and not worse:
+    marked = [r for mark in ("worse", "better") for r in deciding if r.mark == mark]
+    if faults and not (marked and marked[0].mark == "worse"):  # a curve, an ID, a method gone
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        return "; ".join([faults[0] + more, *broken])
+    if broken and not faults:
         return f"{'; '.join(broken)}; otherwise no worse"
-    if head is None:
-        return f"as good: {_over(found.logs)}"
-    if marked["worse"]:
-        word = "worse"
-        head = max(
-            marked["worse"],
-            key=lambda r: (r in totals, r.protocol, max(r.tpr.worse, r.fpr.worse)),
-        )
-    elif marked["better"]:
-        word, head = "better", marked["better"][0]
-    elif head.mark(band) == "mixed":
-        word = "neither better nor worse"
-    elif any("->" in rate.text for row in rows for rate in (row.tpr, row.fpr)):
-        word = "as good"
-    parts = [f"{word}: {head.text} {_over(found.logs) if head in totals else f'in {head.log}'}"]
-    names = [r.log for r in rows if r not in totals and r.mark(band) == "worse"]
-    if word == "worse" and (names := list(dict.fromkeys(names))):
+    over = f"in {logs[0]}" if len(logs) == 1 else f"over {number_of(len(logs), 'log')}"
+    if not totals:
+        return f"as good: {over}"
+    changed = any("->" in rate.text for row in rows for rate in (row.tpr, row.fpr))
+    head = marked[0] if marked else totals[0]
+    word = head.mark if marked else "as good" if changed else "unchanged"
+    parts = [f"{word}: {head.text} {over if head in totals else f'in {head.log}'}"]
+    names = dict.fromkeys(r.log for r in rows if r not in totals and r.mark == "worse")
+    if word == "worse" and names:
         more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-        parts.append(f"worse on {len(names)} of {many} logs: {', '.join(names[:MOST_NAMED])}{more}")
-    if head in totals:
-        parts += [*_passes(found, head), *_test(found, head)]
+        few = ", ".join([*names][:MOST_NAMED])
+        parts.append(f"worse on {len(names)} of {len(logs)} logs: {few}{more}")
+    test = _larger(head.tpr, head.fpr)
+    if head in totals and test.sign(None):
+        chance = "" if test.p <= SIGNIFICANT else ", so it may be chance"
+        tested = f"p = {test.p:.2g} over {units_text(found.after.units)}{chance}"
+        parts.append(test.note if math.isnan(test.p) else tested)
     return "; ".join([*parts, *broken])
 
 
-def _over(logs: Sequence[str]) -> str:
-    return f"in {logs[0]}" if len(logs) == 1 else f"over {number_of(len(logs), 'log')}"
-
-
-def _passes(found: Comparison, row: Row) -> list[str]:
-    """What became of the passes, if anything did."""
-    old, new = (side.outcomes(row.protocol, row.method) for side in (found.before, found.after))
-    seen, was, now = new["frames"] > 0, old["right"], new["right"]
-    many = f"of {number_of(int(seen.sum()), 'pass', 'es')}"
-    kinds = (
-        ((was > 0) & (now == 0), "lost"),
-        ((was == 0) & (now > 0), "gained"),
-        ((now < was) & (now > 0), "with fewer frames right"),
-        ((now > was) & (was > 0), "with more frames right"),
-    )
-    told = [(np.count_nonzero(seen & which), text) for which, text in kinds]
-    return [f"{count} {many} {text}" for count, text in told if count]
-
-
-def _test(found: Comparison, row: Row) -> list[str]:
-    """p of the larger change of a rate, and what it means; nothing if none shows."""
-    d = max((row.tpr, row.fpr), key=lambda rate: abs(rate.worse))
-    if not d.sign(None):
-        return []
-    if d.units < MIN_UNITS:
-        noun, ending = {"log": ("log", "s"), "pass": ("pass", "es")}[found.after.units.kind]
-        return [f"{number_of(d.units, noun, ending)}: too few to test"]
-    if math.isnan(d.p):
-        return [d.note]
-    chance = "" if d.p <= SIGNIFICANT else ", so it may be chance"
-    return [f"p = {d.p:.2g} over {units_text(found.after.units)}{chance}"]
-
-
-HEADING: tuple[str, ...] = (
-    "log",
-    "method",
-    "protocol",
-    "TPR before",
-    "now",
-    "FPR before",
-    "now",
-    "",
-)
+HEADING = ("log", "method", "protocol", "TPR before", "now", "FPR before", "now", "")
 
 
 def screen(found: Comparison, judged: Judgement) -> str:
     """The sentence, the table, then the passes that changed most."""
-    rows, left_out = judged.rows, []
+    rows = judged.rows
     if len(rows) > MOST_ROWS:
-        totals = [row for row in rows if row.log == TOTAL]
-        worse = [row for row in rows if row not in totals and row.mark(judged.band) == "worse"]
-        worse.sort(key=lambda row: -max(row.tpr.worse, row.fpr.worse))
-        rows = (*worse[:MOST_ROWS], *totals)
-        more = len(worse[MOST_ROWS:])
-        others = f"{more} of them worse" if more else "none of them worse"
-        left_out = [f"{number_of(len(judged.rows) - len(rows), 'more row')}, {others}"]
-    cells = [HEADING]
+        worse = [row for row in rows if row.log != TOTAL and row.mark == "worse"]
+        rows = (*worse[:MOST_ROWS], *(row for row in rows if row.log == TOTAL))
+    cells: list[tuple[str, ...]] = [HEADING]
     for row in rows:
         texts = (rate_text(value) for rate in (row.tpr, row.fpr) for value in (rate.old, rate.new))
-        cells.append((row.log, row.method, row.protocol, *texts, row.mark(judged.band)))
+        cells.append((row.log, row.method, row.protocol, *texts, row.mark))
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    table = [
-        "  ".join(
-            cell.ljust(width) if n in (0, 1, 2, 7) else cell.rjust(width)
-            for n, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in cells
-    ]
-    lines = [judged.sentence, *(table if rows else []), *left_out]
+    lines = [judged.sentence]
+    for cell in cells if rows else ():
+        justify = [str.ljust] * 3 + [str.rjust] * 4 + [str.ljust]
+        texts = (of(text, width) for of, text, width in zip(justify, cell, widths, strict=True))
+        lines.append("  ".join(texts).rstrip())
+    if more := len(judged.rows) - len(rows):
+        lines.append(number_of(more, "more row"))
     return "\n".join(map(printable, [*lines, *_changed_passes(found)]))
 
 
@@ -509,16 +453,13 @@ def _changed_passes(found: Comparison) -> Iterator[str]:
     protocol = max(protocol for protocol, of in found.methods if of == method)
     old, new = (side.outcomes(protocol, method)["right"] for side in (found.before, found.after))
     frames = found.after.outcomes(protocol, method)["frames"]
-    order = np.argsort(-np.abs(new - old), kind="stable")
-    changed = [i for i in order.tolist() if new[i] != old[i]]
-    for i in changed[:MOST_PASSES]:
+    order = np.argsort(-np.abs(new - old), kind="stable")[:MOST_PASSES]
+    for i in order[new[order] != old[order]].tolist():
         log, k, first, last, _ = found.after.passes[i].tolist()
         yield (
             f"{found.logs[log]} frames {first}-{last}, ID.{found.after.ids[k]}: right in {old[i]} "
             f"-> {new[i]} of {frames[i]} ({method}, {protocol})"
         )
-    if changed[MOST_PASSES:]:
-        yield f"and {number_of(len(changed) - MOST_PASSES, 'more pass', 'es')}"
 
 
 COMPARE = (

@@ -15,12 +15,11 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.curves import Count, Curve, counted, curve_of
 from sonarrec.evaluation.match import PROTOCOLS, Judged, Matched, distance, judge, truth_beneath
 from sonarrec.evaluation.passes import Passes, UnitKind, find_passes
-from sonarrec.evaluation.tracking import tracking
 from sonarrec.results.columns import chosen
 
 Key = tuple[str | int, ...]
@@ -41,10 +40,9 @@ PASS = np.dtype(
     [("log", "i8"), ("landmark", "i8"), ("first", "i8"), ("last", "i8"), ("unit", "i8")]
 )
 """A pass: index of its log and of its ID, numbers of its first and last frame, its unit."""
-OUTCOME = np.dtype([("frames", "i8"), ("right", "i8"), ("wait", "f8")])
+OUTCOME = np.dtype([("frames", "i8"), ("right", "i8")])
 """How a method did in a pass: frames with the whole landmark in view; those in which it was
-claimed; frames from the first of these to the first one from which on it is claimed in all,
-infinite if it is not claimed in the last, NaN without a frame."""
+claimed."""
 MOST_ROWS = 4_000_000
 """With more of them values by unit are rounded; see Values."""
 STEPS = {"position": 1e-5, "orientation": 0.01}
@@ -160,15 +158,14 @@ class LogCounts:
     """(P,) OUTCOME, by protocol and method."""
     sums: dict[Key, npt.NDArray[Any]]
     """(U, ...) by pass unit. ("declared", protocol, method): (K, 4) TP, TN, FP, FN at the operating
-    point. ("calibration", method): as of `calibration`. ("tracking", method): as of
-    `tracking.tracking`, all in the first unit, since tracks go on from pass to pass."""
+    point. ("calibration", method): as of `calibration`."""
     values: dict[Key, Rows]
     """("claims", protocol, method, k): scores with the effects of claims of the k-th ID.
     ("position" or "orientation", method, k): errors."""
 
 
 def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
-    """Count one log. rates_only: leave out errors, tracking and calibration."""
+    """Count one log. rates_only: leave out errors and calibration."""
     passes = find_passes(log)
     groups = passes.unit_of_frame, passes.unit_of_truth
     sums: dict[Key, npt.NDArray[Any]] = {}
@@ -178,7 +175,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         for method in (NOBODY, *log.methods):
             judged = judge(log, method, protocol)
             sums["declared", protocol, method] = judged.declared(*groups, passes.units)
-            outcomes[protocol, method] = _outcomes(judged, log, passes)
+            outcomes[protocol, method] = _outcomes(judged, passes)
             if method == NOBODY:
                 continue
             group = judged.group(*groups)
@@ -194,8 +191,6 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         for m, method in enumerate(log.methods):
             if (stated := calibration(log, beneath, passes, m)) is not None:
                 sums["calibration", method] = stated
-            if (followed := tracking(log, beneath, m)) is not None:
-                sums["tracking", method] = followed[None]
     table = np.zeros(len(passes.unit), dtype=PASS)
     table["landmark"], table["unit"] = passes.landmark_index, passes.unit
     table["first"] = log.frame[passes.first_frame_index]
@@ -219,21 +214,15 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
     )
 
 
-def _outcomes(judged: Judged, log: Matched, passes: Passes) -> npt.NDArray[Any]:
+def _outcomes(judged: Judged, passes: Passes) -> npt.NDArray[Any]:
     """(P,) OUTCOME of one method in each pass."""
     truth, right = judged.positive, judged.positive_is_claimed
     of_pass = passes.of_truth[truth] >= 0  # not so for one that is half in view, in protocol paper
     truth, right = truth[of_pass], right[of_pass]
-    number, frame = passes.of_truth[truth], log.truth_frame_index[truth]
+    number = passes.of_truth[truth]
     found = np.zeros(len(passes.unit), dtype=OUTCOME)
-    wrong_last = passes.first_frame_index - 1
-    np.maximum.at(wrong_last, number[~right], frame[~right])
-    lasting = frame > wrong_last[number]
-    settled = np.full(len(found), np.inf)
-    np.minimum.at(settled, number[lasting], frame[lasting])
     found["frames"] = np.bincount(number, minlength=len(found))
     found["right"] = np.bincount(number[right], minlength=len(found))
-    found["wait"] = np.where(found["frames"] > 0, settled - passes.first_frame_index, np.nan)
     return found
 
 
@@ -261,19 +250,15 @@ def _errors(strict: Judged, log: Matched, unit_of_truth: IntArray) -> dict[tuple
 
 
 def calibration(log: Matched, beneath: IntArray, passes: Passes, method: int) -> FloatArray | None:
-    """(U, K + 2, 1 + 3 * BINS) sums for the Brier score and the expected calibration error.
+    """(U, 3 * BINS) sums for the expected calibration error of one method's most probable class.
 
-    For one method: per ID, for "none" and in total; None if it states no probabilities. An
-    estimate's true class is the landmark that it lies on, else "none". Estimates on a landmark
-    partly in view, and those without probabilities, are left out. Each row holds squares, then
-    per bin the number, the sum of p and how many are right. Per ID and for "none" the squares are
-    (p - y)^2; in total they are the sum of these (Brier's own form, 0 to 2), and the bins are those
-    of the most probable class.
+    Per bin of its probability the number, the sum of p and how many are right; None if the method
+    states no probabilities. An estimate's true class is the landmark that it lies on, else "none".
+    Estimates on a landmark partly in view, and those without probabilities, are left out.
     """
-    k = len(log.ids)
     used = np.asarray(~np.isnan(log.probability).any(axis=1)) & (log.method_index == method)
     on_one = beneath >= 0
-    outcome = np.full(len(beneath), k)
+    outcome = np.full(len(beneath), len(log.ids))
     unit = passes.unit_of_frame[log.claim_frame_index]
     if len(log.truth_landmark_index):
         outcome[on_one] = log.truth_landmark_index[beneath[on_one]]
@@ -281,21 +266,11 @@ def calibration(log: Matched, beneath: IntArray, passes: Passes, method: int) ->
         unit = np.where(on_one, passes.unit_of_truth[beneath], unit)
     if not used.any():
         return None
-    p, y, unit = log.probability[used], outcome[used], unit[used]
-    sums = np.zeros((passes.units, k + 2, 1 + 3 * BINS))
-    for c in range(k + 1):
-        sums[:, c, 0] = np.bincount(unit, (p[:, c] - (y == c)) ** 2, minlength=passes.units)
-        sums[:, c, 1:] = _in_bins(p[:, c], y == c, unit, passes.units)
-        sums[:, -1, 0] += sums[:, c, 0]
-    sums[:, -1, 1:] = _in_bins(p.max(axis=1), p.argmax(axis=1) == y, unit, passes.units)
-    return sums
-
-
-def _in_bins(p: FloatArray, right: BoolArray, unit: IntArray, units: int) -> FloatArray:
-    """(U, 3 * BINS) per bin the number, the sum of p and how many are right."""
-    cell = unit * BINS + np.minimum((p * BINS).astype(np.int64), BINS - 1)
-    columns = (np.bincount(cell, w, minlength=units * BINS) for w in (None, p, right))
-    return np.hstack([column.reshape(units, BINS) for column in columns])
+    p = log.probability[used]
+    most, right = p.max(axis=1), p.argmax(axis=1) == outcome[used]
+    cell = unit[used] * BINS + np.minimum((most * BINS).astype(np.int64), BINS - 1)
+    columns = (np.bincount(cell, w, passes.units * BINS) for w in (None, most, right))
+    return np.hstack([column.reshape(passes.units, BINS) for column in columns])
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,6 @@ from sonarrec.arrays import FloatArray, IntArray
 
 FPR_POINTS = (0.01, 0.0276, 0.05)
 """FPRs for which the TPR is reported; .0276 is that of the paper's framework (Table 5)."""
-MOST_CORNERS = 500
 PUBLISHED = (("SMI", 0.0381, 0.8226), ("framework", 0.0276, 0.8648))
 """(method, FPR, TPR) of Tables 4 and 5, Total: the paper's only two points."""
 
@@ -136,37 +134,3 @@ def tpr_at(fpr: FloatArray, tpr: FloatArray, most: float) -> FloatArray:
     """
     reached = np.where(fpr <= most, tpr, -np.inf).max(axis=-1)
     return np.asarray(np.where(np.isnan(tpr[..., 0]) | np.isnan(fpr[..., 0]), np.nan, reached))
-
-
-def macro_curve(curves: Iterable[Curve]) -> tuple[FloatArray, FloatArray]:
-    """(FPR, TPR): the mean TPR of several IDs at equal FPR, each ID with its own threshold.
-
-    IDs with a rate of 0/0 are left out; if none is left, both arrays are empty. Curves are joined
-    with (1, 1) as in `area`, so the area under this curve is the mean of theirs.
-    Curves are thinned to MOST_CORNERS points, as in `Curve.turns`.
-    """
-    corners = []
-    for curve in curves:
-        at = curve.turns(MOST_CORNERS)
-        x, y = np.append(curve.fpr[at], 1.0), np.append(curve.tpr[at], 1.0)
-        if not np.isnan(x + y).any():
-            corners.append((x, y))
-    if not corners:
-        return np.empty(0), np.empty(0)
-    grid = np.unique(np.concatenate([x for x, _ in corners]))
-    # Curves have vertical steps, so each FPR has a lowest and a highest TPR.
-    low, high = np.zeros(len(grid)), np.zeros(len(grid))
-    for x, y in corners:
-        at, first = np.unique(x, return_index=True)
-        last = np.append(first[1:], len(x)) - 1
-        known = np.isin(grid, at)
-        after = np.minimum(np.searchsorted(at, grid), len(at) - 1)
-        before = np.maximum(after - 1, 0)
-        width = np.where(known, 1.0, at[after] - at[before])
-        share = np.where(known, 0.0, (grid - at[before]) / width)
-        between = y[last[before]] + share * (y[first[after]] - y[last[before]])
-        low += np.where(known, y[first[after]], between)
-        high += np.where(known, y[last[after]], between)
-    fpr = np.repeat(grid, 2)
-    tpr = np.stack([low, high], axis=1).ravel() / len(corners)
-    return fpr, tpr

@@ -7,9 +7,8 @@ with the logs.
 from __future__ import annotations
 
 import multiprocessing
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -24,10 +23,10 @@ from sonarrec.evaluation.count import Counts, LogCounts, count_log
 from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.match import (
     DEFAULT,
+    PROTOCOLS,
     Matched,
     ScoringOptions,
     match,
-    nearest_truth,
     scoring_options,
 )
 from sonarrec.evaluation.pairs import Pair, find_truths_beside, read_pairs, usable_pairs
@@ -37,7 +36,6 @@ from sonarrec.results.read import (
     CountedOnce,
     LogResults,
     Recording,
-    TruthOf,
     check_one_log,
     find_logs,
     not_whole,
@@ -82,8 +80,6 @@ class LogScore:
 
     log: LogToScore
     recording: Recording
-    truth: TruthOf | None
-    """None if it has no row about the log."""
     has_log_column: bool
     """Whether the truth can be of several logs."""
     rows: tuple[int, int, int, int]
@@ -141,13 +137,12 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
         ]
     except SonarrecError as fault:  # the other logs can be scored
         return log.name, fault
-    told, rows, truth = Diagnostics(), table.rows_of(log.name), truths[-1]
+    told, truth = Diagnostics(), truths[-1]
     proposals = "they say nothing about the results that they came from"
     tell_fit(told, table, last, truth, proposals)
     score = LogScore(
         log=log,
         recording=of,
-        truth=(log.ground_truth, table.digest_of(rows)) if len(rows) else None,
         has_log_column=table.log is not None,
         rows=(len(table.at), truth.rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
@@ -160,7 +155,7 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
         for side, of_side in zip(sides, truths, strict=True):
             matched = match(side, of_side, options.min_visible, ids, within_m=options.within_m)
             score.counts.append(count_log(matched, rates_only=len(sides) > 1))
-        if (doubt := _no_claim_right(matched)) is not None:
+        if (doubt := _no_claim_right(matched, score.counts[-1])) is not None:
             score.notes.append(f"{table.path}: {doubt}")
     return score
 
@@ -192,27 +187,17 @@ def _only(log: LogResults, frames: np.ndarray) -> LogResults:
     )
 
 
-def _no_claim_right(log: Matched) -> str | None:
-    """The doubt that a truth is that of the log, if it bears out no claim that the leading method
-    declares; None if it does, or if either has few."""
-    claims = np.flatnonzero(log.declared & (log.method_index == 0))
-    if min(len(claims), len(log.truth_frame_index)) < FEWEST:
+def _no_claim_right(log: Matched, counts: LogCounts) -> str | None:
+    """The doubt that a truth is that of the log, if none of the claims that the leading method
+    declares is right; None if one is, or if claims or rows are few."""
+    claims = int((log.declared & (log.method_index == 0)).sum())
+    if min(claims, len(log.truth_frame_index)) < FEWEST:
         return None
-    ids = len(log.ids)
-    claim_key = log.claim_frame_index[claims] * ids + log.claim_landmark_index[claims]
-    truth_key = log.truth_frame_index * ids + log.truth_landmark_index
-    named = f"none of the {len(claims)} claims of {log.methods[0]} in {log.name}"
-    same = np.isin(claim_key, truth_key)
-    if not same.any():
-        return f"{named} has a row of its ID in its frame; is this the truth of another recording?"
-    known = ~np.isnan(log.claim_position).any() and ~np.isnan(log.truth_position).any()
-    if not known or np.count_nonzero(same) < FEWEST:
-        return None
-    if (nearest_truth(log, claims, claim_key, truth_key) >= 0).any():
+    if counts.sums["declared", PROTOCOLS[log.placed], log.methods[0]][..., 0].any():
         return None
     return (
-        f"{named} lies within {log.gate_m:g} m of its row, though {np.count_nonzero(same)} have "
-        "one in their frame; are these its positions, left and right, in these units?"
+        f"none of the {claims} claims of {log.methods[0]} in {log.name} is right; is this the "
+        "truth of this recording, and are its positions and their units right?"
     )
 
 
@@ -239,20 +224,12 @@ def map_logs(
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(logs)), context) as workers:
         try:
-            ahead: deque[Future[Found]] = deque()  # some only: results are kept in memory
-            for log in logs:
-                ahead.append(workers.submit(work, log))
-                if len(ahead) > 2 * jobs:
-                    yield ahead.popleft().result()
-            while ahead:
-                yield ahead.popleft().result()
+            yield from workers.map(work, logs)
         except BrokenProcessPool:
             raise SonarrecError(
                 "a process that read results was killed, perhaps for lack of memory; nothing was "
                 "written; --jobs 1 reads one log at a time"
             ) from None
-        finally:
-            workers.shutdown(wait=False, cancel_futures=True)
 
 
 def _bytes(folder: Path) -> int:
@@ -304,7 +281,7 @@ def score_logs(
             unread.append(score)
             continue
         read.append(score)
-        if once.add(score.folder, score.recording, score.truth):
+        if once.add(score.folder, score.recording):
             kept.append(score)
             for counts, of_log in zip(sides, score.counts, strict=False):
                 counts.add(of_log)
@@ -358,23 +335,7 @@ def evaluate(
     CSV that names results and truth of each log, in place of both. out: a folder for the files;
     default: none is written. Of several results of one recording the first counts.
 
-    A claim is an estimate that is declared (operating point) or whose score reaches the
-    threshold (curves). A row with visible 0 is no row.
-
-    Protocol "paper", per frame and ID: in view and claimed = TP, each further claim of it one TP
-    more; in view and not claimed = FN; not in view and claimed, however often, = FP; else TN.
-    Position plays no part. Half a disc or more is in view, anything less is not: as in the paper,
-    every frame counts. Count.tpr_once is the TPR without the further claims.
-
-    Protocol "strict": a landmark with visible >= min_visible is a positive; with less it is
-    ignored. A claim belongs to the truth of its ID that is nearest in that frame, if
-    its centre is within half a disc diameter, or within_m, of it in the fan plane. The first claim
-    of a positive (the one of highest score) is TP; every further one, and every claim that belongs
-    to no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
-    (FN and FP). Claims of a partly visible landmark are not counted. TN: a frame and ID of which
-    nothing shows and which is not claimed. So an FP replaces a TN the first time an absent ID is
-    claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
-    0 to 1 and no false claim is free.
+    `sonarrec help evaluate` defines claims and both protocols.
 
     method: one or several to score; default: all, the framework first.
     jobs: how many logs are read at once, each in its own process.

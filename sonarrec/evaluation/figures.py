@@ -28,7 +28,6 @@ from sonarrec.evaluation.count import (
     values_at_ranks,
 )
 from sonarrec.evaluation.curves import FPR_POINTS, area, ratio, tpr_at
-from sonarrec.evaluation.tracking import A
 from sonarrec.evaluation.uncertainty import (
     LEVEL,
     MIN_UNITS,
@@ -39,8 +38,6 @@ from sonarrec.evaluation.uncertainty import (
     coin_tosses,
     differences,
     intervals,
-    macro,
-    replicates,
 )
 from sonarrec.nouns import follows
 
@@ -112,32 +109,9 @@ def quantile(share: float) -> Callable[[FloatArray, Edges], FloatArray]:
     return of
 
 
-def hota(sums: FloatArray, _: Edges) -> FloatArray:
-    """Higher order tracking accuracy: the mean over alpha of sqrt(DetA * AssA)."""
-    tp, fn, fp, together = np.split(sums[:, : 4 * A], 4, axis=1)
-    detected, associated = ratio(tp, tp + fn + fp), together / np.maximum(1, tp)
-    return np.asarray(np.sqrt(detected * associated).mean(axis=1))
-
-
-def idf1(sums: FloatArray, _: Edges) -> FloatArray:
-    """Share of truths and claims that the best pairing of tracks and landmarks makes right."""
-    tp, fn, fp = sums[:, 4 * A : 4 * A + 3].T
-    return ratio(2 * tp, 2 * tp + fp + fn)
-
-
-def tracks_per_landmark(sums: FloatArray, _: Edges) -> FloatArray:
-    """Tracks that were declared, over landmarks."""
-    return ratio(sums[:, -2], sums[:, -1])
-
-
-def brier(sums: FloatArray, _: Edges) -> FloatArray:
-    """Mean of (p - y)^2 over estimates; in total, of its sum over all IDs and "none"."""
-    return ratio(sums[:, 0], sums[:, 1 : 1 + BINS].sum(axis=1))
-
-
 def ece(sums: FloatArray, _: Edges) -> FloatArray:
     """Expected calibration error: mean distance between stated and true probability."""
-    count, stated, right = np.moveaxis(sums[:, 1:].reshape(len(sums), 3, BINS), 1, 0)
+    count, stated, right = np.moveaxis(sums.reshape(len(sums), 3, BINS), 1, 0)
     return ratio(np.abs(stated - right).sum(axis=1), count.sum(axis=1))
 
 
@@ -170,11 +144,6 @@ METRICS = (
         True,
         True,
     ),
-    Metric("hota", "HOTA", 3, "tracking", hota, True),
-    Metric("idf1", "IDF1", 3, "tracking", idf1),
-    Metric("tracks_per_landmark", "tracks per landmark", 2, "tracking", tracks_per_landmark),
-    Metric("frames_to_id_median", "frames to lasting ID, median", 0, "waits", quantile(0.5)),
-    Metric("frames_to_id_90", "frames to lasting ID, 90 %", 0, "waits", quantile(0.9)),
     Metric("position_error_median_m", "position error, median, m", 4, "position", quantile(0.5)),
     Metric("position_error_95_m", "position error, 95 %, m", 4, "position", quantile(0.95), True),
     Metric(
@@ -185,7 +154,6 @@ METRICS = (
         *("orientation_error_95_deg", "orientation off, 95 %, deg", 1, "orientation"),
         quantile(0.95),
     ),
-    Metric("brier", "Brier score, 0 to 2", 3, "calibration", brier),
     Metric("ece", "calibration error (ECE)", 3, "calibration", ece),
 )
 MAIN = ("tpr", "fpr", "auc")
@@ -296,22 +264,6 @@ def _histogram(rows: Sequence[Rows], units: int, edges: Edges) -> FloatArray:
     return np.cumsum(sums, axis=1, out=sums)
 
 
-def waits(counts: Counts) -> Iterator[Tally]:
-    """Frames to a lasting ID, under every protocol; infinite for a pass without one."""
-    passes = counts.passes
-    unit = counts.units.of_pass_unit[passes["unit"]]
-    found = {(s.protocol, s.method): counts.outcomes(s.protocol, s.method) for s in counts.scored}
-    seen = [o["wait"][o["frames"] > 0] for o in found.values()]
-    edges = np.unique(np.concatenate([[np.inf], *seen]))
-    for of, outcome in found.items():
-        for k, name in _landmarks(counts.ids):
-            mine = (outcome["frames"] > 0) & ((passes["landmark"] == k) | (k is None))
-            one = np.ones((int(mine.sum()), 1), dtype=np.int64)
-            rows = [(outcome["wait"][mine], unit[mine], one)]
-            sums = _histogram(rows, counts.units.count, edges)
-            yield _tally("waits", (*of, name), sums, edges=edges)
-
-
 def errors(counts: Counts, kind: str) -> Iterator[Tally]:
     """Errors of right claims: "position", m, or "orientation", deg."""
     methods, of = counts.methods if counts.placed else (), range(len(counts.ids))
@@ -331,25 +283,15 @@ def errors(counts: Counts, kind: str) -> Iterator[Tally]:
             yield _tally(kind, ("strict", method, name), sums, exact, edges)
 
 
-def tracking(counts: Counts) -> Iterator[Tally]:
-    """Sums for HOTA and IDF1 of every method with tracks, over all IDs; see `tracking.tracking`."""
-    for method in counts.methods if counts.placed else ():
-        if (found := counts.sums("tracking", method)) is not None:
-            yield _tally("tracking", ("strict", method, "total"), found)
-
-
 def calibration(counts: Counts) -> Iterator[Tally]:
-    """Calibration of every method that states probabilities, also for "none"."""
+    """Calibration of every method that states probabilities, of the most probable class."""
     for method in counts.methods if counts.placed else ():
         if (found := counts.sums("calibration", method)) is not None:
-            for c, name in enumerate([*map(str, counts.ids), "none", "total"]):
-                yield _tally("calibration", ("strict", method, name), found[:, c].copy())
+            yield _tally("calibration", ("strict", method, "total"), found)
 
 
 KINDS: dict[str, Callable[[Counts], Iterator[Tally]]] = {
     "rates": rates,
-    "waits": waits,
-    "tracking": tracking,
     "position": lambda counts: errors(counts, "position"),
     "orientation": lambda counts: errors(counts, "orientation"),
     "calibration": calibration,
@@ -397,17 +339,10 @@ def summarise(counts: Counts) -> Summary:
         )
     totals: dict[tuple[str, str], list[Tally]] = defaultdict(list)  # of a kind and protocol
     for kind, of_kind in KINDS.items():
-        per_id: list[tuple[Tally, FloatArray]] = []
         for tally in of_kind(counts):
-            drawn = replicates(tally, weights)
-            figures += intervals(tally, drawn)
-            if tally.landmark != "total":
-                per_id.append((tally, drawn))
-                continue
-            if kind == "rates":
-                figures += macro(*zip(*per_id, strict=True))
-            per_id.clear()
-            totals[kind, tally.protocol].append(tally)
+            figures += intervals(tally, weights)
+            if tally.landmark == "total":
+                totals[kind, tally.protocol].append(tally)
     return Summary(
         units=units,
         figures=tuple(figures),

@@ -88,11 +88,10 @@ class Matched:
     plane, orientations deg; both NaN if unknown.
 
     truth_positive: (T,) whether enough of it is in view for protocol strict; truth_half_in_view:
-    for protocol paper. gate_m: the distance within which a claim is right. claim_object: the
-    candidate or track, -1 if unknown. score: 0 to 1, to six digits; rounded: whether it had more.
-    probability: (N, K + 1), one per ID, then none of these; NaN if not stated. turn_deg: (K,) the
-    smallest rotation after which an ID looks the same. placed: whether positions are known
-    wherever protocol strict needs them.
+    for protocol paper. gate_m: the distance within which a claim is right. score: 0 to 1, to
+    six digits; rounded: whether it had more. probability: (N, K + 1), one per ID, then none of
+    these; NaN if not stated. turn_deg: (K,) the smallest rotation after which an ID looks the
+    same. placed: whether positions are known wherever protocol strict needs them.
     """
 
     name: str
@@ -111,7 +110,6 @@ class Matched:
     claim_landmark_index: IntArray
     claim_position: FloatArray
     claim_orientation: FloatArray
-    claim_object: IntArray
     score: FloatArray
     rounded: bool
     declared: BoolArray
@@ -160,7 +158,6 @@ def match(
         claim_landmark_index=of_id[log.landmark_index],
         claim_position=known(log.position, n, 2),
         claim_orientation=log.orientation,
-        claim_object=log.object,
         score=score,
         rounded=bool((log.score != score).any()),
         declared=log.declared,

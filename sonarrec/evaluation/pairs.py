@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,6 @@ from sonarrec.errors import (
     number_of,
 )
 from sonarrec.readers.open import Source, find_log, log_name
-from sonarrec.results.folders import log_of
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
 from sonarrec.tables.read import line_numbers, read_header, read_table
@@ -172,68 +171,20 @@ def _size(log: Source) -> int:
     return total
 
 
-def truths_of(
-    sides: Sequence[tuple[Path, Path]], pairs: Sequence[Pair], told: Diagnostics
-) -> list[Pair | None]:
-    """The first pair for each log's old and new folder, by path, else by name; None is told.
-
-    Raises SonarrecError if none has one.
-    """
-    places: dict[Path, int] = {}  # an index, since there may be a thousand pairs for as many logs
-    names: dict[str, int] = {}
-    for i, pair in enumerate(pairs):
-        place = pair.results.resolve()
-        places.setdefault(place, i)
-        names.setdefault(pair.log or place.name, i)
-    found: list[Pair | None] = []
-    without = []
-    for old, new in sides:
-        resolved = [new.resolve(), old.resolve()]
-        matches = [places[place] for place in resolved if place in places]
-        matches = matches or [names[place.name] for place in resolved if place.name in names]
-        found.append(pairs[min(matches)] if matches else None)
-        if not matches:
-            without.append(f"{new}: the pairs name no truth for it; not compared")
-    if not any(found):
-        others = f" (nor for {number_of(len(without) - 1, 'more log')})" if without[1:] else ""
-        raise SonarrecError(f"{without[0]}{others}")
-    told.problem(*without)
-    return found
-
-
 def pair_up(old: Path, new: Path, told: Diagnostics) -> list[tuple[Path, Path]]:
-    """The old and the new folder of each log; each folder without a partner is told.
+    """The old and the new folder of each log, by name; each folder without a partner is told.
 
-    Folders are paired by name, else by SHA-256. Two folders of one log each are paired anyway.
+    Two folders of one log each are paired anyway.
     """
     before, after = find_logs(old), find_logs(new)
     if len(before) == len(after) == 1:
         return [(before[0], after[0])]
 
-    def digest(folder: Path) -> tuple[str, str | None] | None:
-        with suppress(SonarrecError):  # reported later
-            return read_run(folder / "run.toml").input.recording
-        return None
-
-    of_name: dict[str, list[Path]] = defaultdict(list)
-    of_digest: dict[tuple[str, str | None], list[Path]] = defaultdict(list)
-    for folder in before:
-        of_name[log_of(folder)].append(folder)
-        if (known := digest(folder)) is not None:
-            of_digest[known].append(folder)
-    pairs = []
-    for folder in after:
-        known = digest(folder)
-        same = [] if known is None else of_digest[known]
-        # Links that lead to folders of one name are paired by the names of the links.
-        named = sorted(of_name[log_of(folder)], key=lambda f: f.name != folder.name)
-        candidates = [*(f for f in named if f in same), *same, *named]
-        if candidates:
-            pairs.append((candidates[0], folder))
+    # The name of a link, not of what it leads to: several may lead to folders of one name.
+    earlier, later = ({f.absolute().name: f for f in side} for side in (before, after))
+    pairs = [(earlier[name], folder) for name, folder in later.items() if name in earlier]
     if not pairs:
-        raise SonarrecError(f"{old} and {new} have no log in common, by name or by SHA-256")
-    used = {folder for pair in pairs for folder in pair}
-    for side, folders in ((old, before), (new, after)):
-        alone = (log_of(folder) for folder in folders if folder not in used)
-        told.problem(*(f"{log}: is in {side} only; not compared" for log in alone))
+        raise SonarrecError(f"{old} and {new} have no log of one name in common")
+    for side, one, other in ((old, earlier, later), (new, later, earlier)):
+        told.problem(*(f"{n}: is in {side} only; not compared" for n in one if n not in other))
     return pairs

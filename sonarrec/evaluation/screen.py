@@ -163,16 +163,14 @@ def rate(part: int, whole: int) -> str:
 
 
 def number(value: float, digits: int, sign: str = "") -> str:
-    """A number; a dash for NaN, "never" for infinity."""
-    if math.isnan(value):
-        return NONE.value
-    return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"
+    """A number; a dash for NaN."""
+    return NONE.value if math.isnan(value) else f"{value:{sign}.{digits}f}"
 
 
 def screen(evaluation: Evaluation, details: bool = False) -> str:
     """The paper's tables, then figures with intervals and tests; with two methods forty lines.
 
-    details: all figures, also per ID and per log.
+    details: all figures, those of both protocols, and rates per log.
     """
     counts, summary = evaluation.counts, evaluation.summary
     main, *others = protocols(counts)
@@ -198,7 +196,6 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
                 told = (f"{of[n][0]} {of[n][1].value}, {of[n][1].test}" for n in MAIN)
                 lines.append(f"{pair}: {'; '.join(told)}")
     if details:
-        lines += _per_id(summary, main, counts.methods)
         lines += _per_log(counts, main) if len(counts.logs) > 1 else []
     return "\n".join(map(printable, lines))
 
@@ -238,20 +235,6 @@ def _text(cell: Cell, to: str = "-") -> str:
 
 def _row(label: str, columns: Sequence[str]) -> str:
     return f"{label:<{LABEL}}{''.join(f'{c:<{COLUMN}}' for c in columns)}".rstrip()
-
-
-def _per_id(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:
-    lines = ["", f"protocol {protocol}, per ID (macro: mean of the IDs; total: of all counts)"]
-    lines.append(_row("", [BY_NAME[name].label for name in MAIN]))
-    landmarks = list(dict.fromkeys(f.landmark for f in summary.figures if f.name == MAIN[0]))
-    for method in methods:
-        for landmark in landmarks:
-            label = f"{method[: LABEL - 8]} {'ID.' * landmark.isdigit()}{landmark}"
-            found = (
-                figure(summary.figure(protocol, method, name, landmark), name) for name in MAIN
-            )
-            lines.append(_row(label, list(map(_text, found))))
-    return lines
 
 
 def _per_log(counts: Counts, protocol: str) -> list[str]:

@@ -10,7 +10,7 @@ their sums. No library does this for such figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import NamedTuple
@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.evaluation.curves import ratio
 
 LEVEL = 0.95
 DRAWS = 1000
@@ -40,7 +39,7 @@ class Tally:
     protocol: str
     method: str
     landmark: str
-    """An ID, "none", "total" or "macro"."""
+    """An ID or "total"."""
     names: tuple[str, ...]
     values: tuple[float, ...]
     """One per figure, computed from all units."""
@@ -127,7 +126,6 @@ def interval(drawn: FloatArray, units: int) -> tuple[float, float]:
     known = drawn[~np.isnan(drawn)]
     if not len(known):
         return math.nan, math.nan
-    # Without interpolation, since a figure may be infinite.
     low, high = np.quantile(known, [tail, 1 - tail], method="closest_observation")
     return float(low), float(high)
 
@@ -171,12 +169,7 @@ def _all_equal(drawn: FloatArray, figure: FloatArray) -> bool:
 
 def _tolerance(figure: FloatArray) -> float:
     """The largest difference at which such figures, (n,), count as equal."""
-    return SAME * float(np.abs(figure[np.isfinite(figure)]).max(initial=0))
-
-
-def _difference(b: FloatArray, a: FloatArray) -> FloatArray:
-    """b - a; 0 if both are infinite."""
-    return np.asarray(np.subtract(b, a, out=np.zeros_like(b), where=b != a))
+    return SAME * float(np.abs(figure[~np.isnan(figure)]).max(initial=0))
 
 
 def replicates(tally: Tally, weights: FloatArray) -> FloatArray:
@@ -190,9 +183,9 @@ def replicates(tally: Tally, weights: FloatArray) -> FloatArray:
     return np.broadcast_to(first, (len(weights), first.shape[1]))
 
 
-def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
-    """The figures of a tally with their intervals, from their (draws, figures) replicates."""
-    figures = []
+def intervals(tally: Tally, weights: FloatArray) -> list[Figure]:
+    """The figures of a tally with their intervals. weights: from `bootstrap_weights`."""
+    figures, drawn = [], replicates(tally, weights)
     for i, name in enumerate(tally.names):
         value, units = tally.values[i], tally.cases[i]
         low = high = math.nan
@@ -227,13 +220,13 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
     swapped = tosses @ (b.sums - a.sums)
     drawn_a, drawn_b = replicates(a, weights), replicates(b, weights)
     tossed_a, tossed_b = a.figures(total_a + swapped), b.figures(total_b - swapped)
-    drawn, tossed = _difference(drawn_b, drawn_a), _difference(tossed_b, tossed_a)
-    seen = _difference(b.figures(total_b[None]), a.figures(total_a[None]))[0]
+    drawn, tossed = drawn_b - drawn_a, tossed_b - tossed_a
+    seen = (b.figures(total_b[None]) - a.figures(total_a[None]))[0]
     results = []
     for i, name in enumerate(a.names):
         low = high = p = math.nan
         if math.isnan(b.values[i] - a.values[i]) or math.isnan(seen[i]):
-            note = "0/0 or infinite: nothing to compare"
+            note = "0/0: nothing to compare"
         elif cases[i] < MIN_UNITS:
             note = f"cases in {cases[i]} of the {MIN_UNITS} units needed: no test"
         else:
@@ -246,29 +239,3 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
         labels = (a.protocol, a.method, b.method, a.landmark, name)
         results.append(Difference(*labels, a.values[i], b.values[i], low, high, p, cases[i], note))
     return results
-
-
-def macro(per_id: Sequence[Tally], drawn: Sequence[FloatArray]) -> list[Figure]:
-    """The mean of each figure over the IDs that have it. drawn: the replicates of each ID.
-
-    Replicates that lack one of these IDs are not used: they would be means over other IDs.
-    """
-    values = np.array([t.values for t in per_id])
-    known = ~np.isnan(values)
-    cases = np.where(known, [t.cases for t in per_id], np.inf).min(axis=0)
-
-    def mean(rows: FloatArray) -> FloatArray:  # (IDs, R, figures)
-        return ratio(np.where(known[:, None], rows, 0).sum(axis=0), known.sum(axis=0))
-
-    first = per_id[0]
-    whole = Tally(
-        protocol=first.protocol,
-        method=first.method,
-        landmark="macro",
-        names=first.names,
-        values=tuple(mean(values[:, None])[0].tolist()),
-        cases=tuple(int(n) if n < np.inf else 0 for n in cases),
-        sums=np.empty((0, 0)),
-        figures=mean,
-    )
-    return intervals(whole, mean(np.stack(drawn)))

@@ -13,7 +13,7 @@ import pandas as pd
 
 from sonarrec.errors import number_of
 from sonarrec.evaluation.count import Counts, Scored
-from sonarrec.evaluation.curves import Count, macro_curve
+from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.figures import Summary
 from sonarrec.evaluation.match import PAPER_MIN_VISIBLE
 from sonarrec.tables.outputs import (
@@ -36,7 +36,6 @@ HEADERS = {
     ),
     "passes": (
         *("log", "landmark", "first_frame", "last_frame", "protocol", "method", "frames", "right"),
-        "frames_to_id",
     ),
 }
 """Columns of each table, which is also a CSV file of that name."""
@@ -92,14 +91,11 @@ class Evaluation:
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row per method: TPR and FPR under each protocol over all IDs, HOTA and IDF1."""
+        """A row per method: TPR and FPR under each protocol over all IDs."""
         of_method: dict[str, dict[str, float]] = {}
         for s in self.scored:
             count, row = s.count(), of_method.setdefault(s.method, {})
             row |= {f"{s.protocol} TPR": count.tpr, f"{s.protocol} FPR": count.fpr}
-        for f in self.summary.figures:
-            if f.name in ("hota", "idf1"):
-                of_method[f.method][f.name.upper()] = f.value
         return pd.DataFrame.from_dict(of_method, orient="index").rename_axis("method")
 
     def __repr__(self) -> str:
@@ -115,18 +111,15 @@ def _confusion(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
 
 
 def _roc(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
-    """The corners of every curve, thresholds falling from inf; macro curves have no threshold."""
+    """The corners of every curve, thresholds falling from inf."""
     for s in evaluation.scored:
-        curves = [s.curve(k) for k in range(len(s.ids))]
-        for name, curve in zip([*map(str, s.ids), "total"], [*curves, s.curve()], strict=True):
+        for name, k in [*((str(i), k) for k, i in enumerate(s.ids)), ("total", None)]:
+            curve = s.curve(k)
             at = curve.turns()
             rates = curve.threshold, curve.tpr, curve.fpr
             columns = *rates, curve.tp, curve.tn, curve.fp, curve.fn
             for row in zip(*(column[at].tolist() for column in columns), strict=True):
                 yield s.protocol, s.method, name, *row
-        fpr, tpr = macro_curve(curves)
-        for x, y in zip(fpr.tolist(), tpr.tolist(), strict=True):
-            yield s.protocol, s.method, "macro", "", y, x, "", "", "", ""
 
 
 def _figures(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:

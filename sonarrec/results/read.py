@@ -57,8 +57,6 @@ ROWS = 2_000
 SIGMAS = ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg")
 Recording = tuple[str | None, Hashable]
 """What identifies a recording: its SHA-256, None if not known, and a further key."""
-TruthOf = tuple[Path, str]
-"""The file of a log's truth, and a hash over the rows of the log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -387,23 +385,19 @@ class CountedOnce:
 
     def __init__(self, action: str, told: Diagnostics) -> None:
         self._action, self._told = action, told
-        self._counted: dict[Recording, list[tuple[Path, TruthOf | None]]] = defaultdict(list)
+        self._counted: dict[Recording, list[Path]] = defaultdict(list)
 
-    def add(self, folder: Path, of: Recording, truth: TruthOf | None = None) -> bool:
-        """Whether these results count. of: from `recording`. truth: that of copies is not used."""
-        twins = (one for one in self._counted[of] if _share_frames(one[0], folder))
-        first, truth_of_first = next(twins, (None, None))
+    def add(self, folder: Path, of: Recording) -> bool:
+        """Whether these results count. of: from `recording`."""
+        first = next((one for one in self._counted[of] if _share_frames(one, folder)), None)
         if first is None:
-            self._counted[of].append((folder, truth))
+            self._counted[of].append(folder)
             return True
-        by = f"SHA-256 {of[0][:12]}..." if of[0] else "by its tables"
-        line = f"{folder}: the same log as {first} ({by}), which counts once"
-        if _digest(folder) != _digest(first):
-            self._told.problem(f"{line}; these other results of it are not {self._action}")
-        elif truth is None or truth_of_first is None or truth[1] == truth_of_first[1]:
+        line = f"{folder}: the same log as {first}, which counts once"
+        if _digest(folder) == _digest(first):
             self._told.note(line)
         else:
-            self._told.problem(f"{line}; its other truth, {truth[0]}, is not used")
+            self._told.problem(f"{line}; these other results of it are not {self._action}")
         return False
 
 

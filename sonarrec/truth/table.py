@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -72,15 +71,6 @@ class TruthTable:
         """
         named = set() if self.log is None else set(self.log.unique())
         return next((name for name in reversed(names) if name in named), names[0])
-
-    def digest_of(self, rows: IntArray) -> str:
-        """A digest of the content of some rows; copies of a truth have the same."""
-        kind, *position = self.position or (None,)
-        digest = hashlib.sha256(f"{self.key} {kind}".encode())
-        for column in (self.at, self.landmark, self.visible, *position, self.orientation):
-            if column is not None:
-                digest.update(column[rows].tobytes())
-        return digest.hexdigest()
 
 
 def read_truth(path: Path) -> TruthTable:

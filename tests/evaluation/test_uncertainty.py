@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import product
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from sonarrec.evaluation.count import OUTCOME, PASS, Units
-from sonarrec.evaluation.curves import ratio
-from sonarrec.evaluation.figures import METRICS, over_units, rates_of, summarise, waits
+from sonarrec.evaluation.figures import METRICS, over_units, rates_of, summarise
 from sonarrec.evaluation.passes import find_passes
 from sonarrec.evaluation.uncertainty import (
     Tally,
@@ -23,9 +18,7 @@ from sonarrec.evaluation.uncertainty import (
     differences,
     interval,
     intervals,
-    macro,
     rate_interval,
-    replicates,
 )
 from tests.support.claims import counts, matched
 
@@ -141,8 +134,7 @@ def test_intervals_cover(units: int) -> None:
         rates = rng.beta(4, 2, units)
         part = rng.binomial(30, rates).astype(float)
         tally = ratio_tally(LABELS, ("rate",), [part], [np.full(units, 30.0)])
-        drawn = replicates(tally, bootstrap_weights(units, rng, 500))
-        (figure,) = intervals(tally, drawn)
+        (figure,) = intervals(tally, bootstrap_weights(units, rng, 500))
         held += figure.low <= 4 / 6 <= figure.high
     assert 0.92 <= held / 600 <= 0.98
 
@@ -167,13 +159,13 @@ def test_intervals_of_rates_against_the_textbook() -> None:
 def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     few = ratio_tally(LABELS, ("rate",), [np.arange(5.0)], [np.full(5, 9.0)])
     rng = np.random.default_rng(0)
-    (figure,) = intervals(few, replicates(few, bootstrap_weights(5, rng)))
+    (figure,) = intervals(few, bootstrap_weights(5, rng))
     assert math.isnan(figure.low)
     assert figure.note == "cases in 5 of the 6 units needed: no interval"
     (difference,) = differences(few, few, bootstrap_weights(5, rng), coin_tosses(5, rng))
     assert math.isnan(difference.p)
     equal = ratio_tally(LABELS, ("rate",), [np.zeros(9)], [np.full(9, 9.0)])
-    (figure,) = intervals(equal, replicates(equal, bootstrap_weights(9, rng)))
+    (figure,) = intervals(equal, bootstrap_weights(9, rng))
     assert (figure.value, figure.note) == (0.0, "alike in all 9 units: no interval")
     assert math.isnan(figure.high)
 
@@ -241,62 +233,3 @@ def test_null_simulation_of_every_figure() -> None:
         for found in differences(a, b, weights, tosses):
             rejected[found.name] += found.p <= 0.05
     assert max(rejected.values()) <= 13, rejected
-
-
-@pytest.mark.parametrize(("never_a", "never_b"), [(9, 4), (9, 5), (8, 4), (11, 5)])
-def test_two_that_are_never_do_not_differ(never_a: int, never_b: int) -> None:
-    """The median wait of twelve passes against all 2^12 swaps, and draws of both, one by one."""
-    wait_a = np.where(np.arange(12) < never_a, np.inf, 0.0)
-    wait_b = np.where(np.arange(12) < never_b, np.inf, 2.0)
-    outcomes = {
-        m: np.array([(1, 1, w) for w in wait], dtype=OUTCOME)
-        for m, wait in (("a", wait_a), ("b", wait_b))
-    }
-    case: Any = SimpleNamespace(
-        ids=(1,),
-        passes=np.array([(0, 0, 1, 1, n) for n in range(12)], dtype=PASS),
-        units=Units("pass", 12, np.arange(12)),
-        scored=[SimpleNamespace(protocol="strict", method=m) for m in outcomes],
-        outcomes=lambda _, method: outcomes[method],
-    )
-    a, b = (tally for tally in waits(case) if tally.landmark == "total")
-    rng = np.random.default_rng(0)
-    weights, tosses = bootstrap_weights(12, rng), coin_tosses(12, rng)
-    found = differences(a, b, weights, tosses)[0]
-    assert (found.name, found.value) == ("frames_to_id_median", -math.inf)
-
-    def less(x: np.ndarray, y: np.ndarray) -> float:
-        x_median, y_median = np.sort(x)[5], np.sort(y)[5]
-        return 0.0 if x_median == y_median else y_median - x_median
-
-    swaps = np.array(list(product((False, True), repeat=12)))
-    far = [less(np.where(s, wait_b, wait_a), np.where(s, wait_a, wait_b)) for s in swaps]
-    assert found.p == np.mean(np.isinf(far))
-    drawn = [less(*(np.repeat(w, n.astype(int)) for w in (wait_a, wait_b))) for n in weights]
-    assert (found.low, found.high) == interval(np.array(drawn), 12)
-
-
-def test_the_mean_over_ids_is_that_of_every_draw() -> None:
-    """Of three IDs two are in view, in all 12 units and in 7, or in one. Draw by draw."""
-    rng = np.random.default_rng(3)
-    weights = bootstrap_weights(12, rng)
-    for few in (7, 1):
-        whole = np.array([np.full(12, 30), np.where(np.arange(12) < few, 30, 0), np.zeros(12)])
-        part = np.floor(whole * rng.random((3, 12)))
-        per_id = []
-        for i, (p, w) in enumerate(zip(part, whole, strict=True)):
-            with np.errstate(invalid="ignore"):
-                found = ratio_tally(("strict", "m", str(i)), ("tpr",), [p], [w])
-            per_id.append(replace(found, figures=lambda r: ratio(r[:, :1], r[:, 1:])))
-        (figure,) = macro(per_id, [replicates(t, weights) for t in per_id])
-        rates = part[:2].sum(axis=1) / whole[:2].sum(axis=1)
-        assert figure.value == pytest.approx(rates.mean())
-        assert figure.units == few
-        if few < 6:
-            assert figure.note == "cases in 1 of the 6 units needed: no interval"
-            continue
-        drawn = []
-        for n in weights:
-            made, of = part[:2] @ n, whole[:2] @ n
-            drawn.append(np.mean(made / of) if of.all() else math.nan)
-        assert (figure.low, figure.high) == pytest.approx(interval(np.array(drawn), few), abs=1e-6)

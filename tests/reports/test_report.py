@@ -45,7 +45,7 @@ def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None
     found, page = evaluate(results, SAMPLE / "gt.csv").summary, Page(pages["full"])
     assert all(note in page.text for note in found.notes)
     for method in ("smi", "framework"):
-        for name, digits in (("auc", 3), ("brier", 3), ("ece", 3), ("position_error_95_m", 4)):
+        for name, digits in (("auc", 3), ("ece", 3), ("position_error_95_m", 4)):
             figure = found.figure("strict", method, name)
             assert figure is not None
             told = f"{figure.value:.{digits}f}"

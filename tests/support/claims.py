@@ -26,11 +26,11 @@ def matched(
     methods: tuple[str, ...] = ("a", "b"),
 ) -> Matched:
     """truth: (frame, ID, x, y, positive) and, if wanted, orientation, which is 0 for all claims.
-    claims: (method, frame, ID, x, y, score, declared), then, if wanted, object and the
-    probabilities of the IDs and of none. Frames and methods by index."""
+    claims: (method, frame, ID, x, y, score, declared), then, if wanted, the probabilities of the
+    IDs and of none. Frames and methods by index."""
     t = np.array([row[:4] for row in truth], dtype=float).reshape(-1, 4)
     c = np.array([row[:7] for row in claims], dtype=float).reshape(-1, 7)
-    told = [row[8:] or (np.nan,) * (len(IDS) + 1) for row in claims]
+    told = [row[7:] or (np.nan,) * (len(IDS) + 1) for row in claims]
     return Matched(
         name="log",
         ids=IDS,
@@ -48,7 +48,6 @@ def matched(
         claim_position=c[:, 3:5],
         score=c[:, 5],
         declared=c[:, 6].astype(bool),
-        claim_object=np.array([row[7] if len(row) > 7 else -1 for row in claims], dtype=int),
         probability=np.array(told, dtype=np.float32).reshape(-1, len(IDS) + 1),
         placed=True,
         rounded=False,
