@@ -33,12 +33,12 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2791,
+    "cli": 2789,
     "drawing": 820,
     "evaluation": 3505,
     "geometry": 415,
     "learning": 636,
-    "mapping": 1259,
+    "mapping": 1190,
     "overlays": 470,
     "readers": 5791,
     "recogniser": 6550,

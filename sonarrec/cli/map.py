@@ -18,9 +18,7 @@ from sonarrec.errors import UsageError, number_of
 @in_input(
     "--odometry",
     type=FILE,
-    multiple=True,
-    help="Table of the poses that a log was run with, if it is no longer beside the log; "
-    "repeatable.",
+    help="Table of the poses of all logs.  [default: those that each log was run with]",
 )
 @in_input(
     "--drift",
@@ -47,7 +45,7 @@ from sonarrec.errors import UsageError, number_of
 @options.quiet
 def map_(
     results: tuple[Path, ...],
-    odometry: tuple[Path, ...],
+    odometry: Path | None,
     drift: str | None,
     landmarks: str | None,
     method: str | None,

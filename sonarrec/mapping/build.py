@@ -74,7 +74,7 @@ class SiteMap:
 
 def make_map(
     results: Sequence[Path],
-    odometry: Sequence[Path] = (),
+    odometry: Path | None = None,
     drift: Drift = NO_DRIFT,
     method: str | None = None,
     *,
@@ -85,16 +85,17 @@ def make_map(
     """The map of the landmarks that a method declared.
 
     results: folders of the results of single logs, or folders that hold such folders. If a
-    recording has several results, the first count. odometry: tables of poses, see `_poses_of_run`;
-    drift: of these. method: of estimates.csv; None: `framework` or the only one. landmarks, sonar:
-    in place of those in run.toml. min_frames: landmarks declared in fewer, over all passes, are
-    left out. Raises SonarrecError if none of the logs can be used, or if they have no common axes.
+    recording has several results, the first count. odometry: table of the poses of all logs, in
+    place of those that they were run with. drift: of the poses. method: of estimates.csv; None:
+    `framework` or the only one. landmarks, sonar: in place of those in run.toml. min_frames:
+    landmarks declared in fewer, over all passes, are left out.
+    Raises SonarrecError if none of the logs can be used, or if they have no common axes.
     """
     told, copies = Diagnostics(), Diagnostics()
     found = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
     logs: list[MappedLog] = []
     landmark_set: LandmarkSet | None = None
-    tables_used: set[str | None] = set()
+    given = None if odometry is None else read_poses(odometry)
     once = CountedOnce("used", copies)
     for folder in found:
         try:
@@ -106,14 +107,13 @@ def make_map(
                     f"{folder}: landmark set {own_set.name!r}, not {landmark_set.name!r} as the "
                     "others"
                 )
-            poses = _poses_of_run(folder, run, odometry)
+            poses = given or _poses_of_run(folder, run)
             log = _read_log(folder, run, own_set, poses, drift, method, sonar)
         except SonarrecError as error:
             if len(found) == 1:
                 raise
             told.problem(str(error))
             continue
-        tables_used.add(None if poses is None else poses.source.get("sha256"))
         if once.add(folder, recording(folder, run)):
             logs.append(log)
     if landmark_set is None or not logs:
@@ -127,12 +127,6 @@ def make_map(
     for of in (*(log.diagnostics for log in logs), copies):
         told.note(*of.notes)
         told.problem(*of.problems)
-    for table in odometry:
-        if _digest(table) not in tables_used:
-            told.note(
-                f"{table}: not used, for no log was run with it; to map a log by it, run the log "
-                "again with it"
-            )
     every = join(logs, landmark_set)
     kept = [one for one in every if frames_of(one.members) >= min_frames]
     ros_axes = all(log.ros_axes for log in logs)
@@ -173,65 +167,36 @@ def _read_log(
         told.problem(cut_short(str(folder), len(path.frame), "used"))
     elif lost := rows_lost(folder, run.input):
         told.problem(*(f"{folder}: {line}" for line in lost))
-    # The reasons why declared estimates are in no pass.
-    without = int((~np.isfinite(path.pose[declared.row]).all(axis=1)).sum())
-    near = len(declared.row) - without - sum(len(one.row) for one in passes)
-    for count, why in (
-        (declared.strays, "frames.csv does not list their frames"),
-        (without, "no pose is known in their frames"),
-        (near, "their slant range is no more than the sonar's height above the floor"),
-    ):
-        if count:
-            whole = len(declared.row) + declared.strays
-            told.problem(f"{folder}: {count} of {whole} declared estimates left out: {why}")
+    used = sum(len(one.row) for one in passes)
+    if used < declared.rows:
+        told.problem(
+            f"{folder}: {declared.rows - used} of {declared.rows} declared estimates left out: no "
+            "pose is known in their frames, they are nearer than the floor, or frames.csv does not "
+            "list their frames"
+        )
     return MappedLog(folder.resolve().name, path, passes, fan, ros_axes, told)
 
 
-def _poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTable | None:
+def _poses_of_run(folder: Path, run: RunFile) -> PoseTable | None:
     """The poses that a log was run with; None if it had none.
 
-    tables: searched first, by SHA-256; a single one also serves a log that was run without poses
-    or with a topic. Else a topic is read from the log again, and a table is searched by its name:
-    in the log if it is a folder, beside and above the log, beside and above the results, and in
-    the working folder. Raises SonarrecError if the poses cannot be found, or if there are several
-    tables for a log without poses.
+    A topic is read from the log again. A table is searched, by its name and SHA-256, beside the log
+    and its folder, beside and above the results, and in the working folder. Raises SonarrecError if
+    the poses are not found.
     """
-    recorded = run.odometry
-    log = Path(run.table.get("input", {}).get("path", ""))
-    if len(tables) == 1 and (not recorded or "topic" in recorded):
-        return read_poses(tables[0])
+    recorded, log = run.odometry, Path(run.table.get("input", {}).get("path", ""))
     if "topic" in recorded:
         from sonarrec.readers.poses import read_topic  # brings decompressors
 
-        if not log.exists():
-            raise SonarrecError(
-                f"{folder}: its poses are the topic {recorded['topic']} of {log}, which is not "
-                "there; give a table of them with --odometry"
-            )
         return read_topic(log, str(recorded["topic"]), run.input.time or "log")
     if not recorded:
-        if tables:
-            raise SonarrecError(
-                f"{folder}: run without poses, so nothing tells which of the {len(tables)} tables "
-                "are its poses; give it one --odometry, or run the log again with its table"
-            )
         return None
-    name = str(recorded.get("name"))
-    homes = [log, *log.parents]
-    for home in (folder.absolute(), folder.resolve()):  # beside a link; "." and ".." have no parent
-        homes += [home, *home.parents[:2]]
-    for path in [*tables, *(home / name for home in [*homes, Path()])]:
-        if _digest(path) == recorded.get("sha256"):
+    name, results = str(recorded.get("name")), folder.resolve()
+    for home in (log, *log.parents[:2], results, *results.parents[:2], Path()):
+        path = home / name
+        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == recorded["sha256"]:
             return read_poses(path)
     raise SonarrecError(
         f"{folder}: the poses it was run with, {name}, are not there or have changed; give that "
         "table with --odometry, or run the log again"
     )
-
-
-def _digest(path: Path) -> str | None:
-    """SHA-256 of a file; None if it cannot be read."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return None

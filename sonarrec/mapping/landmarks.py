@@ -59,8 +59,8 @@ class DeclaredEstimates:
 
     row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) 0 or more. score:
     (n,). polar: (n, 3) slant range (m), bearing and orientation (deg, as in estimates.csv; NaN if
-    not known). sigma: (n, 3) their standard errors. strays: number of further declared estimates,
-    on frames that frames.csv does not list.
+    not known). sigma: (n, 3) their standard errors. rows: number of declared estimates, with
+    those on frames that frames.csv does not list.
     """
 
     row: IntArray
@@ -69,7 +69,7 @@ class DeclaredEstimates:
     score: FloatArray
     polar: FloatArray
     sigma: FloatArray
-    strays: int
+    rows: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,12 +122,11 @@ def read_declared(
     no track.
     """
     parts: list[FloatArray] = [np.empty((0, 10))]
-    strays = 0
+    count = 0
     for first, table in estimate_tables(path, landmarks, ROWS):
         declared = np.asarray(table["method"] == method) & table["declared"]
-        listed = np.isin(table["frame"], frame)
-        strays += int(np.count_nonzero(declared & ~listed))
-        chosen = np.flatnonzero(declared & listed)
+        count += int(np.count_nonzero(declared))
+        chosen = np.flatnonzero(declared & np.isin(table["frame"], frame))
         blank = np.full(len(declared), np.nan)
         known, measured = (
             [table.get(name, blank) for name in names]
@@ -147,7 +146,7 @@ def read_declared(
     rows = np.concatenate(parts)
     number, landmark, track = rows[:, :3].astype(np.int64).T
     sigma, row = np.where(rows[:, 7:] > 0, rows[:, 7:], UNSTATED), np.searchsorted(frame, number)
-    return DeclaredEstimates(row, landmark, track, rows[:, 3], rows[:, 4:7], sigma, strays)
+    return DeclaredEstimates(row, landmark, track, rows[:, 3], rows[:, 4:7], sigma, count)
 
 
 def find_passes(
@@ -221,20 +220,14 @@ def _mean_orientation(
     orientation_deg, sigma_deg: (m,). period_deg: the rotation after which the symbol looks the
     same; NaN if it does after every one. The mean is below it.
     """
-    angle = np.exp(1j * np.radians(orientation_deg * (360 / period_deg)))
-    known = np.isfinite(angle)
+    known = np.isfinite(orientation_deg / period_deg)
+    direction, variance = _fused_orientation(orientation_deg, sigma_deg**2, period_deg)
     weight = 1 / sigma_deg[known] ** 2
-    mean = (weight * angle[known]).sum()
-    if abs(mean) == 0:
-        return np.nan, np.nan
-    total = weight.sum()
-    variance = (
-        COMMON_SHARE * ((weight * sigma_deg[known]).sum() / total) ** 2
-        + (1 - COMMON_SHARE) * min(SAME_FRAMES, len(orientation_deg)) / total
-        + LEAST_ORIENTATION_DEG**2
-    )
-    direction = (np.degrees(np.angle(mean)) % 360) * period_deg / 360
-    return float(direction), float(np.sqrt(variance))
+    if not known.any():
+        return direction, variance
+    variance *= (1 - COMMON_SHARE) * min(SAME_FRAMES, len(orientation_deg))
+    variance += COMMON_SHARE * ((weight * sigma_deg[known]).sum() / weight.sum()) ** 2
+    return direction, math.sqrt(variance + LEAST_ORIENTATION_DEG**2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,9 +347,9 @@ def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[in
 def _landmark(passes: list[Pass], period_deg: float) -> Landmark:
     """The landmark of some passes, weighted by their own errors and those of the path.
 
-    Passes that share frames share their weight too (`frame_shares`). The passes of one log share
-    the path's error up to the first of them; different logs share none. The error of the stated
-    height, and a part of the orientation's error, are common to all passes.
+    The passes of one log share the path's error up to the first of them; different logs share
+    none. The error of the stated height, and a part of the orientation's error, are common to all
+    passes.
     """
     parts = []
     for path, of_path in groupby(passes, key=attrgetter("path")):
@@ -366,12 +359,12 @@ def _landmark(passes: list[Pass], period_deg: float) -> Landmark:
             np.array([getattr(one, name) for one in of_log]) for name in names
         )
         own_variance = np.array([one.orientation_sigma_deg for one in of_log]) ** 2
-        first, share = np.repeat(row[:1], len(row)), frame_shares(of_log)
+        first = np.repeat(row[:1], len(row))
         own = own + path.position_covariance(row, positions, first)
-        position, covariance, lean = _fused(positions, own / share[:, None, None], lean)
+        position, covariance, lean = _fused(positions, own, lean)
         covariance = covariance + path.position_covariance(row[:1], position[None])[0]
         own_variance = own_variance + path.yaw_variance(row, first)
-        orientation, variance = _fused_orientation(orientations, own_variance / share, period_deg)
+        orientation, variance = _fused_orientation(orientations, own_variance, period_deg)
         variance += path.yaw_variance(row[:1])[0]
         parts.append((position, covariance, lean, orientation, variance))
     positions, covariances, leans, orientations, variances = map(np.array, zip(*parts, strict=True))
@@ -388,18 +381,6 @@ def _landmark(passes: list[Pass], period_deg: float) -> Landmark:
     )
 
 
-def frame_shares(passes: Sequence[Pass]) -> FloatArray:
-    """(n,) weights of the passes of one landmark in one log: 1, or less if they share frames.
-
-    Several tracks on one disc at a time see the same speckle, so they are one measurement. In each
-    frame they share its weight.
-    """
-    rows = [one.row for one in passes]
-    _, frame, tracks = np.unique(np.concatenate(rows), return_inverse=True, return_counts=True)
-    ends = np.cumsum([len(row) for row in rows])[:-1]
-    return np.array([parts.mean() for parts in np.split(1 / tracks[frame], ends)])
-
-
 def _fused(
     position: FloatArray, covariance: FloatArray, lean: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -414,7 +395,7 @@ def _fused_orientation(
     orientation_deg: FloatArray, variance: FloatArray, period_deg: float
 ) -> tuple[float, float]:
     """(mean direction, its variance) of independent directions (n,); NaN if none is known."""
-    finite = np.isfinite(orientation_deg)
+    finite = np.isfinite(orientation_deg / period_deg)
     if not finite.any():
         return np.nan, np.nan
     weight = 1 / variance[finite]

@@ -186,8 +186,6 @@ def measured_motion_path(folder: Path, table: Table, diagnostics: Diagnostics) -
             f"{folder}: neither poses nor measured motion ({reason} in frames.csv); "
             "run the log with --odometry, or give it here"
         )
-    if "dx_m" not in table or "dy_m" not in table:
-        diagnostics.note(f"{folder}: only the turn was measured; the sonar is taken to stand still")
     frame = table["frame"]
     still = np.zeros(len(frame), np.int64)
     moved, sigma = (

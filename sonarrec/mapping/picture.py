@@ -21,8 +21,6 @@ from sonarrec.tables.outputs import plain, write_figure
 LINES = "#333333"
 """Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""
 MOST_FANS = 150  # fans that are drawn for each log, at most, to show the floor in view
-ENLARGED = 10  # how many times larger ellipses are drawn, if they would be too small to be seen
-LEAST_SEEN = 1 / 60  # size of the smallest ellipse that can be seen, in widths of the picture
 
 
 def draw_map(path: Path, site: SiteMap) -> None:
@@ -41,15 +39,10 @@ def draw_map(path: Path, site: SiteMap) -> None:
         axes.plot(*start.T, "o", color="#666666", markersize=5, zorder=1, label=label)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    around = (ellipse(np.zeros(2), landmark.covariance) for landmark in site.landmarks)
-    widths = [float(np.ptp(line, axis=0).max()) for line in around]
-    span = abs(np.subtract(*axes.get_xlim()))
-    larger = ENLARGED if widths and np.median(widths) < LEAST_SEEN * span else 1
     for number, landmark in enumerate(site.landmarks, 1):
-        _draw_landmark(axes, site, landmark, number, larger)
+        _draw_landmark(axes, site, landmark, number)
     axes.autoscale_view()
-    size = "95 % ellipses" + (f", {larger} times as large" if larger > 1 else "")
-    axes.plot([], [], color=LINES, linewidth=1.2, label=size)
+    axes.plot([], [], color=LINES, linewidth=1.2, label="95 % ellipses")
     axes.plot([], [], color=LINES, linewidth=2, label="where the first sector begins")
     axes.set_xlabel("x, m: ahead at yaw 0" if site.ros_axes else "x, m: to the right at yaw 0")
     axes.set_ylabel("y, m: to the left at yaw 0" if site.ros_axes else "y, m: ahead at yaw 0")
@@ -62,17 +55,20 @@ def draw_map(path: Path, site: SiteMap) -> None:
     write_figure(path, figure)
 
 
-def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int, larger: int) -> None:
-    """Draw a disc in its ID's colour, a mark where its first sector begins, and its ellipse, which
-    is enlarged `larger` times."""
+def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int) -> None:
+    """Draw a disc in its ID's colour, a mark where its first sector begins, and its ellipse."""
     radius = site.landmark_set.radius_m
     colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[landmark.id]) / 255)
     position = site.position(landmark.position)
     angle = np.linspace(0, 2 * np.pi, 49)
     disc = position + radius * np.column_stack([np.cos(angle), np.sin(angle)])
     axes.fill(*disc.T, facecolor=colour, alpha=0.7, edgecolor=LINES, zorder=2)
-    covariance = site.covariance(landmark.covariance) * larger**2
-    axes.plot(*ellipse(position, covariance).T, color=LINES, linewidth=1.2, zorder=3)
+    axes.plot(
+        *ellipse(position, site.covariance(landmark.covariance)).T,
+        color=LINES,
+        linewidth=1.2,
+        zorder=3,
+    )
     if not math.isnan(landmark.orientation_deg):
         sector = math.radians(landmark.orientation_deg - 90 * site.ros_axes)
         tip = position + radius * np.array([math.cos(sector), math.sin(sector)])

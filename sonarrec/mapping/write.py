@@ -60,26 +60,21 @@ class GeographicOrigin:
     def on_earth(self, position: FloatArray) -> FloatArray:
         """(n, 2) longitude and latitude, deg (the order of GeoJSON), of positions on the floor.
 
-        position: (n, 2) m to the right and ahead, on the plane that touches the ellipsoid at the
-        origin. The conversion uses Earth-centred axes, so that it also works near a pole. Beyond
-        the 180th meridian longitudes count on, so that lines stay in one piece.
+        position: (n, 2) m to the right and ahead. By the ellipsoid's radii of curvature at the
+        origin, which is right to a millimetre within 1 km of it, but at the poles. Beyond the
+        180th meridian longitudes count on, so that lines stay in one piece.
         """
         heading, latitude = math.radians(self.heading_deg), math.radians(self.latitude_deg)
         right, ahead = position.T
         east = right * math.cos(heading) + ahead * math.sin(heading)
         north = ahead * math.cos(heading) - right * math.sin(heading)
-        a, e2 = 6378137.0, 0.00669437999014
-        n = a / math.sqrt(1 - e2 * math.sin(latitude) ** 2)
-        # Distance from the Earth's axis, towards the origin's meridian; distance along the axis.
-        out = n * math.cos(latitude) - north * math.sin(latitude)
-        up = n * (1 - e2) * math.sin(latitude) + north * math.cos(latitude)
-        distance, b = np.hypot(out, east), a * math.sqrt(1 - e2)
-        angle = np.arctan2(up * a, distance * b)  # Bowring's latitude
-        latitudes = np.arctan2(
-            up + e2 / (1 - e2) * b * np.sin(angle) ** 3, distance - e2 * a * np.cos(angle) ** 3
-        )
-        longitudes = self.longitude_deg + np.degrees(np.arctan2(east, out))
-        return np.column_stack([longitudes, np.degrees(latitudes)])
+        e2 = 0.00669437999014
+        slope = 1 - e2 * math.sin(latitude) ** 2
+        across = 6378137.0 / math.sqrt(slope)  # radius of curvature east to west
+        north = north - east**2 * math.tan(latitude) / (2 * across)  # parallels bend to the pole
+        latitudes = latitude + north * slope / (1 - e2) / across
+        longitudes = math.radians(self.longitude_deg) + east / (across * np.cos(latitudes))
+        return np.asarray(np.degrees(np.column_stack([longitudes, latitudes])))
 
 
 def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = None) -> None:
@@ -232,7 +227,7 @@ def map_landmarks(
     results: str | Path | Sequence[str | Path] = "sonarrec_out",
     out: str | Path | None = None,
     *,
-    odometry: str | Path | Sequence[str | Path] = (),
+    odometry: str | Path | None = None,
     drift: tuple[float, float] = (0.0, 0.0),
     method: str | None = None,
     landmarks: str | None = None,
@@ -241,12 +236,12 @@ def map_landmarks(
 ) -> LandmarkMap:
     """Map the landmarks of one log or of several, each one once.
 
-    out: a folder for the files of `sonarrec map`; default: none is written. odometry: tables of
-    poses. drift: standard error of the poses after one minute, m and deg.
+    out: a folder for the files of `sonarrec map`; default: none is written. odometry: table of
+    the poses. drift: standard error of the poses after one minute, m and deg.
     """
     site = make_map(
-        _paths(results),
-        _paths(odometry),
+        [Path(results)] if isinstance(results, str | Path) else [*map(Path, results)],
+        None if odometry is None else Path(odometry),
         Drift(*drift),
         method,
         landmarks=landmarks,
@@ -266,7 +261,3 @@ def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> pd.DataFr
     csv.writer(text).writerows([header, *rows])
     text.seek(0)
     return pd.read_csv(text, dtype={"log": str})
-
-
-def _paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
-    return [Path(paths)] if isinstance(paths, str | Path) else [*map(Path, paths)]
