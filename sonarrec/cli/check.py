@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -15,12 +14,10 @@ from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, WORSE, leave, say, tell
 from sonarrec.cli.groups import (
     FOLDER,
-    FiniteRange,
     command,
     file_names,
     in_batch,
     in_output,
-    in_scoring,
 )
 from sonarrec.errors import SonarrecError, UsageError, number_of
 
@@ -38,20 +35,7 @@ if TYPE_CHECKING:
     shell_complete=file_names,
 )
 @options.settings
-@in_scoring(
-    "--band",
-    type=FiniteRange(0, 1),
-    help="A rate is worse if it is so by more than this, and by more than two frames.  "
-    "[default: that of FILE, else 0.02]",
-)
 @options.limits
-@in_scoring(
-    "--method methods",
-    multiple=True,
-    metavar="NAME",
-    help="Method that must not be worse, and that limits hold for; repeatable.  "
-    "[default: that of FILE, else all but smi]",
-)
 @in_batch(
     "-j --jobs",
     type=click.IntRange(min=1),
@@ -71,9 +55,7 @@ if TYPE_CHECKING:
 def check(
     file: Path,
     settings: options.SettingsChoice,
-    band: float | None,
     limits: Limits,
-    methods: tuple[str, ...],
     jobs: int | None,
     update: bool,
     out: Path | None,
@@ -125,7 +107,7 @@ def check(
                 raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
             _compare(one, logs, folder, folder)  # raises if the truth cannot be used
         else:
-            judged = _judge(one, compared, replace(limits, methods=methods), band)
+            judged = _judge(one, compared, limits)
             _print(judged, compared, out, quiet)
             if not update:
                 partial = partial or bool(new or compared.unused)
@@ -200,26 +182,19 @@ def _compare(one: Check, logs: Sequence[LogToRun], old: Path, folder: Path) -> C
 
     pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
     scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)
-    return compare(old, folder, pairs, scoring, baseline=True, jobs=None)
+    return compare(old, folder, pairs, scoring, jobs=None)
 
 
-def _judge(one: Check, compared: Comparison, limits: Limits, band: float | None) -> Judgement:
+def _judge(one: Check, compared: Comparison, limits: Limits) -> Judgement:
     """Judge by the limits of the command line, which replace those of the file."""
-    from sonarrec.evaluation.compare import EACH, judge
+    from sonarrec.evaluation.compare import EACH, Limits, judge
 
     file = one.file
     least, most = (
         given if EACH in given else {**stated, **given}
         for stated, given in ((file.least_tpr, limits.least_tpr), (file.most_fpr, limits.most_fpr))
     )
-    chosen = replace(
-        limits,
-        band=file.band if band is None else band,
-        least_tpr=least,
-        most_fpr=most,
-        methods=limits.methods or file.method,
-    )
-    return judge(compared, chosen)
+    return judge(compared, Limits(file.band, least, most, file.method))
 
 
 def _print(judged: Judgement, compared: Comparison, out: Path | None, quiet: bool) -> None:

@@ -189,8 +189,7 @@ class Comparison:
     @property
     def verdict(self) -> str:
         """Whether the new results are better or worse, in one sentence."""
-        methods = tuple(dict.fromkeys(method for _, method in self.methods))
-        return judge(self, Limits(methods=methods)).sentence
+        return judge(self, Limits()).sentence
 
     @property
     def figures(self) -> pd.DataFrame:
@@ -208,7 +207,6 @@ def compare(
     options: ScoringOptions | None = None,
     *,
     pairs: str | Path | None = None,
-    baseline: bool = False,
     jobs: int | None = 1,
     **scoring: Any,
 ) -> Comparison:
@@ -223,9 +221,7 @@ def compare(
     old, new: their logs are paired by name; if each holds one log, these are paired. ground_truth:
     one table for all logs, or pairs that name a truth per log; None: the truth beside each log.
     pairs: a CSV that names the truth of each log. options: how it is scored; else `scoring`, as
-    `evaluate` takes it, `method` to `sonar`. baseline: whether methods without tracks, which
-    changes of stages 2 and 3 leave as they were, are compared too, if none is named in options.
-    jobs: as of `evaluate`.
+    `evaluate` takes it, `method` to `sonar`. jobs: as of `evaluate`.
     Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
     read.
     """
@@ -242,8 +238,6 @@ def compare(
     told.note(*scores.notes)
     both = [m for m in after.methods if m in before.methods]
     methods = chosen({*before.methods, *after.methods}, options.methods, ", ".join(after.logs))
-    if not options.methods and not baseline and any(map(follows, both)):
-        methods = tuple(filter(follows, methods))
     for log, *parts in zip(scores.logs, before.parts, after.parts, strict=True):
         for folder, part, side in zip(log.log.results, parts, scores.sides, strict=True):
             if lacks := [m for m in methods if m in side.methods and m not in part.methods]:

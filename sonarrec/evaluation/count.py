@@ -63,15 +63,6 @@ def sum_by_value(chunks: Iterable[Table]) -> Table:
     return value, np.stack(sums, axis=1).astype(np.int64)
 
 
-def values_at_ranks(table: Table, ranks: IntArray) -> FloatArray:
-    """(r,) the values of these ranks, counted from 0, as sorting all values would give.
-
-    table: counts (n, 1).
-    """
-    value, count = table
-    return np.asarray(value[np.searchsorted(np.cumsum(count[:, 0]), ranks, side="right")])
-
-
 def sum_by_unit(value: FloatArray, unit: IntArray, number: npt.NDArray[Any]) -> Rows:
     """One row for each value in each unit, in order. value, unit: (n,); number: (n, C)."""
     order = np.lexsort((value, unit))
@@ -140,8 +131,6 @@ class LogCounts:
     methods: tuple[str, ...]
     placed: bool
     """Whether positions are known wherever the strict protocol needs them."""
-    rounded: bool
-    """Whether its scores had more than six digits."""
     frames: int
     positives: int
     """How many truths count as positives under protocol strict."""
@@ -149,8 +138,6 @@ class LogCounts:
     """How many truths protocol strict ignores, since less of them is in view."""
     gates: tuple[float, ...]
     """m, the distance within which a claim is right; empty without a truth."""
-    silent: tuple[str, ...]
-    """Methods without an estimate."""
     units: int
     passes: npt.NDArray[Any]
     """(P,) PASS."""
@@ -200,12 +187,10 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         ids=log.ids,
         methods=log.methods,
         placed=log.placed,
-        rounded=log.rounded,
         frames=len(log.frame),
         positives=int(log.truth_positive.sum()),
         ignored=int((~log.truth_positive).sum()),
         gates=(float(log.gate_m),) if len(log.truth_positive) else (),
-        silent=tuple(m for n, m in enumerate(log.methods) if not (log.method_index == n).any()),
         units=passes.units,
         passes=table,
         outcomes=outcomes,

@@ -7,7 +7,7 @@ with the logs.
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -57,8 +57,8 @@ from sonarrec.truth.check import (
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
-WORTH_BYTES = 4_000_000
-"""Bytes of tables per process; a process takes as long to start as to read so many."""
+WORTH_LOGS = 20
+"""Logs per process, by default; a process takes as long to start as to read so many."""
 Log = TypeVar("Log")
 Found = TypeVar("Found")
 
@@ -208,16 +208,15 @@ def _truth_table(path: Path) -> TruthTable:
 
 
 def map_logs(
-    work: Callable[[Log], Found], logs: Sequence[Log], folders: Iterable[Path], jobs: int | None
+    work: Callable[[Log], Found], logs: Sequence[Log], jobs: int | None
 ) -> Iterator[Found]:
     """Yield the result of `work` for each log, in order.
 
-    folders: the results that are read. jobs: number of processes; default: the number of cores, or
-    fewer if the results are small.
+    jobs: number of processes; default: the number of cores, but one for WORTH_LOGS logs.
     """
     _truth_table.cache_clear()  # the files may have changed since the last call
     if jobs is None:
-        jobs = min(cores(), sum(map(_bytes, folders)) // WORTH_BYTES)
+        jobs = min(cores(), len(logs) // WORTH_LOGS)
     if min(jobs, len(logs)) < 2:
         yield from map(work, logs)
         return
@@ -230,12 +229,6 @@ def map_logs(
                 "a process that read results was killed, perhaps for lack of memory; nothing was "
                 "written; --jobs 1 reads one log at a time"
             ) from None
-
-
-def _bytes(folder: Path) -> int:
-    with suppress(OSError, SonarrecError):  # reported when it is read
-        return (folder / "estimates.csv").stat().st_size
-    return 0
 
 
 class Scores(NamedTuple):
@@ -275,8 +268,7 @@ def score_logs(
         with suppress(SonarrecError):
             ids = read_run(log.results[-1] / "run.toml").landmark_set(options.landmarks).ids
             break
-    folders = (folder for log in logs for folder in log.results)
-    for score in map_logs(partial(score_log, options=options, ids=ids), logs, folders, jobs):
+    for score in map_logs(partial(score_log, options=options, ids=ids), logs, jobs):
         if not isinstance(score, LogScore):
             unread.append(score)
             continue
@@ -417,12 +409,6 @@ def _notes(counts: Counts) -> Iterator[str]:
     for name, part in zip(counts.logs, counts.parts, strict=True):
         if missing := [method for method in counts.methods if method not in part.methods]:
             yield f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
-    for name, part in zip(counts.logs, counts.parts, strict=True):
-        if part.rounded:
-            yield f"{name}: scores are rounded to six digits"
-    for method in counts.methods:
-        if all(method not in part.methods or method in part.silent for part in counts.parts):
-            yield f"{method}: no estimate at all"
     for k, landmark in enumerate(counts.ids):
         if not any(scored.base[:, k, 3].any() for scored in counts.scored):
             yield f"ID.{landmark} is never in view: its TPR is 0/0 and says nothing"

@@ -25,7 +25,6 @@ from sonarrec.evaluation.count import (
     Scored,
     Units,
     sum_by_value,
-    values_at_ranks,
 )
 from sonarrec.evaluation.curves import FPR_POINTS, area, ratio, tpr_at
 from sonarrec.evaluation.uncertainty import (
@@ -130,18 +129,15 @@ class Metric:
     figure: Callable[[FloatArray, Edges], FloatArray]
     brief: bool = False
     """Whether it is printed without --details."""
-    tested: bool = False
-    """Whether the screen and the report show differences of methods with their tests."""
 
 
 _PAPER = f"{FPR_POINTS[1]:g}"
 METRICS = (
-    Metric("tpr", "TPR", 3, "rates", true_positive_rate, True, True),
-    Metric("fpr", "FPR", 4, "rates", false_positive_rate, True, True),
-    Metric("auc", "AUC", 3, "rates", auc, True, True),
+    Metric("tpr", "TPR", 3, "rates", true_positive_rate, True),
+    Metric("fpr", "FPR", 4, "rates", false_positive_rate, True),
+    Metric("auc", "AUC", 3, "rates", auc, True),
     Metric(
         *(f"tpr_at_fpr_{_PAPER}", f"TPR at FPR {_PAPER} (paper)", 3, "rates", tpr_at_papers_fpr),
-        True,
         True,
     ),
     Metric("position_error_median_m", "position error, median, m", 4, "position", quantile(0.5)),
@@ -273,7 +269,7 @@ def errors(counts: Counts, kind: str) -> Iterator[Tally]:
     # The edges are quantiles of all errors, the same for every method; their ranks are those of
     # numpy's quantile with the method "inverted_cdf".
     ranks = np.ceil(of_all[1].sum() * np.linspace(0, 1, 513) - 1).clip(0).astype(np.int64)
-    edges = np.unique(values_at_ranks(of_all, ranks))
+    edges = np.unique(of_all[0][np.searchsorted(np.cumsum(of_all[1][:, 0]), ranks, side="right")])
     for method in methods:
         for k, name in _landmarks(counts.ids):
             keys: list[Key] = [(kind, method, i) for i in (of if k is None else [k])]

@@ -89,9 +89,9 @@ class Matched:
 
     truth_positive: (T,) whether enough of it is in view for protocol strict; truth_half_in_view:
     for protocol paper. gate_m: the distance within which a claim is right. score: 0 to 1, to
-    six digits; rounded: whether it had more. probability: (N, K + 1), one per ID, then none of
-    these; NaN if not stated. turn_deg: (K,) the smallest rotation after which an ID looks the
-    same. placed: whether positions are known wherever protocol strict needs them.
+    six digits. probability: (N, K + 1), one per ID, then none of these; NaN if not stated.
+    turn_deg: (K,) the smallest rotation after which an ID looks the same. placed: whether
+    positions are known wherever protocol strict needs them.
     """
 
     name: str
@@ -111,7 +111,6 @@ class Matched:
     claim_position: FloatArray
     claim_orientation: FloatArray
     score: FloatArray
-    rounded: bool
     declared: BoolArray
     probability: FloatArray
     turn_deg: FloatArray
@@ -140,7 +139,6 @@ def match(
     def known(column: Any, *shape: int) -> Any:
         return np.full(shape, np.nan, dtype=np.float32) if column is None else column
 
-    score = np.round(log.score, DIGITS)
     return Matched(
         name=log.name,
         ids=ids,
@@ -158,8 +156,7 @@ def match(
         claim_landmark_index=of_id[log.landmark_index],
         claim_position=known(log.position, n, 2),
         claim_orientation=log.orientation,
-        score=score,
-        rounded=bool((log.score != score).any()),
+        score=np.round(log.score, DIGITS),
         declared=log.declared,
         probability=known(log.probability, n, k + 1)[:, [*np.argsort(of_id).tolist(), k]],
         turn_deg=log.landmarks.periods_deg()[log.landmarks.indices(np.array(ids))],

@@ -20,7 +20,7 @@ from sonarrec.errors import (
 from sonarrec.readers.open import Source, find_log, log_name
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
-from sonarrec.tables.read import line_numbers, read_header, read_table
+from sonarrec.tables.read import read_header, read_table
 from sonarrec.truth.table import HEADER, TRUTH_FILE
 
 FEW = 2
@@ -35,8 +35,6 @@ class Pair:
     ground_truth: Path
     log: str | None = None
     """Name of the log, also for the log column of the truth; None: the name of the folder."""
-    row: str | None = None
-    """The table and the line that it was read from."""
 
 
 def read_pairs(path: Path) -> list[Pair]:
@@ -49,10 +47,9 @@ def read_pairs(path: Path) -> list[Pair]:
     logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
     if not logs:
         raise SonarrecError(f"{path}: it has no row; give one for each log ({','.join(columns)})")
-    rows = [f"{path} line {line}" for line, _ in zip(line_numbers(path), logs, strict=False)]
     return [
-        Pair(path.parent / str(results), path.parent / str(truth), log, row)
-        for results, truth, log, row in zip(*(table[c] for c in columns), logs, rows, strict=True)
+        Pair(path.parent / str(results), path.parent / str(truth), log)
+        for results, truth, log in zip(*(table[c] for c in columns), logs, strict=True)
     ]
 
 
@@ -72,7 +69,7 @@ def usable_pairs(pairs: Iterable[Pair], told: Diagnostics) -> list[Pair]:
             if not pair.ground_truth.exists():
                 raise SonarrecError(f"{pair.ground_truth}: no such file")
         except SonarrecError as fault:
-            faults.append(fault if pair.row is None else type(fault)(f"{pair.row}: {fault}"))
+            faults.append(fault)
         else:
             usable.append(pair)
     if not usable:
@@ -137,9 +134,7 @@ def _truth_beside(folder: Path, source: Input) -> Path:
     truth, size = found.beside(TRUTH_FILE), _size(found)
     if truth is None:
         name = f"{log_name(found.place)}.{TRUTH_FILE}"
-        if found.place.is_dir():
-            raise SonarrecError(f"no {TRUTH_FILE} in {found.place}, nor {name} in or beside it")
-        raise SonarrecError(f"no {name}, nor {TRUTH_FILE} beside {found.path}")
+        raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")
     if source.bytes not in (None, size):
         raise SonarrecError(
             f"{found.path} has changed since the run (it had {source.bytes} bytes and has {size}), "

@@ -16,7 +16,8 @@ from sonarrec.evaluation.write import Evaluation
 HEADLINE = ("tpr", "fpr")
 """Shown in a table of their own before the other figures."""
 COUNT_ROWS = (("TP", "tp"), ("TN", "tn"), ("FP", "fp"), ("FN", "fn"), ("beta", "total"))
-TESTED = tuple(metric for metric in METRICS if metric.tested)
+TESTED = tuple(metric for metric in METRICS if metric.kind == "rates")
+"""Those whose differences between methods are shown."""
 WIDTH = 100
 LABEL, COLUMN = 30, 23
 LEGEND = "once: TPR without double claims (each ID once per frame); beta: all counts, in the paper"
@@ -133,7 +134,7 @@ def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]
     """For each two methods their differences in the metrics of TESTED, with p or why not."""
     rows: dict[str, list[Cell]] = {}
     for d in summary.differences:
-        if d.protocol == protocol and BY_NAME[d.name].tested:
+        if d.protocol == protocol and BY_NAME[d.name] in TESTED:
             test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
             cell = _cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+")
             rows.setdefault(f"{d.b} minus {d.a}", []).append(cell._replace(test=test))

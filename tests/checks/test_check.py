@@ -98,7 +98,7 @@ def test_limits_replace_those_of_the_file() -> None:
     assert "(framework, strict) is below 0.995; otherwise no worse" in low.stdout
     # SMI's FPR is high; nobody looks at it unless asked.
     sonarrec("check", "-q", "--most-fpr", "0.1")
-    high = sonarrec("check", "-q", "--most-fpr", "0.1", "--method", "smi", code=4)
+    high = sonarrec("check", "-q", "--most-fpr", "smi=0.1", code=4)
     assert "(smi, strict) is above 0.1" in high.stderr
     unknown = sonarrec("check", "--most-fpr", "smj=0.1", code=2)
     assert "method smj: the results have no such method, but framework, smi" in unknown.stderr

@@ -66,15 +66,15 @@ def test_each_log_has_its_own(logs: Path) -> None:
 def test_a_log_without_truth_is_left_out_and_said(logs: Path) -> None:
     truth(logs / "logs" / "a.gt.csv", range(4))
     done = command(logs / "out", code=3)
-    assert "out/b: no ground truth: no b.gt.csv, nor gt.csv beside" in done.stderr
-    assert f"no gt.csv in {logs}/logs/pings, nor pings.gt.csv in or beside it" in done.stderr
+    assert "out/b: no ground truth: no b.gt.csv, nor gt.csv in or beside" in done.stderr
+    assert f"no pings.gt.csv, nor gt.csv in or beside {logs}/logs/pings" in done.stderr
     assert evaluate(logs / "out").counts.logs == ("a",)
 
 
 def test_without_any_truth_one_line_says_where_it_was_looked_for(logs: Path) -> None:
     done = command(logs / "out", code=2)
     (line,) = done.stderr.splitlines()
-    assert "out/a: no ground truth: no a.gt.csv, nor gt.csv beside" in line
+    assert "out/a: no ground truth: no a.gt.csv, nor gt.csv in or beside" in line
     assert "(and 2 more logs without one); give --ground-truth, or --pairs" in line
     assert done.stdout == ""
     (logs / "out" / "a" / "run.toml").unlink()

@@ -306,7 +306,7 @@ def test_pairs_are_pooled(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("also", ["evaluate", "report"])
 def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: str) -> None:
-    """And told with its line; its truth is not read. Results are of one log."""
+    """And told; its truth is not read. Results are of one log."""
     for name in ("a", "b"):
         write_case(tmp_path / name, FRAMES, claims({5}), TRUTH)
     (tmp_path / "bad.csv").touch()
@@ -319,15 +319,14 @@ def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: 
     done = sonarrec(also, "--pairs", pairs, "-q", code=3)
     told = [line for line in done.stderr.splitlines() if ": note: " not in line]
     assert told == [
-        f"sonarrec: {pairs} line 2: {tmp_path / 'c' / 'out'}: no such results folder; "
+        f"sonarrec: {tmp_path / 'c' / 'out'}: no such results folder; "
         "`sonarrec run LOG` writes one; not scored",
-        f"sonarrec: {pairs} line 4: {tmp_path / 'both'}: holds 2 logs; give each log its own row; "
-        "not scored",
-        f"sonarrec: {pairs} line 5: {tmp_path / 'no.csv'}: no such file; not scored",
+        f"sonarrec: {tmp_path / 'both'}: holds 2 logs; give each log its own row; not scored",
+        f"sonarrec: {tmp_path / 'no.csv'}: no such file; not scored",
     ]
     write_csv(pairs, ("results", "ground_truth"), rows[:1])
     done = sonarrec(also, "--pairs", pairs, code=2)
-    assert done.output.startswith(f"sonarrec: {pairs} line 2: {tmp_path / 'c' / 'out'}: no such")
+    assert done.output.startswith(f"sonarrec: {tmp_path / 'c' / 'out'}: no such")
     assert done.output.count("\n") == 1
 
 

@@ -80,7 +80,7 @@ def test_the_baseline_is_looked_at_on_request(tmp_path: Path) -> None:
     old = results(tmp_path / "old", claims(RIGHT) + claims(RIGHT, method="smi"))
     new = results(tmp_path / "new", claims(RIGHT) + claims({5}, method="smi"))
     truth = new / "gt.csv"
-    compared = compare(old, new, truth, baseline=True)
+    compared = compare(old, new, truth)
     assert {row.method for row in judge(compared, Limits(band=0.02)).rows} == {"m"}
     assert judge(compared, Limits(band=0.02)).faults == ()
     assert judge(compared, Limits(band=0.02, methods=("smi",))).sentence.startswith(

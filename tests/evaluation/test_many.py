@@ -9,12 +9,8 @@ import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from sonarrec.evaluation.count import sum_by_value, values_at_ranks
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.write import write_evaluation
@@ -22,10 +18,6 @@ from tests.evaluation.test_evaluation import write_case
 from tests.support.command import sonarrec
 from tests.support.made_up import make_logs, make_sides
 from tests.support.slow import but_first
-
-FLOATS = st.lists(
-    st.lists(st.floats(0, 5, width=16) | st.just(float("inf")), max_size=30), min_size=1, max_size=5
-)
 
 
 @pytest.fixture(scope="module")
@@ -158,12 +150,3 @@ def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     pairs = read_pairs(make_logs(tmp_path / "made", 11, 1000, 2))
     few, many = (peak_mb(lambda n=n: evaluate_logs(pairs[:n], jobs=1)) for n in (2, 11))  # type: ignore[misc]
     assert many - few < 1
-
-
-@given(FLOATS)
-def test_values_by_rank_are_those_of_sorting(values: list[list[float]]) -> None:
-    whole = np.sort(np.concatenate([np.array(some, dtype=float) for some in values]))
-    if len(whole):
-        ranks = np.unique(np.linspace(0, len(whole) - 1, 7).astype(int))
-        counted = sum_by_value([(whole, np.ones((len(whole), 1), dtype=int))])
-        assert values_at_ranks(counted, ranks).tolist() == whole[ranks].tolist()

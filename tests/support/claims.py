@@ -50,7 +50,6 @@ def matched(
         declared=c[:, 6].astype(bool),
         probability=np.array(told, dtype=np.float32).reshape(-1, len(IDS) + 1),
         placed=True,
-        rounded=False,
         truth_orientation=np.array([row[5] if len(row) > 5 else np.nan for row in truth]),
         claim_orientation=np.zeros(len(c)),
         turn_deg=np.array([360.0, 180.0, 360.0, 360.0]),
