@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -62,7 +63,7 @@ class Samples:
 class _Recorder:
     """Takes the place of the model while samples are gathered; keeps the last features."""
 
-    every_frame = True
+    every_frame: ClassVar = True
     features: FloatArray
     smear: FloatArray
 

@@ -352,9 +352,9 @@ class RingScore:
 class Correlation:
     """Does what `_correlate` does, by FFT, for many images of one shape and one symmetric kernel.
 
-    For speed, arrays are reused from image to image (each thread has its own), columns are
-    transformed as rows, and precision is single: errors stay under a millionth of the largest sum.
-    numpy keeps single precision only with norm="forward".
+    For speed, arrays are reused from image to image, columns are transformed as rows, and precision
+    is single: errors stay under a millionth of the largest sum. numpy keeps single precision only
+    with norm="forward".
     """
 
     def __init__(self, kernel: FloatImage, shape: tuple[int, int]) -> None:
@@ -378,13 +378,14 @@ class Correlation:
             spectrum += sign * np.einsum("xc,xr->cr", wave(columns), along)
         # Times the factor by which an image's transforms are divided.
         self._kernel = np.asarray(spectrum * (size[0] * size[1]), np.float32)
-        self._size = shape[0], size[1]
-        self._free: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = []
+        # An image, and its transform, columns first. Any, since numpy's stubs know only 64 bits.
+        self._padded: npt.NDArray[Any] = np.zeros((shape[0], size[1]), np.float32)
+        self._both: npt.NDArray[Any] = np.zeros(self._kernel.shape, np.complex64)
 
     def __call__(self, image: FloatImage) -> FloatImage:
         """(rows, columns) of an image with the kernel centred on each pixel; 0 beyond it."""
         rows, columns = image.shape
-        padded, both = self._free.pop() if self._free else self._arrays()
+        padded, both = self._padded, self._both
         by_rows = both.T[:rows]
         padded[:, :columns], padded[:, columns:] = image, 0
         np.fft.rfft(padded, norm="forward", out=by_rows)
@@ -393,14 +394,7 @@ class Correlation:
         both *= self._kernel
         np.fft.ifft(both, out=both)
         np.fft.irfft(by_rows, padded.shape[1], out=padded)
-        found = padded[:, :columns].copy()
-        self._free.append((padded, both))
-        return found
-
-    # Any, since numpy's stubs know only transforms of 64 bits.
-    def _arrays(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """(rows, padded columns) of an image, and of its transform, columns first."""
-        return np.zeros(self._size, np.float32), np.zeros(self._kernel.shape, np.complex64)
+        return padded[:, :columns].copy()
 
 
 def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:

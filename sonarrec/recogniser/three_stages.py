@@ -23,7 +23,7 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
-from sonarrec.recogniser.stage3 import Evidence, Measurement, shape_matrix
+from sonarrec.recogniser.stage3 import Evidence, shape_matrix
 from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
 from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
@@ -48,7 +48,7 @@ def of_discs(
     continuity = ContinuityFilter(config.continuity, plane, np.random.default_rng(config.seed))
     sampler = shape_matrix.ShapeSampler(landmarks, plane.axes)
     smi = partial(identify, bands=sampler.bands, codes=shape_matrix.rotated_codes(landmarks))
-    measurement: Measurement
+    measurement: PublishedMeasurement | AppearanceMeasurement
     if features.measurement == "single":
         measurement = PublishedMeasurement(features, smi, landmarks, fan.window_m)
     else:

@@ -68,12 +68,3 @@ def test_another_object_that_took_up_the_number_is_a_episode_of_its_own(second: 
     found = revised(frames)
     assert all(e.declared for e in found[:6]) == (second == 2)
     assert not any(e.declared for e in found[6:])
-
-
-def test_what_came_back_and_proved_to_be_the_same_shares_its_belief() -> None:
-    frames = [result(i, 1, SURE) for i in range(6)]
-    frames += [result(40 + i, 2, UNSURE) for i in range(2)]
-    frames += [result(42 + i, 1, SURE) for i in range(6)]
-    found = revised(frames)
-    assert len({tuple(e.probabilities) for e in found}) == 1
-    assert all(e.declared for e in found)

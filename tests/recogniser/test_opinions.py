@@ -14,7 +14,6 @@ from sonarrec.recogniser.stage3.opinions import (
     LEAST_BELIEF,
     LEAST_FRAME_BELIEF,
     TRACK_EXPONENT,
-    Opinion,
     Opinions,
     TrackBelief,
 )
@@ -63,31 +62,6 @@ def test_the_same_whatever_frames_come_together(frames: np.ndarray, first: int) 
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
-@given(said)
-def test_tracks_know_nothing_of_each_other(frames: np.ndarray) -> None:
-    """Two tracks whose rows alternate, against each by itself."""
-    recognise_together = TrackBelief(IDS, 400)(
-        [groups(3, 9)] * 3, evidence(1, 2, 1, 2, 1, 2), frames
-    )
-    for k in range(2):
-        np.testing.assert_array_equal(recognise_together[k::2], beliefs_of([1] * 3, frames[k::2]))
-
-
-def test_what_all_frames_say_is_believed_a_little_more_than_one_frame_says_it() -> None:
-    one = np.array([[0.8, 0.05, 0.05, 0.05, 0.05]])
-    found = beliefs_of([1] * 20, np.repeat(one, 20, axis=0))
-    np.testing.assert_allclose(found, found[:1].repeat(20, axis=0))
-    assert 0.8 < found[0, 0] < 0.85
-
-
-def test_one_frame_that_disagrees_does_not_overturn_many() -> None:
-    sure = np.array([[0.95, 0.01, 0.01, 0.01, 0.02]]).repeat(10, axis=0)
-    other = np.array([[0.02, 0.93, 0.01, 0.02, 0.02]])
-    found = beliefs_of([1] * 11, np.concatenate([sure, other]))
-    assert found[9, 0] > 0.95
-    assert found[10, 1] < 0.75  # by itself it would claim another ID
-
-
 @pytest.mark.parametrize("returns_to", [1, 2])
 def test_a_new_episode_forgets_until_the_old_one_goes_on(returns_to: int) -> None:
     none = [0.01, 0.01, 0.01, 0.01, 0.96]
@@ -103,7 +77,7 @@ def test_a_new_episode_forgets_until_the_old_one_goes_on(returns_to: int) -> Non
 
 
 def test_episodes_that_prove_to_be_one_share_their_opinion() -> None:
-    opinions = Opinions(lambda: Opinion(np.zeros(IDS + 1)))
+    opinions = Opinions(IDS)
     for frame, episode in enumerate((1, 1, 2, 1)):
         opinions.current(7, episode, frame).add(np.full(IDS + 1, 0.2))
     assert opinions.get(7, 1) is opinions.get(7, 2)

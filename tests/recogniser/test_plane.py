@@ -110,17 +110,6 @@ def test_a_turn_to_the_right_lowers_every_bearing(kind, range_m, bearing_deg, pa
     assert plane.moved(many, Motion(pan_deg)).shape == (3, 4, 1, 2)
 
 
-def test_the_fan_plane_is_the_image_itself():
-    fan = make_fan(90)
-    plane = FanPlane(fan, 0.15)
-    image = np.random.default_rng(0).integers(0, 256, (fan.rows, fan.columns), np.uint8)
-    np.testing.assert_array_equal(plane.warp(image), image)
-    assert plane.scale == 1
-    assert plane.shape == image.shape
-    column, row = plane.to_fan(3.25, 71.5)
-    assert (float(column), float(row)) == (3.25, 71.5)
-
-
 @pytest.mark.parametrize("window_m", [1.25, 2.5, 5.0, 10.0])
 @pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 35.0])
 def test_the_fan_plane_s_axes_are_equations_1_and_2(window_m, tilt_deg):

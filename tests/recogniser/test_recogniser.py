@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sonarrec import config
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Frame, FrameResult
@@ -177,26 +177,6 @@ NUMBERS = [
     for field in dataclasses.fields(kind)
     if not isinstance(field.default, str)
 ]
-
-
-# offline is default with another lag
-@pytest.mark.parametrize("name", but_first(["paper", "default"]))
-@pytest.mark.parametrize("value", but_first([2, 0, 1]))
-def test_extreme_settings_are_refused_or_run(name, value):
-    log = drawn_log(SECTORS[1], 3, rows=160)
-    black = np.zeros_like(log[-1].image)
-    log += (dataclasses.replace(log[-1], index=3, pixels=black),)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for section, key in NUMBERS:
-            try:
-                settings = config.with_assignments(
-                    config.preset(name), ["continuity.particles=50", f"{section}.{key}={value}"]
-                )
-            except UsageError:
-                continue
-            for result in run(log, settings):
-                check(result)
 
 
 def tiny_sonar(**changed) -> Sonar:
@@ -389,23 +369,6 @@ def test_a_lag_shorter_than_the_log_uses_so_many_frames_and_no_more():
     for seen in (5, 14, 20):  # what comes later than four frames on changes nothing
         so_far = list(SideBySide([settings], log[0].fan, BASIN).recognise(log[:seen]))
         alike(so_far[seen - 5], results[seen - 5])
-
-
-def with_lag(frames: int) -> config.Config:
-    lagging = config.with_assignments(config.preset("offline"), [f"features.lag_frames={frames}"])
-    return dataclasses.replace(lagging, preset=f"lag{frames}")
-
-
-@pytest.mark.slow
-def test_lags_side_by_side_give_what_each_gives_alone():
-    log = still_log(3, 24, hidden=range(12))
-    lags = (3, 10)
-    recognise_together = list(SideBySide([*map(with_lag, lags)], log[0].fan, BASIN).recognise(log))
-    assert len(recognise_together) == len(log)
-    for lag in lags:
-        alone = SideBySide([with_lag(lag)], log[0].fan, BASIN).recognise(log)
-        for one, both in zip(alone, recognise_together, strict=True):
-            assert rows(one, FRAMEWORK, "x") == rows(both, f"{FRAMEWORK}:lag{lag}", "x")
 
 
 def test_numbers_that_jump_change_nothing_in_hindsight():

@@ -53,19 +53,6 @@ def new_filter(settings=PAPER, seed: int = 0, plane: Plane = PLANE) -> Continuit
     return ContinuityFilter(settings, plane, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("off", [(0, 0), (8, -5), (-12, 6)])
-def test_a_group_gathers_on_the_peak(off):
-    true = (201.4, 243.8)
-    follow = new_filter()
-    start = (true[0] + off[0], true[1] + off[1])
-    follow.step(selection(peaks(true), start))
-    for _ in range(6):
-        groups = follow.step(selection(peaks(true), true))
-        assert groups.positions.shape == (1, 2)
-        np.testing.assert_allclose(groups.positions[0], true, atol=1.0)
-        assert (groups.spread < PAPER.spread_limit).all()
-
-
 def test_a_group_follows_a_peak_that_moves():
     follow = new_filter()
     for t in range(20):
@@ -108,19 +95,6 @@ def test_resampling_is_systematic_and_unbiased():
         assert (np.abs(counts - expected) < 1 + 1e-6).all()
         total += counts
     np.testing.assert_allclose(total / runs, expected, atol=5 * 0.5 / math.sqrt(runs))
-
-
-def test_groups_do_not_exchange_particles():
-    settings = dataclasses.replace(PAPER, merge=0.1, new_group=0.1, particles=1000)
-    follow = new_filter(settings)
-    places = [(100.0, 200.0), (180.0, 200.0), (260.0, 200.0)]
-    score = peaks(*places, base=0.05)
-    follow.step(selection(score, *places))
-    for _ in range(5):
-        groups = follow.step(selection(score, *places))
-        np.testing.assert_allclose(groups.positions, places, atol=3)
-        for particles, place in zip(follow._particles.places, places, strict=True):
-            assert np.median(np.abs(particles - place)) < 15
 
 
 def test_a_particle_walks_randn_sigma_in_each_frame():
@@ -259,17 +233,6 @@ def test_numbers_are_never_used_again():
     assert ever == set(range(1, max(ever) + 1))
 
 
-def test_the_same_seed_gives_the_same_groups():
-    def track(seed: int) -> np.ndarray:
-        follow = new_filter(seed=seed)
-        return np.stack(
-            [follow.step(selection(peaks(START), START)).positions[0] for _ in range(8)]
-        )
-
-    np.testing.assert_array_equal(track(5), track(5))
-    assert (track(5) != track(6)).any()
-
-
 def test_existence_is_bayes_rule_on_hits_and_misses():
     follow = new_filter(PAPER)
     existence = 0.5
@@ -291,22 +254,6 @@ def test_an_object_that_is_no_longer_a_candidate_is_given_up():
         lives += 1
     # Odds of 1 fall by 6 with each miss: 1/6 and 1/36 are left, which is below .05 at the second.
     assert lives == 1
-
-
-def test_a_group_that_leaves_the_image_ends():
-    settings = dataclasses.replace(PAPER, motion="image", sigma_px=1.0, sigma_known_px=1.0)
-    follow = new_filter(settings)
-    even = np.ones(PLANE.shape, np.float32)
-    place = tuple(np.ravel(PLANE.from_polar(np.array([3.5]), np.array([13.0]))))
-    assert len(follow.step(selection(even, place)).numbers) == 1
-    assert len(follow.step(selection(even), Motion(-4.0)).numbers) == 0
-
-
-def test_nothing_in_nothing_out():
-    groups = new_filter().step(selection(np.zeros(PLANE.shape, np.float32)))
-    assert groups.positions.shape == (0, 2)
-    assert groups.spread.shape == (0, 2)
-    assert groups.existence.shape == groups.numbers.shape == (0,)
 
 
 def test_a_black_score_map_leaves_weights_that_can_be_used():
@@ -356,14 +303,6 @@ def test_an_object_that_returns_keeps_its_number():
     assert numbers[0] == numbers[-1] == [1]
     assert [] in numbers  # it was out of view
     assert {n for frame in numbers for n in frame} == {1}
-
-
-def test_what_is_out_of_view_is_no_estimate_but_is_named_as_remembered():
-    follow = new_filter(REMEMBER)
-    swept(follow, AWAY_AND_BACK[:12])
-    groups = follow.step(selection(peaks()), Motion(-1.0))
-    assert list(groups.numbers) == []
-    assert list(groups.remembered) == [1]
 
 
 def test_after_too_long_an_absence_it_is_another_object():

@@ -205,22 +205,3 @@ def test_an_id_goes_to_the_one_object_for_which_it_is_most_probable(beliefs):
             assert not won[m]
     claimed = rows[won].argmax(axis=1)
     assert len(set(claimed.tolist())) == len(claimed)
-
-
-def test_a_track_that_came_back_under_a_new_number_starts_again():
-    model = measurement_model(BASIN, 2.5)
-    estimator = FeatureEstimator(Features(motion_model="association"), model)
-    estimator.step(groups(1, 2, positions=[(0, 0), (99, 0)]), np.stack([ideal_q(1), ideal_q(4)]))
-    empty = estimator.step(groups(), np.empty((0, 4)))
-    assert empty.shape == (0, 4)
-    again = estimator.step(groups(2, positions=[(99, 0)]), ideal_q(4)[None])
-    np.testing.assert_allclose(again, update(np.full((1, 4), 0.25), ideal_q(4)[None], model))
-
-
-def test_deleting_a_track_leaves_the_others_beliefs_in_place():
-    model = measurement_model(BASIN, 2.5)
-    estimator = FeatureEstimator(Features(motion_model="association"), model)
-    q = np.stack([ideal_q(1), ideal_q(3), ideal_q(4)])
-    first = estimator.step(groups(1, 2, 3, positions=[(0, 0), (99, 0), (199, 0)]), q)
-    after = estimator.step(groups(1, 3, positions=[(0, 0), (199, 0)]), q[[0, 2]])
-    np.testing.assert_allclose(after, update(first[[0, 2]], q[[0, 2]], model))

@@ -101,15 +101,6 @@ def test_a_standing_sonar_and_a_moving_one_without_lines_are_left_alone() -> Non
         assert found.share == 0
 
 
-def test_dim_floor_and_bright_walls_are_left_alone() -> None:
-    """Levels of 1 to 3 far out, as amplitudes in 8 bits; a wall at one range, in speckle."""
-    row = np.arange(FAN.rows)[:, None]
-    gain = np.where(row < 80, 0.02, 1.0) + 1.2 * (np.abs(row - 150) < 4)
-    images = [np.clip(i * gain, 0, 255).astype(np.uint8) for i in floor(4)]
-    left = list(Unchanging().filled(frames(iter(images))))
-    assert all(f.pixels is i for f, i in zip(left, images, strict=True))
-
-
 @pytest.mark.parametrize(("specks", "rows"), [(2, 60), (64, 120)])
 def test_black_with_specks_in_it_is_left_alone(specks: int, rows: int) -> None:
     """Behind a wall, or where the sonar leaves out weak echoes, most pixels are dark by chance."""

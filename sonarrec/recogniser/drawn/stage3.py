@@ -84,7 +84,7 @@ class PlateMeasurement:
         return nothing, nothing.astype(bool), evidence
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """The beliefs, as of Measurement."""
+        """Beliefs about the groups of consecutive frames; evidence: from `gather`, concatenated."""
         assert isinstance(evidence, PlateEvidence)
         tracked = joined(groups)
         of_frames = self._fitter.model.of_tracks(evidence.matches, evidence.rival, evidence.odds)

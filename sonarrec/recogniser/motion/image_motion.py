@@ -9,14 +9,14 @@ against a keyframe where it is slow, else from frame to frame.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.nouns import Motion
-from sonarrec.recogniser.motion.floor_cells import FloorCells
 from sonarrec.recogniser.motion.keyframes import Keyframes
+from sonarrec.recogniser.motion.motion_grid import motion_grid
 from sonarrec.recogniser.motion.pan import PanEstimator
 from sonarrec.recogniser.motion.registration import FloorRegistration, Registration
 from sonarrec.recogniser.plane import Plane
@@ -58,13 +58,9 @@ class _Evidence:
     frame); None before the first frame.
     """
 
-    vector: FloatArray
-    matrix: FloatArray
+    vector: FloatArray = field(default_factory=lambda: np.zeros(2))
+    matrix: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     sigma: FloatArray | None = None
-
-    @classmethod
-    def none(cls) -> _Evidence:
-        return cls(np.zeros(2), np.zeros((2, 2)))
 
     def add(self, registration: Registration) -> float:
         """Add a frame. Returns the chi-square, of 2 degrees of freedom, of the mean translation."""
@@ -86,10 +82,10 @@ class ImageMotion:
     def __init__(self, plane: Plane) -> None:
         self.pan = PanEstimator(plane)
         self._registration = FloorRegistration(
-            FloorCells(plane.fan, self.pan.range_m, self.pan.bearing_deg, self.pan.seen)
+            plane.fan, self.pan.range_m, self.pan.bearing_deg, self.pan.seen
         )
         self._keyframes = Keyframes(self._registration)
-        self._evidence = _Evidence.none()
+        self._evidence = _Evidence()
         self._usual_match = FIRST_USUAL
         self._speed: FloatArray | None = None  # (3,) m, m and rad a second; None: it stands
         self._under_way = self._lost = 0  # frames
@@ -113,11 +109,6 @@ class ImageMotion:
             return self._moving(before, match, seconds)
         return self._standing(before, pan_deg, match, seconds)
 
-    def turn(self, image: ByteImage) -> float | None:
-        """The pan alone since the last image, deg; None where its match is below MIN_MATCH."""
-        pan_deg, match = self.pan.step(image)
-        return pan_deg if match >= MIN_MATCH else None
-
     def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
         """The motion of a sonar that stood until now."""
         turn = math.radians(pan_deg)
@@ -133,7 +124,7 @@ class ImageMotion:
         if moves or poor:
             found = self._register(before, start, searched=not moves)
             if found is not None and found.match > (match if moves else match + BETTER):
-                self._evidence, self._under_way, self._pause = _Evidence.none(), 0, 0
+                self._evidence, self._under_way, self._pause = _Evidence(), 0, 0
                 if not crept:
                     self._keyframes.clear()
                 return self._accept(found, seconds)
@@ -142,7 +133,7 @@ class ImageMotion:
             self._since_search = 0
             self._pause = min(max(2 * self._pause, 1), MOST_PAUSE)
             if moves and quick is not None:
-                self._evidence = _Evidence.none()
+                self._evidence = _Evidence()
                 self._evidence.add(quick)
         self._usual_match += (match - self._usual_match) / USUAL_MEMORY
         self._keyframes.keep(self.pan.picture, start)
@@ -200,33 +191,25 @@ class ImageMotion:
         """A registration from `start`, or from a search; None where it is not accepted."""
         now = self.pan.picture
         if searched:
-            start = self._registration.searched(before, now)
+            start = motion_grid(self._registration.places).best(before, now)
         least = LEAST_SEARCHED if searched else LEAST_NEAR
         found = self._registration.refined(before, now, start)
         return None if found is None or found.loose or found.match < least else found
 
     def _accept(self, registration: Registration, seconds: float) -> Motion:
-        """The motion by a registration, which also updates the speed and the keyframes."""
+        """The motion by a registration, which also updates the speed and the keyframes.
+
+        Its errors are widened by SCALE_ERROR.
+        """
         self._keyframes.keep(self.pan.picture, registration.motion)
         self._speed, self._lost = registration.motion / seconds, 0
-        return _motion(registration)
+        right, ahead, turn = registration.motion.tolist()
+        sigma = np.hypot(registration.sigma, [SCALE_ERROR * right, SCALE_ERROR * ahead, 0])
+        pan_deg, pan_sigma_deg = math.degrees(turn), math.degrees(sigma[2])
+        return Motion(pan_deg, right, ahead, pan_sigma_deg, float(sigma[0]), float(sigma[1]))
 
 
 def unknown(seconds: float) -> Motion:
     """The motion if none is measured: 0, with standard errors of a slow vehicle's whole motion."""
     metres, degrees = UNKNOWN_M_S * seconds, UNKNOWN_DEG_S * seconds
     return Motion(0.0, 0.0, 0.0, degrees, metres, metres, known=False)
-
-
-def _motion(registration: Registration) -> Motion:
-    """A registration as a Motion, its errors widened by SCALE_ERROR."""
-    right, ahead, turn = registration.motion.tolist()
-    sigma = np.hypot(registration.sigma, [SCALE_ERROR * right, SCALE_ERROR * ahead, 0])
-    return Motion(
-        math.degrees(turn),
-        right,
-        ahead,
-        math.degrees(sigma[2]),
-        float(sigma[0]),
-        float(sigma[1]),
-    )

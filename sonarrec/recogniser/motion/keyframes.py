@@ -52,7 +52,7 @@ class Keyframes:
 
         start: (3,) as Registration.motion.
         """
-        if not self._kept or self._registration.floor.shift(start) > MOST_STEP:
+        if not self._kept or self._registration.cells(start) > MOST_STEP:
             return None
         keyframe = self._kept[0]
         expected = _between(keyframe.pose, _after(self._pose, start))
@@ -69,7 +69,7 @@ class Keyframes:
         self._trail.append(self._pose)
         away = math.inf
         if self._kept:
-            away = self._registration.floor.shift(_between(self._kept[0].pose, self._pose))
+            away = self._registration.cells(_between(self._kept[0].pose, self._pose))
         if away >= KEYFRAME_CELLS / 2 * len(self._kept):
             # Of two, the older goes.
             self._kept.append(_Keyframe(self._pose, now))

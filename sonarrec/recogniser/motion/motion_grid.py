@@ -1,15 +1,48 @@
-"""A coarse grid search for the sonar's motion, used where nothing is known about it."""
+"""Where the cells of polar pictures lie on a flat floor, and a coarse grid search over motions."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage
-from sonarrec.recogniser.motion.floor_cells import CellPlaces
+
+
+@dataclass(frozen=True, slots=True)
+class CellPlaces:
+    """The regular grid of slant range (rows) and bearing (columns) of polar pictures.
+
+    shape: (rows, columns). slant, bearing: m and rad, of the first row and column. slant_step,
+    bearing_step: m and rad from one cell to the next. depth: height of the sonar over the floor, m.
+    """
+
+    shape: tuple[int, int]
+    slant: np.float32
+    slant_step: float
+    bearing: np.float32
+    bearing_step: float
+    depth: np.float32
+
+    def before(
+        self, ground: FloatArray, bearing: FloatArray, motion: FloatArray
+    ) -> tuple[FloatImage, FloatImage]:
+        """(row, column) in cells, float32, at which points of the floor lay before a motion.
+
+        ground, bearing: ground range (m) and bearing (rad) of the points after the motion. motion:
+        shift to the right (m), shift ahead (m) and yaw (rad); the shapes of ground, bearing and
+        motion[i] broadcast.
+        """
+        toward = bearing + motion[2]
+        x = ground * np.sin(toward) + motion[0]
+        y = ground * np.cos(toward) + motion[1]
+        slant = np.sqrt(x * x + y * y + self.depth**2)
+        row = (slant - self.slant) / np.float32(self.slant_step)
+        column = (np.arctan2(x, y) - self.bearing) / np.float32(self.bearing_step)
+        return row.astype(np.float32), column.astype(np.float32)
 
 
 class MotionGrid:

@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
-from sonarrec.recogniser.motion.floor_cells import FloorCells
-from sonarrec.recogniser.motion.motion_grid import motion_grid
+from sonarrec.geometry import floor_depth
+from sonarrec.nouns import Fan
+from sonarrec.recogniser.motion.motion_grid import CellPlaces
 
 STEPS = 8  # Gauss-Newton steps, at most
 CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad
@@ -73,14 +74,46 @@ class Registration:
 class FloorRegistration:
     """Registers polar pictures (rows, columns), float32, 0 where no floor is seen.
 
-    The mean of each row and each column must be 0. floor: the pictures' cells.
+    The mean of each row and each column must be 0. seen: (rows, columns) float32, 1 where a cell
+    shows floor, else 0. places: the grid of the cells. ground: (rows, 1) ground range in m.
+    bearing: (1, columns) rad. down, across: (4, rows, columns) derivatives of a point's row and
+    column by the motion, in cells a metre to the right, a metre ahead, a radian of yaw and a metre
+    of height.
     """
 
-    def __init__(self, floor: FloorCells) -> None:
-        self.floor = floor
-        self._quick = slice(1, len(floor.slant) - 1, EVERY)
-        self._quick_down = floor.down[:3, self._quick, 1:-1].copy()
-        self._quick_across = floor.across[:3, self._quick, 1:-1].copy()
+    def __init__(
+        self, fan: Fan, range_m: FloatArray, bearing_deg: FloatArray, seen: FloatImage
+    ) -> None:
+        """range_m: (rows,), bearing_deg: (columns,) of the cells' middles, evenly spaced."""
+        self.seen = seen
+        depth = np.float32(floor_depth(fan))
+        slant = range_m.astype(np.float32)[:, None]
+        self.bearing = bearing = np.radians(bearing_deg).astype(np.float32)[None]
+        self.places = places = CellPlaces(
+            (seen.shape[0], seen.shape[1]),
+            slant[0, 0],
+            float(slant[1, 0] - slant[0, 0]),
+            bearing[0, 0],
+            float(bearing[0, 1] - bearing[0, 0]),
+            depth,
+        )
+        # No echo of the floor is nearer than the height, so any distance will do there.
+        self.ground = ground = np.sqrt(np.maximum(slant**2 - depth**2, 0.01 * slant**2))
+        down, across = np.float32(1 / places.slant_step), np.float32(1 / places.bearing_step)
+        even, sin, cos = np.ones_like(seen), np.sin(bearing), np.cos(bearing)
+        along = down * ground / slant
+        of_row = [along * sin, along * cos, 0 * even, -down * depth / slant * even]
+        of_column = [across * cos / ground, -across * sin / ground, across * even, 0 * even]
+        self.down, self.across = np.stack(of_row), np.stack(of_column)
+        self._quick = slice(1, len(slant) - 1, EVERY)
+        self._quick_down = self.down[:3, self._quick, 1:-1].copy()
+        self._quick_across = self.across[:3, self._quick, 1:-1].copy()
+
+    def cells(self, motion: FloatArray) -> float:
+        """About how many cells a motion shifts a picture. motion: (3,) as Registration.motion."""
+        right, ahead, turn = np.abs(motion)
+        metres = max(right, ahead) / self.places.slant_step
+        return float(max(metres, turn / self.places.bearing_step))
 
     def refined(
         self, before: FloatImage, now: FloatImage, start: FloatArray
@@ -91,7 +124,7 @@ class FloorRegistration:
         """
         motion = np.array(start, dtype=float)
         for _ in range(STEPS):
-            fit = _Fit.of(self.floor, before, now, motion)
+            fit = _Fit.of(self, before, now, motion)
             if fit is None:
                 return None
             step = fit.step()
@@ -103,17 +136,13 @@ class FloorRegistration:
                 return None if covariance is None else Registration(motion, covariance, fit.match)
         return None
 
-    def searched(self, before: FloatImage, now: FloatImage) -> FloatArray:
-        """(3,) the best motion of a coarse grid, a start for `refined`."""
-        return motion_grid(self.floor.places).best(before, now)
-
     def quick(self, before: FloatImage, now: FloatImage, turn: float) -> Registration | None:
         """A single Gauss-Newton step from a yaw of `turn` (rad), for motions of a part of a cell.
 
         It uses every EVERY-th row, and takes the height as constant. None where the pictures do not
         correlate.
         """
-        shift = np.float32(turn / self.floor.places.bearing_step)
+        shift = np.float32(turn / self.places.bearing_step)
         earlier, later = (self._sampled_rows(p) for p in (before, now))
         flat = earlier.reshape(-1, earlier.shape[-1])
         turned = np.asarray(
@@ -172,7 +201,7 @@ class _Fit:
     slopes: (4, rows, columns) derivatives of the earlier one by the motion and the height.
     """
 
-    floor: FloorCells
+    floor: FloorRegistration
     later: FloatImage
     residual: FloatImage
     inner: ByteImage
@@ -182,7 +211,7 @@ class _Fit:
 
     @classmethod
     def of(
-        cls, floor: FloorCells, before: FloatImage, now: FloatImage, motion: FloatArray
+        cls, floor: FloorRegistration, before: FloatImage, now: FloatImage, motion: FloatArray
     ) -> _Fit | None:
         """Compare two pictures under a motion (3,); None where they do not correlate."""
         row, column = floor.places.before(floor.ground, floor.bearing, motion.astype(np.float32))
@@ -233,7 +262,7 @@ class _Fit:
         return np.asarray((inverse @ scatter @ inverse)[:3, :3])
 
 
-def _slopes(floor: FloorCells, picture: FloatImage, inner: ByteImage) -> FloatImage:
+def _slopes(floor: FloorRegistration, picture: FloatImage, inner: ByteImage) -> FloatImage:
     """(4, rows, columns) derivatives of a picture by the motion and the height."""
     down = cv2.Sobel(picture, cv2.CV_32F, 0, 1, ksize=1, scale=0.5) * inner
     across = cv2.Sobel(picture, cv2.CV_32F, 1, 0, ksize=1, scale=0.5) * inner

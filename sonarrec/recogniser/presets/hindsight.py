@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,29 +16,6 @@ from sonarrec.recogniser.stage3 import likeliest
 from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinion, Opinions
 
 LEAST_MEAN_BELIEF = 0.5  # of a track's frames in an ID that hindsight declares
-
-
-@dataclass
-class _HindsightOpinion(Opinion):
-    """An Opinion that also keeps the beliefs' sum and the measured orientations."""
-
-    beliefs_sum: FloatArray = field(kw_only=True)
-    """(K + 1,) unweighted sum of the frames' beliefs."""
-    orientations: dict[int, tuple[float, float, float]] = field(default_factory=dict)
-    """For each ID, by the frame with its highest score: (score, orientation in degrees from the
-    line of sight at the track's beginning, its standard error)."""
-
-    def beliefs(self) -> FloatArray:
-        """(K + 1,) pool of the frames, sharpened as by TrackBelief; sums to 1."""
-        pool = np.exp((FRAME_EXPONENT + TRACK_EXPONENT) * self.mean())
-        return np.asarray(pool / pool.sum())
-
-    def join(self, other: Self) -> None:
-        """Add the beliefs of other frames of the same object."""
-        super().join(other)
-        self.beliefs_sum += other.beliefs_sum
-        for landmark, found in other.orientations.items():
-            self.orientations[landmark] = max(found, self.orientations.get(landmark, found))
 
 
 class Hindsight:
@@ -64,10 +40,7 @@ class Hindsight:
         self.lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
-        size = len(landmarks.ids) + 1
-        self._opinions = Opinions(
-            lambda: _HindsightOpinion(np.zeros(size), beliefs_sum=np.zeros(size))
-        )
+        self._opinions = Opinions(len(landmarks.ids))
         self._frame = 0  # a count, since the numbers of a log's frames may jump
 
     def learn(self, result: FrameResult) -> None:
@@ -78,7 +51,6 @@ class Hindsight:
                 continue
             opinion = self._opinions.current(estimate.object, estimate.episode, self._frame)
             opinion.add(estimate.probabilities)
-            opinion.beliefs_sum += estimate.probabilities
             if estimate.score > opinion.orientations.get(estimate.landmark, (0.0,))[0]:
                 orientation = estimate.orientation_deg + _sight_rotation(estimate)
                 found = estimate.score, orientation, estimate.orientation_sigma_deg
@@ -99,7 +71,9 @@ class Hindsight:
         if not own:
             return result
         opinions = [self._opinions.get(e.object, e.episode) for e in own]
-        beliefs = np.stack([opinion.beliefs() for opinion in opinions])
+        # Each pool is sharpened as by TrackBelief.
+        pools = np.exp((FRAME_EXPONENT + TRACK_EXPONENT) * np.stack([o.mean() for o in opinions]))
+        beliefs = pools / pools.sum(axis=1, keepdims=True)
         best, scores = likeliest(beliefs)
         claimed = declared(scores, self._threshold).tolist()
         rows = zip(own, opinions, beliefs, best.tolist(), scores.tolist(), claimed, strict=True)
@@ -110,7 +84,7 @@ class Hindsight:
     def _revised(
         self,
         estimate: Estimate,
-        opinion: _HindsightOpinion,
+        opinion: Opinion,
         beliefs: FloatArray,
         index: int,
         score: float,

@@ -7,14 +7,11 @@ matrix along the track, describes it by features, and judges these by a model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray, IntArray
-from sonarrec.nouns import Groups
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,21 +45,6 @@ class Evidence:
     episodes: IntArray
     """(n,) number of the track's episode: a track that comes back into view and looks different
     begins a new one. 0 in the published measurement, which keeps no pictures."""
-
-
-class Measurement(Protocol):
-    """Converts the groups' shape matrices to beliefs. Frames must come in the log's order."""
-
-    def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
-        """Add a frame's matrices (n, L, ANGLES), from ShapeSampler, to the groups' evidence."""
-        ...
-
-    def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """Beliefs about the groups of consecutive frames, concatenated.
-
-        evidence: from `gather`, concatenated over the same frames.
-        """
-        ...
 
 
 def settled(values: FloatArray) -> FloatArray:

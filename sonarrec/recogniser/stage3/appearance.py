@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -38,10 +38,8 @@ HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in
 class Classifier(Protocol):
     """Judges discs by their features."""
 
-    @property
-    def every_frame(self) -> bool:
-        """Whether it is to see every track in every frame."""
-        ...
+    every_frame: ClassVar[bool]
+    """Whether it is to see every track in every frame."""
 
     def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         """(n, K + 1): every ID, then 'none of these'; rows sum to 1.
@@ -95,11 +93,11 @@ class AppearanceMeasurement:
         self._radius_m = landmarks.radius_m
 
     def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
-        """Add a frame's matrices to the tracks' averages, see Measurement."""
+        """Add a frame's matrices (n, L, ANGLES), from ShapeSampler, to the tracks' averages."""
         return self._matrix.step(groups, grey, seen)
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """The beliefs, see Measurement."""
+        """Beliefs about the groups of consecutive frames; evidence: from `gather`, concatenated."""
         tracked = joined(groups)
         smear = self._smear(tracked.positions)
         steps, _ = whole_steps(tracked.sight_deg)

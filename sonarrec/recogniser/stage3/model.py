@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -49,10 +49,7 @@ class AppearanceModel:
     knots: tuple[FloatArray, ...]
     values: tuple[FloatArray, ...]
 
-    @property
-    def every_frame(self) -> bool:
-        """No: see AppearanceMeasurement."""
-        return False
+    every_frame: ClassVar = False  # see AppearanceMeasurement
 
     def log_odds(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         """(n, K) log odds of each ID against 'none of these'.

@@ -7,9 +7,8 @@ count the same evidence many times. The pool, a weighted mean of log beliefs, do
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Generic, Self, TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,10 +31,15 @@ class Opinion:
 
     log_beliefs: FloatArray
     """(K + 1,) weighted sum of the frames' log beliefs."""
+    beliefs_sum: FloatArray
+    """(K + 1,) unweighted sum of the frames' beliefs."""
     weight: float = 0.0
     """Sum of the weights."""
     frames: int = 0
     """Number of frames."""
+    orientations: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    """By hindsight, for each ID, by the frame with its highest score: (score, orientation in
+    degrees from the line of sight at the track's beginning, its standard error)."""
 
     def add(self, beliefs: FloatArray) -> None:
         """Add a frame's (K + 1,) beliefs, weighted by its index in the track and its certainty."""
@@ -46,31 +50,33 @@ class Opinion:
         weight = self.frames * float(np.exp(np.exp(logs) @ logs)) ** 2
         self.weight += weight
         self.log_beliefs += weight * logs
+        self.beliefs_sum += beliefs
 
-    def join(self, other: Self) -> None:
+    def join(self, other: Opinion) -> None:
         """Add the beliefs of other frames of the same object."""
         self.log_beliefs += other.log_beliefs
         self.weight += other.weight
         self.frames += other.frames
+        self.beliefs_sum += other.beliefs_sum
+        for landmark, found in other.orientations.items():
+            self.orientations[landmark] = max(found, self.orientations.get(landmark, found))
 
     def mean(self) -> FloatArray:
         """(K + 1,) weighted mean of the log beliefs."""
         return self.log_beliefs / self.weight
 
 
-AnyOpinion = TypeVar("AnyOpinion", bound=Opinion)
+class Opinions:
+    """The opinions of all tracks on K IDs, episode by episode (see Evidence)."""
 
-
-class Opinions(Generic[AnyOpinion]):
-    """The opinions of all tracks, episode by episode (see Evidence)."""
-
-    def __init__(self, new: Callable[[], AnyOpinion]) -> None:
-        self._new = new
-        self._of: dict[tuple[int, int], AnyOpinion] = {}
+    def __init__(self, ids: int) -> None:
+        """ids: K."""
+        self._size = ids + 1
+        self._of: dict[tuple[int, int], Opinion] = {}
         self._last_used: dict[tuple[int, int], int] = {}  # frame
         self._episode: dict[int, int] = {}
 
-    def current(self, track: int, episode: int, frame: int) -> AnyOpinion:
+    def current(self, track: int, episode: int, frame: int) -> Opinion:
         """The opinion of a track in this episode, to which a frame is to be added.
 
         A new episode has a new opinion. If an earlier episode is resumed (see TrackMatrix), its
@@ -78,7 +84,7 @@ class Opinions(Generic[AnyOpinion]):
         """
         key = (track, episode)
         if key not in self._of:
-            self._of[key] = self._new()
+            self._of[key] = Opinion(np.zeros(self._size), np.zeros(self._size))
         opinion = self._of[key]
         last = self._episode.get(track, episode)
         if last > episode:
@@ -87,7 +93,7 @@ class Opinions(Generic[AnyOpinion]):
         self._episode[track], self._last_used[key] = episode, frame
         return opinion
 
-    def get(self, track: int, episode: int) -> AnyOpinion:
+    def get(self, track: int, episode: int) -> Opinion:
         """The opinion of a track in an episode, which `current` has returned before."""
         return self._of[track, episode]
 
@@ -104,7 +110,7 @@ class TrackBelief:
 
     def __init__(self, ids: int, remember_frames: int) -> None:
         """ids: K. remember_frames: frames out of view after which a track is forgotten."""
-        self._opinions = Opinions(lambda: Opinion(np.zeros(ids + 1)))
+        self._opinions = Opinions(ids)
         self._remember = remember_frames
         self._frame = 0
 

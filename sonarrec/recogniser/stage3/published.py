@@ -34,7 +34,6 @@ TABLE_3 = np.array(  # range window 2.50 m
         [0.1681, 0.2485, 0.2515, 0.3319],
     ]
 )
-Identify = Callable[[FloatArray, BoolArray], Identification]
 LEAST_PREDICTED = 1e-300  # belief, to avoid 0 / 0
 PAPER_SECTORS = ((1, 0, 0, 0), (1, 0, 1, 0), (1, 1, 0, 0), (1, 1, 1, 0))
 
@@ -130,7 +129,11 @@ class PublishedMeasurement:
     """Similarities of single frames, and the beliefs by Eq. 5 to 8."""
 
     def __init__(
-        self, config: Features, identify: Identify, landmarks: LandmarkSet, window_m: float
+        self,
+        config: Features,
+        identify: Callable[[FloatArray, BoolArray], Identification],
+        landmarks: LandmarkSet,
+        window_m: float,
     ) -> None:
         """identify: SMI of (n, L, ANGLES) matrices. window_m: as in measurement_model."""
         self._least_ring = config.least_ring
@@ -143,13 +146,16 @@ class PublishedMeasurement:
         grey: FloatArray,
         seen: BoolArray,
     ) -> Evidence:
-        """The frame's own matrices as evidence, see Measurement."""
+        """The frame's own matrices (n, L, ANGLES), from ShapeSampler, as evidence."""
         brightness = np.where(seen, grey, 0.0)
         n = len(grey)
         return Evidence(brightness, seen.astype(float), np.ones(n, np.int64), np.zeros(n, np.int64))
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """See Measurement. The paper has no 'none of these', so its belief is 0."""
+        """Beliefs about the groups of consecutive frames; evidence: from `gather`, concatenated.
+
+        The paper has no 'none of these', so its belief is 0.
+        """
         single = self._identify(evidence.brightness, evidence.count > 0)
         ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
         measured = np.split(single.measurement(self._least_ring), ends)
