@@ -41,7 +41,7 @@ MOST_LINES = {
     "mapping": 1190,
     "overlays": 470,
     "readers": 5791,
-    "recogniser": 6433,
+    "recogniser": 6414,
     "reports": 1830,
     "results": 1711,
     "runs": 1710,

@@ -125,8 +125,7 @@ def label(tracks: Tracks, row: IntArray, landmark: IntArray, position: FloatArra
     (T,) its index in the set, or HIDDEN. position: (T, 2) as Tracks.position.
     """
     ids = len(tracks.landmarks.ids)
-    labels = np.full(len(tracks.row), ids)
-    nearest = np.full(len(tracks.row), np.inf)
+    labels, nearest = np.full(len(tracks.row), ids), np.full(len(tracks.row), np.inf)
     for what, (here, distance) in zip(landmark, _distances(tracks, row, position), strict=True):
         closer = distance < nearest[here]
         labels[here][closer], nearest[here][closer] = what, distance[closer]

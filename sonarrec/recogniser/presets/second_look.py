@@ -68,6 +68,10 @@ class _Disc:
     orientation_deg: float
     orientation_sigma_deg: float
 
+    def orientation_in(self, pose: FloatArray) -> float:
+        """In a frame of this pose, as in Estimate."""
+        return float((self.orientation_deg + math.degrees(pose[0])) % 360)
+
 
 @dataclass(slots=True)
 class _HalfLook:
@@ -261,17 +265,16 @@ class SecondLook:
         n = len(pixels)
         if not n:
             return []
-        shown = [
-            (pose, self._in_frame(pose, on_grid)) for pose in self._before.poses + self._now.poses
-        ]
-        weight = np.array([self._shares(position) >= LEAST_SHARE for _, position in shown])
+        poses = self._before.poses + self._now.poses
+        shown = np.array([self._in_frame(pose, on_grid) for pose in poses])
+        weight = np.array([self._shares(position) >= LEAST_SHARE for position in shown])
         towards = [
-            np.exp(1j * (self._plane.line_of_sight(position) - pose[0])) for pose, position in shown
+            np.exp(1j * (self._plane.line_of_sight(position) - pose[0]))
+            for pose, position in zip(poses, shown, strict=True)
         ]
         sight = np.angle((weight * towards).sum(axis=0))
         # Positions in the first frame that shows each disc; its range gives the beam's smear.
-        best = np.argmax(weight, axis=0)
-        positions = np.array([shown[k][1][i] for i, k in enumerate(best)])
+        positions = shown[np.argmax(weight, axis=0), np.arange(n)]
         grey, seen = self._sampler(
             *(image, inside, pixels, sight),
             *(np.full(n, float(MIDDLE_LEVEL)), np.full(n, float(SIGMA_LEVELS))),
@@ -365,7 +368,7 @@ class SecondLook:
             estimate, index = estimates[i], int(best[n])
             orientation = estimate.orientation_deg, estimate.orientation_sigma_deg
             if index == disc.index:
-                orientation = self._orientation(disc, pose), disc.orientation_sigma_deg
+                orientation = disc.orientation_in(pose), disc.orientation_sigma_deg
             estimates[i] = replace(
                 estimate,
                 probabilities=beliefs[n],
@@ -375,10 +378,6 @@ class SecondLook:
                 orientation_deg=orientation[0],
                 orientation_sigma_deg=orientation[1],
             )
-
-    def _orientation(self, disc: _Disc, pose: FloatArray) -> float:
-        """The disc's orientation in a frame of this pose, as in Estimate."""
-        return float((disc.orientation_deg + math.degrees(pose[0])) % 360)
 
     def _estimate(self, disc: _Disc, position: FloatArray, pose: FloatArray) -> Estimate:
         """An estimate of a disc that has no track."""
@@ -393,7 +392,7 @@ class SecondLook:
             y_px=float(row),
             range_m=float(range_m),
             bearing_deg=float(bearing_deg),
-            orientation_deg=self._orientation(disc, pose),
+            orientation_deg=disc.orientation_in(pose),
             existence=EXISTENCE,
             probabilities=disc.probabilities,
             landmark=self._landmarks.ids[disc.index],

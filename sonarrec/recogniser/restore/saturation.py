@@ -67,12 +67,10 @@ class Levels:
         for frame in frames:
             self.seen += 1
             up_to = self._echoes(frame)
-            first = saturated_from(up_to)
-            if first is not None:
+            if (first := saturated_from(up_to)) is not None:
                 self.saturated += 1
-                yield replace(frame, pixels=self._lift(frame, first, _spread(up_to)))
-            else:
-                yield frame
+                frame = replace(frame, pixels=self._lift(frame, first, _spread(up_to)))
+            yield frame
 
     def _echoes(self, frame: Frame) -> IntArray:
         """(256,) cumulative histogram of the echoes in the sampled pixels within the fan."""

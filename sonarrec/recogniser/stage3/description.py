@@ -263,12 +263,17 @@ def _exact_rotation(
     """(n, K) the sub-step rotation, and its standard error, in steps.
 
     correlation: (n, ANGLES, K). rotation, best: (n, K) the whole step of its maximum, and that
-    maximum.
+    maximum. By a parabola through three samples, each the mean of three, since sector edges flatten
+    the maximum itself.
     """
-    exact, bend = _peak(correlation, rotation)
+    near = (rotation + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
+    values = correlation[np.arange(len(rotation))[:, None], near, np.arange(rotation.shape[1])]
+    before, here, after = ((values[i] + values[i + 1] + values[i + 2]) / 3 for i in range(3))
+    bend = 2 * here - before - after
+    part = np.where(bend > 1e-6, 0.5 * (after - before) / np.maximum(bend, 1e-6), 0.0)
     # As in any least-squares fit: the residual noise over the root of the curvature.
-    noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
-    return exact, ROTATION_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
+    sigma = ROTATION_SIGMA * np.sqrt(1 - np.minimum(best, 0.999) ** 2)
+    return rotation + np.clip(part, -0.5, 0.5), sigma / np.sqrt(np.maximum(bend, 1e-4))
 
 
 def _regress(
@@ -305,20 +310,6 @@ def _steepness(
     mean = rise.sum(axis=2) / np.maximum(count, 1)
     least = np.where(edges != 0, rise, np.inf).min(axis=2)
     return mean, np.where(count > 0, least, 0.0)
-
-
-def _peak(correlation: FloatArray, rotation: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """(n, K) position of the maximum of (n, ANGLES, K) near a whole step, and its curvature.
-
-    By a parabola through three samples, each the mean of three, since sector edges flatten the
-    maximum itself.
-    """
-    near = (rotation + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
-    values = correlation[np.arange(len(rotation))[:, None], near, np.arange(rotation.shape[1])]
-    before, here, after = ((values[i] + values[i + 1] + values[i + 2]) / 3 for i in range(3))
-    bend = 2 * here - before - after
-    part = np.where(bend > 1e-6, 0.5 * (after - before) / np.maximum(bend, 1e-6), 0.0)
-    return rotation + np.clip(part, -0.5, 0.5), bend
 
 
 def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:

@@ -102,27 +102,20 @@ class FeatureEstimator:
 
     def _predict(self, groups: Groups) -> FloatArray:
         """(n, H) Eq. 5. Setting `new_belief` says what is believed of a new object."""
-        hypotheses = len(self._model)
-        config = self._config
-        mixed = config.motion_model == "inverse_distance" and len(self._positions) > 0
-        if mixed and config.new_belief == "neighbours":
-            return self._mixed(groups.positions)
-        predicted = np.full((len(groups.numbers), hypotheses), 1 / hypotheses)
+        config, hypotheses = self._config, len(self._model)
+        numbers, before = groups.numbers.tolist(), self._positions
         row = {number: i for i, number in enumerate(self._numbers)}
-        numbers = groups.numbers.tolist()
         known = [i for i, number in enumerate(numbers) if number in row]
-        if not known:
-            return predicted
-        if mixed:
-            predicted[known] = self._mixed(groups.positions[known])
-        else:
+        mixed = config.motion_model == "inverse_distance" and len(before) > 0
+        if mixed and config.new_belief == "neighbours":
+            known = list(range(len(numbers)))
+        predicted = np.full((len(numbers), hypotheses), 1 / hypotheses)
+        if known and mixed:
+            same = motion_model(groups.positions[known], before, config.distance_power)
+            predicted[known] = same @ self._beliefs[: len(before)]
+        elif known:
             predicted[known] = self._beliefs[[row[numbers[i]] for i in known]]
         return predicted
-
-    def _mixed(self, positions: FloatArray) -> FloatArray:
-        """(n, H) the last frame's beliefs, mixed by the inverse distance to (n, 2) positions."""
-        same = motion_model(positions, self._positions, self._config.distance_power)
-        return np.asarray(same @ self._beliefs[: len(self._positions)])
 
 
 class PublishedMeasurement:
