@@ -104,13 +104,6 @@ def test_an_empty_word_is_refused(words: list[str], after: str) -> None:
     )
 
 
-def test_images_of_an_unquoted_glob_are_noted() -> None:
-    images = [str(SAMPLE / f"00000{n}.png") for n in range(3)]
-    done = sonarrec("run", *images, "--dry-run")
-    assert f"note: {SAMPLE}: 3 of its images are each run as a log of one frame" in done.stderr
-    assert sonarrec("run", images[0], SAMPLE / "0*.png", "--dry-run").stderr == ""
-
-
 @pytest.mark.parametrize("name", ["run", "info"])
 def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object) -> None:
@@ -140,11 +133,14 @@ def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> 
     assert "Permission denied" in told
 
 
-def test_the_bar_names_the_log_and_which_of_how_many(tmp_path: Path) -> None:
-    logs = map(str, made(tmp_path, "one", "two", frames=40))
+def test_the_bar_counts_the_frames_of_a_log_or_the_logs(tmp_path: Path) -> None:
+    logs = [*map(str, made(tmp_path, "one", "two", frames=40))]
     shown = on_a_terminal("run", "-j", "1", *logs, "-o", "out", cwd=tmp_path)
-    assert b"one (1 of 2)" in shown
-    assert b"two (2 of 2)" in shown
+    assert b"/2 [" in shown
+    assert b"log/s" in shown or b"s/log" in shown
+    shown = on_a_terminal("run", logs[0], "-o", "other", cwd=tmp_path)
+    assert b"one:" in shown
+    assert b"/40 [" in shown
 
 
 def test_another_log_of_the_name_is_run_whole_though_the_first_was_run_in_part(

@@ -147,12 +147,11 @@ def _run(
 
     Leaves if there are none. all_needed: raise SonarrecError if there are not all.
     """
-    from sonarrec.cli.run import Printer, run_and_print
+    from sonarrec.cli.run import exit_code, run_and_print
 
-    printer = Printer(tasks, jobs=jobs, quiet=quiet, briefly=True)
-    found = run_and_print(tasks, tasks[0].out, printer)
+    found = run_and_print(tasks, tasks[0].out, quiet=quiet, briefly=True, jobs=jobs)
     done = [log for log, one in zip(logs, found.outcomes, strict=True) if one.summary is not None]
-    code = printer.exit_code()
+    code = exit_code(found.outcomes)
     if not done:
         leave(code)
     if all_needed and len(done) < len(logs):

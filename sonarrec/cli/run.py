@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import signal
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -50,13 +47,11 @@ from sonarrec.errors import (
 from sonarrec.nouns import date_text, is_date
 
 if TYPE_CHECKING:
-    from sonarrec.readers.named_logs import NamedLog
-    from sonarrec.results.sightings import Sighting
     from sonarrec.runs.one import Event, Outcome, Summary, Task
     from sonarrec.runs.run import Runs
 
-MOST_SHOWN = 10
-"""If a call has more logs, their passes are not printed."""
+MOST_FAILED = 10
+"""Logs that failed whose paths are printed at the end; logs.csv lists all."""
 MOST_ROWS = 100
 """Of the table of what was found in each log."""
 LONGEST_S = 1e9
@@ -119,7 +114,6 @@ class _FolderOrUrl(click.Path):
     help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help "
     "cluster.",
 )
-@options.json()
 @options.quiet
 # Long by its options and its help.
 def run(
@@ -140,7 +134,6 @@ def run(
     timeout: float | None,
     shard: str | None,
     scheduler: str | None,
-    as_json: bool,
     quiet: bool,
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
@@ -190,46 +183,87 @@ def run(
     if not tasks:
         inform("nothing to do")
         return
-    notes = _unquoted_glob_notes(logs)
     if dry_run:
-        code = _plan(tasks)
-        tell((), notes)
-        leave(code)
-    printer = Printer(tasks, jobs=jobs, quiet=quiet, as_json=as_json, notes=notes)
-    alone = len(logs) == 1
-    run_and_print(tasks, out, printer, timeout_s=timeout, scheduler=scheduler, alone=alone)
-    leave(printer.exit_code())
+        leave(_plan(tasks))
+    done = run_and_print(
+        tasks,
+        out,
+        quiet=quiet,
+        jobs=jobs,
+        timeout_s=timeout,
+        scheduler=scheduler,
+        alone=len(logs) == 1,
+    )
+    leave(exit_code(done.outcomes))
 
 
-def run_and_print(tasks: Sequence[Task], out: str | Path, printer: Printer, **calling: Any) -> Runs:
+def run_and_print(
+    tasks: Sequence[Task], out: str | Path, *, quiet: bool, briefly: bool = False, **calling: Any
+) -> Runs:
     """Run the tasks, as `run_tasks` does, and print what becomes of them; leave if stopped.
 
-    Raises SonarrecError if a single log failed.
+    quiet: only what is wrong, and notes. briefly: only what is wrong. Raises SonarrecError if a
+    single log failed.
     """
     from sonarrec.runs.run import run_tasks
 
-    done = None
+    several, frames = len(tasks) > 1, 0
     folders = [] if is_url(out) else [Path(out, task.name) for task in tasks]
-    try:
-        with stoppable(folders), printer:
-            done = run_tasks(tasks, out, printer, jobs=printer.jobs, **calling)
-    finally:
-        printer.end(done)
+    # A bar over the logs, or over the frames of the only one.
+    bar = (len(tasks), None, "log") if several else (None, tasks[0].name, "frame")
+
+    with stoppable(folders), progress(quiet, *bar) as step:
+
+        def watch(i: int | None, event: Event) -> None:
+            nonlocal frames
+            if isinstance(event, tuple):
+                if not several:
+                    step(event[1], event[0] - frames)
+                    frames = event[0]
+                return
+            if not isinstance(event, str) and several:
+                step()
+            with above_the_bar():
+                if not isinstance(event, str):
+                    _print_faults(event, tasks[i or 0], several)
+                elif not (quiet or briefly):
+                    inform(event if i is None else f"{tasks[i].name}: {event}")
+
+        done = run_tasks(tasks, out, watch, **calling)
     (error, *others) = (outcome.error for outcome in done.outcomes)
+    failed = [t.path for t, o in zip(tasks, done.outcomes, strict=True) if o.status == "failed"]
+    if done.fault and not failed:
+        tell([done.fault])  # else the disk is full, which was reported
     if error is not None and not others:
         raise error
+    if briefly:
+        return done
+    if not several and not quiet:
+        summary = done.outcomes[0].summary
+        assert summary is not None
+        say(*found_in(summary, done.outcomes[0].folder))
+    elif not quiet:
+        say("", *_table(tasks, done.outcomes))
+    if several and (failed or not quiet):
+        counts = Counter(_in_words(outcome) for outcome in done.outcomes)
+        line = ", ".join(f"{counts[how]} {how}" for how in HOW if counts[how])
+        if failed:
+            more = "; logs.csv lists them" if len(failed) > MOST_FAILED else ""
+            line += more or f": {', '.join(failed)}"
+        click.echo(printable(line), err=bool(failed))
+    tell((), [*_notes(tasks, done.outcomes), *done.notes])
     return done
 
 
-def _unquoted_glob_notes(logs: Sequence[NamedLog]) -> list[str]:
-    """A note for each folder of which several images are given as logs of their own."""
-    from sonarrec.readers.containers.images import names_an_image
-
-    # Path.is_file raises where a folder without permission is in the way.
-    files = [Path(one.path) for one in logs if os.path.isfile(one.path)]  # noqa: PTH113
-    counts = Counter(f.parent for f in files if names_an_image(f.name))
-    text = "of its images are each run as a log of one frame; give the folder, or quote the glob"
-    return [f"{folder}: {count} {text}" for folder, count in counts.items() if count > 1]
+def _print_faults(outcome: Outcome, task: Task, several: bool) -> None:
+    """Print what is wrong with a log, as it ends."""
+    if outcome.fault:
+        click.echo(outcome.fault.rstrip(), err=True)
+    if outcome.summary is not None:
+        lines = outcome.summary.problems
+        tell([x if task.path in x or not several else f"{task.name}: {x}" for x in lines])
+    elif several:  # else it is raised
+        tell([outcome.message])
 
 
 def _plan(tasks: Sequence[Task]) -> int:
@@ -271,166 +305,41 @@ def stoppable(folders: Sequence[Path]) -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-class Printer:
-    """Prints what becomes of the logs of one call, as its `Watch`; a context manager.
-
-    What is wrong is printed when it happens, what was found in the order of the logs, notes at the
-    end. jobs: how many logs run at once; default: the number of cores. quiet: only what is wrong,
-    and notes. as_json: one document in place of tables. briefly: only what is wrong.
-    """
-
-    def __init__(
-        self,
-        tasks: Sequence[Task],
-        *,
-        jobs: int | None,
-        quiet: bool,
-        as_json: bool = False,
-        briefly: bool = False,
-        notes: Sequence[str] = (),
-    ) -> None:
-        from sonarrec.runs import cores
-
-        self.outcomes: dict[int, Outcome] = {}  # of the tasks that have ended
-        self.jobs = min(jobs or cores(), len(tasks))
-        self._tasks, self._apart, self._several = tasks, self.jobs > 1, len(tasks) > 1
-        self._quiet, self._as_json, self._briefly = quiet, as_json, briefly
-        self._notes = [*notes]
-        self._bars, self._step = ExitStack(), _nothing  # the bar that is shown; moves it
-        self._done: dict[int, int] = {}  # frames of those that were started
-        self._printed = 0  # of how many tasks, in order, the passes were printed
-
-    def __enter__(self) -> Printer:
-        if self._apart:
-            bar = progress(self._quiet, len(self._tasks), unit="log")
-            self._step = self._bars.enter_context(bar)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bars.close()
-
-    def __call__(self, i: int | None, event: Event) -> None:
-        if isinstance(event, str):
-            with above_the_bar():
-                if not (self._quiet or self._briefly):
-                    inform(event if i is None else f"{self._tasks[i].name}: {event}")
-        elif i is not None and isinstance(event, tuple):
-            done, total = event
-            if not self._apart and not done:
-                which = f" ({i + 1} of {len(self._tasks)})" if self._several else ""
-                bar = progress(self._quiet, total, f"{self._tasks[i].name}{which}")
-                self._step = self._bars.enter_context(bar)
-            elif not self._apart:
-                self._step(total, done - self._done[i])
-            self._done[i] = done
-        elif i is not None and not isinstance(event, tuple):
-            if self._apart:
-                self._step()
-            else:
-                self._bars.close()
-            with above_the_bar():
-                self._ended(i, event)
-
-    def _ended(self, i: int, outcome: Outcome) -> None:
-        self.outcomes[i] = outcome
-        if outcome.fault:
-            click.echo(outcome.fault.rstrip(), err=True)
-        if outcome.summary is not None:
-            name, path = self._tasks[i].name, self._tasks[i].path
-            lines = outcome.summary.problems
-            tell([x if path in x or not self._several else f"{name}: {x}" for x in lines])
-        elif self._several:  # else it is raised
-            tell([outcome.message])
-        while (ended := self.outcomes.get(self._printed)) is not None:
-            self._printed += 1
-            silent = self._quiet or self._as_json or self._briefly or len(self._tasks) > MOST_SHOWN
-            if ended.summary is not None and not silent:
-                say(*found_in(ended.summary, ended.folder))
-
-    def end(self, done: Runs | None) -> None:
-        """Print what is for the whole call; done: None if it was stopped."""
-        failed = [self._tasks[i].path for i, o in self._ordered() if o.status == "failed"]
-        if done is not None and done.fault and not failed:
-            tell([done.fault])  # else the disk is full, which was reported
-        if self._briefly:
-            return
-        if self._as_json:
-            logs = [self._document(i) for i in range(len(self._tasks))]
-            from sonarrec.results.run_file import PROGRAM
-
-            click.echo(json.dumps({"program": PROGRAM, "logs": logs}, indent=2))
-        elif done is not None and self._several and not self._quiet:
-            say("", *self._table())
-        if done is not None and self._several and (failed or not self._quiet):
-            counts = Counter(_in_words(outcome) for outcome in self.outcomes.values())
-            line = ", ".join(f"{counts[how]} {how}" for how in HOW if counts[how])
-            if len(failed) > MOST_SHOWN:
-                line += "; logs.csv lists them"
-            elif failed:
-                line += f": {', '.join(failed)}"
-            click.echo(printable(line), err=bool(failed) or self._as_json)
-        tell((), [*self._notes, *self._notes_on_logs(), *(done.notes if done else ())])
-
-    def _ordered(self) -> list[tuple[int, Outcome]]:
-        return sorted(self.outcomes.items())
-
-    def _notes_on_logs(self) -> Iterator[str]:
-        """Those of a single log as they are; of several each once, with the logs it is on."""
-        named: dict[str, list[str]] = {}
-        for i, outcome in self._ordered():
-            for note in outcome.summary.notes if outcome.summary else ():
-                task = self._tasks[i]
-                text = note.removeprefix(f"{task.path}: ") if self._several else note
-                named.setdefault(text, []).append(task.name)
-        for text, (first, *others) in named.items():
-            more = f" and {number_of(len(others), 'more log')}" if others else ""
-            yield f"{first}{more}: {text}" if self._several else text
-
-    def _table(self) -> Iterator[str]:
-        """A row for each log: what was found in it."""
-        width = max(3, *(min(len(task.name), 40) for task in self._tasks[:MOST_ROWS]))
-        yield f"{'log':<{width}}  {'frames':>7}  {'notes':>5}  frames with a landmark declared"
-        for i, outcome in self._ordered()[:MOST_ROWS]:
-            summary, name = outcome.summary, f"{self._tasks[i].name:<{width}}"
-            if summary is None:
-                yield f"{name}  {'-':>7}  {'-':>5}  failed"
-                continue
-            notes = "-" if summary.up_to_date else str(len(summary.notes))
-            seen = [f"ID.{one}: {count}" for one, count in sorted(summary.landmarks.items())]
-            lost = f"; {summary.unusable} unusable" if summary.unusable else ""
-            found = ", ".join(seen) or "none"
-            yield f"{name}  {summary.frames:>7}  {notes:>5}  {found}{lost}"
-        if len(self.outcomes) > MOST_ROWS:
-            yield f"{len(self.outcomes) - MOST_ROWS} more in logs.csv"
-
-    def _document(self, i: int) -> dict[str, Any]:
-        """The JSON object of a log, with all its sightings."""
-        task, outcome = self._tasks[i], self.outcomes.get(i)
-        document: dict[str, Any] = {"name": task.name, "log": task.path}
-        if outcome is None:
-            return document | {"status": "stopped" if i in self._done else "waiting"}
-        document["status"] = outcome.status
-        if outcome.summary is None:
-            return document | {"message": outcome.message}
-        from sonarrec.results.sightings import sightings_in
-
-        summary, file = outcome.summary, outcome.summary.folder / "sightings.csv"
-        found = map(asdict, sightings_in(file) if file.is_file() else summary.sightings)
-        known = [{k: None if v != v else v for k, v in one.items()} for one in found]  # not nan
-        return document | asdict(summary) | {"folder": outcome.folder, "sightings": known}
-
-    def exit_code(self) -> int:
-        """The exit code of the call, after all have ended."""
-        outcomes = self.outcomes.values()
-        if outcomes and all(one.status == "failed" for one in outcomes):
-            return (
-                MISUSED if all(isinstance(one.error, MissingError) for one in outcomes) else FAILED
-            )
-        return 0 if all(one.status == "done" for one in outcomes) else PARTLY
+def _notes(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """Those of a single log as they are; of several each once, with the logs it is on."""
+    named: dict[str, list[str]] = {}
+    for task, outcome in zip(tasks, outcomes, strict=True):
+        for note in outcome.summary.notes if outcome.summary else ():
+            text = note.removeprefix(f"{task.path}: ") if len(tasks) > 1 else note
+            named.setdefault(text, []).append(task.name)
+    for text, (first, *others) in named.items():
+        more = f" and {number_of(len(others), 'more log')}" if others else ""
+        yield f"{first}{more}: {text}" if len(tasks) > 1 else text
 
 
-def _nothing(*_: object) -> None:
-    """Moves no bar."""
+def _table(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """A row for each log: what was found in it."""
+    width = max(3, *(min(len(task.name), 40) for task in tasks[:MOST_ROWS]))
+    yield f"{'log':<{width}}  {'frames':>7}  {'notes':>5}  frames with a landmark declared"
+    for task, outcome in [*zip(tasks, outcomes, strict=True)][:MOST_ROWS]:
+        summary, name = outcome.summary, f"{task.name:<{width}}"
+        if summary is None:
+            yield f"{name}  {'-':>7}  {'-':>5}  failed"
+            continue
+        notes = "-" if summary.up_to_date else str(len(summary.notes))
+        seen = [f"ID.{one}: {count}" for one, count in sorted(summary.landmarks.items())]
+        lost = f"; {summary.unusable} unusable" if summary.unusable else ""
+        yield f"{name}  {summary.frames:>7}  {notes:>5}  {', '.join(seen) or 'none'}{lost}"
+    if len(tasks) > MOST_ROWS:
+        yield f"{len(tasks) - MOST_ROWS} more in logs.csv"
+
+
+def exit_code(outcomes: Sequence[Outcome]) -> int:
+    """The exit code of a call by what became of its logs."""
+    if all(one.status == "failed" for one in outcomes):
+        missing = all(isinstance(one.error, MissingError) for one in outcomes)
+        return MISUSED if missing else FAILED
+    return 0 if all(one.status == "done" for one in outcomes) else PARTLY
 
 
 HOW = ("done", "up to date", "partial", "failed")
@@ -457,34 +366,24 @@ def found_in(summary: Summary, folder: str) -> list[str]:
             lines.append("  no landmark declared")
             continue
         dated = is_date(sightings[0].start_ns)
-        ends = [_end(s) if dated else f"{s.end_ns / 1e9:.2f}" for s in sightings]
-        starts = [
-            date_text(s.start_ns, 2) if dated else f"{s.start_ns / 1e9:.2f}" for s in sightings
-        ]
-        wide = max(map(len, (*ends, "to UTC"))) if dated else 9
-        heads = f"{'from UTC':<22}  {'to UTC':<{wide}}" if dated else f"{'from s':>9} {'to s':>9}"
+        unit, wide = ("UTC", 22) if dated else ("s", 9)
         lines.append(
-            f"  landmark  track  frames       {heads}  declared  best score  range m  bearing deg"
+            f"  landmark  track  frames       {f'from {unit}':>{wide}} {f'to {unit}':>{wide}}  "
+            "declared  best score  range m  bearing deg"
         )
-        for s, start, end in zip(sightings, starts, ends, strict=True):
-            times = f"{start:<22}  {end:<{wide}}" if dated else f"{start:>9} {end:>9}"
+        for s in sightings:
+            start, end = (
+                date_text(ns, 2) if dated else f"{ns / 1e9:.2f}" for ns in (s.start_ns, s.end_ns)
+            )
             track = "-" if s.track is None else s.track
+            range_m = "-" if math.isnan(s.range_m) else f"{s.range_m:.2f}"
+            bearing = "-" if math.isnan(s.bearing_deg) else f"{s.bearing_deg:.1f}"
             lines.append(
-                f"  {s.landmark:>8}  {track:>5}  {f'{s.first_frame}-{s.last_frame}':<11}  {times}"
-                f"  {s.frames_declared:>8}  {s.best_score:>10.3f}  {_number(s.range_m, 2):>7}"
-                f"  {_number(s.bearing_deg, 1):>11}"
+                f"  {s.landmark:>8}  {track:>5}  {f'{s.first_frame}-{s.last_frame}':<11}  "
+                f"{start:>{wide}} {end:>{wide}}  {s.frames_declared:>8}  {s.best_score:>10.3f}  "
+                f"{range_m:>7}  {bearing:>11}"
             )
         if count > len(sightings):
             more = count - len(sightings)
             lines.append(f"  these are the longest; {more} more in {folder}/sightings.csv")
     return lines
-
-
-def _number(value: float, digits: int) -> str:
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
-
-
-def _end(s: Sighting) -> str:
-    """The end of a pass, with the date if it differs from that of the start."""
-    start, end = date_text(s.start_ns, 2), date_text(s.end_ns, 2)
-    return end[11:] if end[:10] == start[:10] else end

@@ -77,7 +77,7 @@ def test_logs_and_results_on_s3(tmp_path: Path, s3: Any, monkeypatch: pytest.Mon
     before = keys(s3)
     assert not {key for key in before if ".part" in key or key.startswith("results/c/")}
     # Again: what is there is up to date. Stopped in the middle of a transfer: it stays as it was.
-    assert "up to date" in sonarrec("run", *far, "--jobs", "1", code=3).stdout
+    assert "up to date" in sonarrec("run", *far, "--jobs", "1", code=3).output
     assert keys(s3) == before
 
     def stopped(*_: object, **__: object) -> None:
