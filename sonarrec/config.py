@@ -329,12 +329,10 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
     for text in assignments:
         name, equals, value = (part.strip() for part in text.partition("="))
         section, dot, key = name.partition(".")
-        same = [known for known in setting_names() if known.partition(".")[2] == (key or name)]
-        meant = f"; did you mean {' or '.join(same)}?" if same and name not in same else ""
         if not equals or not (dot or name == "seed"):
-            raise UsageError(f"--set {brief(text)}: expected stage.key=value{meant}")
-        if meant:
-            raise UsageError(f"--set {brief(text)}: no setting {brief(name)}{meant}")
+            raise UsageError(
+                f"--set {brief(text)}: expected stage.key=value, as `sonarrec config` lists"
+            )
         try:
             parsed = parse_toml(f"value = {value}", "--set")["value"]
         except SonarrecError:

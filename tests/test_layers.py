@@ -33,7 +33,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2677,
+    "cli": 2620,
     "drawing": 820,
     "evaluation": 3459,
     "geometry": 415,

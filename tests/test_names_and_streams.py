@@ -52,24 +52,6 @@ def test_a_shell_completes_the_names_of_files() -> None:
         assert [item.type for item in shell.get_completions(words, begun)] == ["file"], line
 
 
-@pytest.mark.parametrize(
-    ("line", "completed"),
-    [
-        ("help land", ["landmarks"]),
-        ("run --preset off", ["offline"]),
-        ("run --preset default,pa", ["default,paper"]),
-        ("run --set features.decl", ["features.declare="]),
-        ("landmarks bas", ["basin"]),
-        ("run --landmarks bas", ["basin"]),
-    ],
-)
-def test_a_shell_completes_names_of_ours(line: str, completed: list[str]) -> None:
-    shell = BashComplete(main, {}, "sonarrec", "_SONARREC_COMPLETE")
-    *words, begun = line.split()
-    found = [item.value for item in shell.get_completions(words, begun) if item.type == "plain"]
-    assert found == completed
-
-
 def test_colour_only_where_it_is_wanted(tmp_path: Path) -> None:
     plain = b"sonarrec: none.mcap: no such file or folder"
     words = ("info", "none.mcap")

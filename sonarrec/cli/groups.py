@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial, wraps
 from importlib.resources import files
 from itertools import pairwise
@@ -146,20 +146,3 @@ def as_one(
 def file_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Of a text that may be a path."""
     return [CompletionItem(incomplete, type="file")]
-
-
-def names_of(
-    names: Callable[[], Iterable[str]], *, or_files: bool = False
-) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
-    """Of one of some names, which are asked for when a shell completes.
-
-    Of a list with commas the last is completed. or_files: or a path.
-    """
-
-    def complete(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        before, comma, begun = incomplete.rpartition(",")
-        found = [name for name in names() if name.startswith(begun)]
-        items = [CompletionItem(f"{before}{comma}{name}") for name in found]
-        return items + ([CompletionItem(incomplete, type="file")] if or_files else [])
-
-    return complete

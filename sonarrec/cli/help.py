@@ -10,7 +10,7 @@ from functools import partial
 import click
 
 from sonarrec.cli.endings import styled
-from sonarrec.cli.groups import command, names_of, page_texts
+from sonarrec.cli.groups import command, page_texts
 from sonarrec.errors import UsageError
 
 _CODE = re.compile(r"`([^`\n]+(?:\n[^`\n]+)?)`")
@@ -25,7 +25,7 @@ def pages() -> dict[str, str]:
 
 
 @command("help", short_help="Show the manual: a page per topic.")
-@click.argument("topic", required=False, shell_complete=names_of(page_texts))
+@click.argument("topic", required=False)
 def help_(topic: str | None) -> None:
     """Show the page of the manual on TOPIC; without TOPIC list the pages.
 

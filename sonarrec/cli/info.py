@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from sonarrec.readers.named_logs import NamedLog
 
 HEAD = "# Written by sonarrec info"
-MOST_NUMBERS = 16
-"""Of a list that the log itself states: more are not repeated in a sonar.toml."""
 
 
 @command(short_help="Show what is in a log, and whether it is complete.")
@@ -105,7 +103,7 @@ def info(
             continue
         if not as_json:
             say(*([""] if documents else []), *lines(found))
-        documents.append(_as_text(asdict(found)))
+        documents.append(asdict(found))
         codes.append(FAILED if found.has_no_frame else PARTLY * found.has_problems)
     if as_json:
         head = {"program": PROGRAM, "version": PROGRAM["version"]}
@@ -120,15 +118,6 @@ def info(
     if all(codes) and PARTLY not in codes:
         leave(FAILED if FAILED in codes else MISUSED)
     leave(PARTLY if any(codes) else 0)
-
-
-def _as_text(value: Any) -> Any:
-    """A table for JSON whose names of files are valid Unicode."""
-    if isinstance(value, dict):
-        return {key: _as_text(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [*map(_as_text, value)]
-    return name_as_text(value) if isinstance(value, str) else value
 
 
 def _draw(preview: Path, log: NamedLog, reading: dict[str, Any], landmarks: str | None) -> None:
@@ -312,26 +301,12 @@ def write_sonar_toml(path: Path, info: LogInfo) -> list[str]:
 
 
 def _sonar_lines(images: Images) -> Iterator[str]:
-    """A line for each key that is known, assumed or missing."""
-    from sonarrec.sonar import Sonar
-
+    """A line for each key that is stated or missing; what the log states is a comment, since in a
+    file it would overrule pings of other windows."""
     stated = {"layout": images.layout} | images.geometry
-    floor = {"tilt_deg", "height_m"}
-    names = {"flag": "option", "default": "by default", "found": "found from the first pings"}
-    for key in (field.name for field in fields(Sonar)):
-        origin, value = images.origins.get(key, "default"), stated.get(key, "")
-        if key in stated and origin in ("message", "header"):
-            several = isinstance(value, list) and len(value) > MOST_NUMBERS
-            text = f"[{len(value)} values]" if several else json.dumps(value)
-            yield f"# {key} = {text}  # the log states it, ping by ping"
-        elif key in stated:
-            told = json.dumps(names.get(origin, name_as_text(origin)))[1:-1]
-            yield f"{key} = {json.dumps(value)}  # {told}"
-        elif key in floor and images.lacks and floor & set(stated):
-            yield f"# {key} =  # not stated: {options.GEOMETRY_TEXTS[key]}"
-        elif key in images.lacks or (key in floor and images.lacks):
-            one_of = " One of tilt_deg and height_m is needed." if key in floor else ""
-            yield f"# {key} =  # missing: {options.GEOMETRY_TEXTS[key]}{one_of}"
-        elif key in images.assumed:
-            value = json.dumps(images.assumed[key])
-            yield f"# {key} = {value}  # assumed; state it if you know better"
+    for key, value in stated.items():
+        by_log = images.origins.get(key) in ("message", "header")
+        yield f"# {key}: the log states it" if by_log else f"{key} = {json.dumps(value)}"
+    for key in images.lacks:
+        or_height = " (or height_m)" if key == "tilt_deg" else ""
+        yield f"# {key} =  # missing{or_height}: {options.GEOMETRY_TEXTS[key]}"

@@ -9,14 +9,12 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import say, tell
-from sonarrec.cli.groups import NEW_FILE, FiniteRange, command, in_geometry
+from sonarrec.cli.groups import NEW_FILE, FiniteRange, command, file_names, in_geometry
 from sonarrec.errors import UsageError, number_of
 
 
 @command(short_help="Show a landmark set, and whether its IDs can be told apart.")
-@click.argument(
-    "landmark_set", metavar="SET", default="basin", shell_complete=options.landmark_sets
-)
+@click.argument("landmark_set", metavar="SET", default="basin", shell_complete=file_names)
 @in_geometry(
     "--distance distance_m",
     metavar="M",

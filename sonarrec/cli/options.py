@@ -6,7 +6,6 @@ An option that stands for several, such as `settings`, hands the command one obj
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, get_args
 
@@ -24,7 +23,6 @@ from sonarrec.cli.groups import (
     in_output,
     in_scoring,
     in_settings,
-    names_of,
 )
 from sonarrec.errors import UsageError, is_url
 from sonarrec.nouns import Clock
@@ -35,11 +33,6 @@ if TYPE_CHECKING:
     from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.sonar import Sonar
-
-
-def _module(name: str) -> Any:
-    """A module of the package that is loaded only where it is needed."""
-    return import_module(f"sonarrec.{name}")
 
 
 # Logs: which, and how they are read
@@ -217,13 +210,9 @@ def numbers(flag: str, text: str, count: int | None = None) -> list[float]:
 # Landmarks, results and truth
 
 
-landmark_sets = names_of(
-    lambda: sorted(file.stem for file in _module("landmarks").BUILT_IN.glob("*.toml")),
-    or_files=True,
-)
 landmarks = in_input(
     "--landmarks",
-    shell_complete=landmark_sets,
+    shell_complete=file_names,
     help="Landmark set: a built-in name or a TOML file.  "
     "[default: that of the run.toml that is read, or landmarks.toml beside the log; else basin]",
 )
@@ -345,7 +334,6 @@ _SETTINGS = {
     "preset": in_settings(
         "--preset",
         metavar="NAME[,NAME]",
-        shell_complete=names_of(lambda: _module("config").PRESETS),
         help="default (frame by frame), offline (results are revised by what the log shows later) "
         "or paper (every rule as published). `sonarrec run` takes several.",
     ),
@@ -358,7 +346,6 @@ _SETTINGS = {
         "--set assignments",
         multiple=True,
         metavar="STAGE.KEY=VALUE",
-        shell_complete=names_of(lambda: [f"{name}=" for name in _module("config").setting_names()]),
         help="Change one setting; repeatable. All: `sonarrec config`.",
     ),
 }

@@ -250,4 +250,4 @@ def test_what_the_log_states_ping_by_ping_is_written_as_a_comment(tmp_path: Path
     sonarrec("info", log, "--write-sonar", file)
     stated = tomllib.loads(file.read_text())["sonar"]
     assert set(stated) == {"tilt_deg", "height_m", "frame_rate_hz", "beam_width_deg", "beam_order"}
-    assert "# range_max_m = " in file.read_text()
+    assert "# range_max_m: " in file.read_text()
