@@ -44,7 +44,7 @@ MOST_LINES = {
     "recogniser": 6414,
     "reports": 1830,
     "results": 1711,
-    "runs": 1710,
+    "runs": 1506,
     "simulation": 2493,
     "tables": 804,
     "truth": 1072,

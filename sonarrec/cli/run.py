@@ -28,7 +28,6 @@ from sonarrec.cli.endings import (
 )
 from sonarrec.cli.groups import (
     FILE,
-    FiniteRange,
     command,
     file_names,
     in_batch,
@@ -54,8 +53,6 @@ MOST_FAILED = 10
 """Logs that failed whose paths are printed at the end; logs.csv lists all."""
 MOST_ROWS = 100
 """Of the table of what was found in each log."""
-LONGEST_S = 1e9
-"""Of --timeout: more than any log takes, and no more than a clock can wait for."""
 
 
 class _FolderOrUrl(click.Path):
@@ -101,12 +98,6 @@ class _FolderOrUrl(click.Path):
 @in_batch(
     "--dry-run", is_flag=True, help="Print what would be done with each log and why; write nothing."
 )
-@in_batch(
-    "--timeout",
-    type=FiniteRange(0, LONGEST_S, min_open=True),
-    metavar="SECONDS",
-    help="Stop a log that takes longer.",
-)
 @in_batch("--shard", metavar="I/N", help="Run only every N-th log, from the I-th: see help remote.")
 @in_batch(
     "--scheduler",
@@ -131,7 +122,6 @@ def run(
     overwrite: bool,
     jobs: int | None,
     dry_run: bool,
-    timeout: float | None,
     shard: str | None,
     scheduler: str | None,
     quiet: bool,
@@ -190,7 +180,6 @@ def run(
         out,
         quiet=quiet,
         jobs=jobs,
-        timeout_s=timeout,
         scheduler=scheduler,
         alone=len(logs) == 1,
     )

@@ -91,14 +91,6 @@ class Log:
         return settled if scale is None else settled | scale.as_table()
 
     @property
-    def found_white(self) -> float | None:
-        """full_scale, where it follows from the first frame; None where it is stated or usual."""
-        scale = self._make.scale
-        if scale is None or scale.pixel_scale == "linear" or self.sonar.full_scale is not None:
-            return None
-        return scale.full_scale
-
-    @property
     def dynamic_range_db(self) -> float | None:
         """Decibels from black to white; None if unknown, or before the first frame."""
         # With other scales than linear, the reader itself made the grey levels with this many dB.

@@ -18,13 +18,9 @@ RETRIES = 2
 """How often a task is started again after its worker was lost."""
 PATIENCE = "10s"
 """How long to wait for the scheduler."""
-_TLS = "DASK_DISTRIBUTED__COMM__TLS__"
-"""Prefix of the environment variables that name certificates."""
 
 
-def run_on_cluster(
-    tasks: Sequence[Task], address: str, watch: Watch, timeout_s: float | None = None
-) -> None:
+def run_on_cluster(tasks: Sequence[Task], address: str, watch: Watch) -> None:
     """Run tasks on the workers of the Dask scheduler at `address`.
 
     If the scheduler dies, finished results stay and the same call continues from there.
@@ -36,7 +32,15 @@ def run_on_cluster(
     except ImportError:
         raise UsageError("--scheduler needs pip install 'sonarrec[cluster]'") from None
     dask: Any = distributed  # only part of it has types
-    _check_address(dask, address)
+    try:  # a client that cannot connect would wait for ever
+        dask.comm.get_address_host_port(address)
+        certificates = dask.Security().get_connection_args("client")["ssl_context"]
+    except (ValueError, OSError) as error:
+        raise UsageError(
+            f"--scheduler {address}: expected an address such as tcp://host:8786 ({error})"
+        ) from None
+    if address.startswith("tls://") and certificates is None:
+        raise UsageError(f"--scheduler {address}: needs certificates in dask's configuration")
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # a lost scheduler is reported below
     try:
@@ -49,9 +53,7 @@ def run_on_cluster(
         for i in range(len(tasks)):
             watch(i, (0, None))  # only the worker knows when a task really starts
         running = {
-            client.submit(
-                _run_on_worker, task, Path.cwd(), timeout_s, pure=False, retries=RETRIES
-            ): i
+            client.submit(_run_on_worker, task, Path.cwd(), pure=False, retries=RETRIES): i
             for i, task in enumerate(tasks)
         }
         for future in dask.as_completed(list(running), loop=client.loop):
@@ -66,39 +68,10 @@ def run_on_cluster(
             future.release()
 
 
-def _check_address(dask: Any, address: str) -> None:
-    """Raise UsageError if the address is invalid or its certificates are missing.
-
-    A client that cannot connect would print a traceback.
-    """
-    try:
-        dask.comm.get_address_host_port(address)
-    except ValueError:
-        raise UsageError(
-            f"--scheduler {address}: expected an address such as tcp://host:8786"
-        ) from None
-    try:
-        secure = dask.Security().get_connection_args("client")
-    except OSError as error:
-        raise UsageError(
-            f"--scheduler {address}: the certificates that {_TLS}... names cannot be read "
-            f"({error.strerror or error})"
-        ) from None
-    if address.startswith("tls://") and secure["ssl_context"] is None:
-        raise UsageError(
-            f"--scheduler {address}: needs certificates; {_TLS}CA_FILE, {_TLS}CLIENT__CERT and "
-            f"{_TLS}CLIENT__KEY name their files"
-        )
-    if secure["require_encryption"] and not address.startswith(("tls://", "wss://")):
-        raise UsageError(
-            f"--scheduler {address}: dask's configuration requires encryption; give tls://host:8786"
-        )
-
-
-def _run_on_worker(task: Task, folder: Path, timeout_s: float | None) -> Outcome:
+def _run_on_worker(task: Task, folder: Path) -> Outcome:
     """Run a task in a process of its own; called on a worker. folder: to which its paths relate."""
     give_up = monotonic() + 2 * GRACE_S
-    with closing(Processes(timeout_s, folder if folder.is_dir() else None)) as processes:
+    with closing(Processes(folder if folder.is_dir() else None)) as processes:
         while True:
             outcome = processes.run(task)
             # The process of a lost worker may still be writing its results.

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from time import monotonic
-from typing import Any, get_args
+from typing import Any
 
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError, locked, part_of
@@ -19,7 +19,7 @@ from sonarrec.tables.outputs import is_filled, write_csv
 
 NAME = "logs.csv"
 WRITE_EVERY_S = 1.0
-USABLE: tuple[Status, ...] = ("done", "partial")
+USABLE = ("done", "partial")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +34,6 @@ class Row:
     seconds: float = 0.0  # duration of its last run; 0: not known
     declared: int = 0  # passes in sightings.csv, of methods that track objects
     message: str = ""  # what could not be used, or why it failed; or "stopped"
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """Two rows of one key are of one log."""
-        return self.log, self.path
 
 
 COLUMNS = tuple(f.name for f in fields(Row))
@@ -72,27 +67,21 @@ class LogsTable:
     def add(self, i: int, event: Event) -> None:
         """What happened to task i."""
         if isinstance(event, Outcome):
-            self._rows[i] = self._ended(self._rows[i], event)
+            row, summary = self._rows[i], event.summary
+            if isinstance(event.error, LockedError):
+                self._run_elsewhere.add(row.log)
+            row = replace(row, status=event.status, message=event.message)
+            row = replace(row, seconds=round(event.seconds, 2))
+            if summary is not None:
+                declared, count = sum(summary.passes.values()), summary.frames
+                row = replace(row, frames=count, unusable=summary.unusable, declared=declared)
+                if summary.up_to_date:
+                    row = replace(row, seconds=self._seconds.get(row.log, 0.0))
+            self._rows[i] = row
         elif isinstance(event, tuple):
             self._rows[i] = replace(self._rows[i], status="running", frames=event[0])
         if monotonic() >= self._written_at_s + WRITE_EVERY_S:
             self.write()
-
-    def _ended(self, row: Row, outcome: Outcome) -> Row:
-        row = replace(row, status=outcome.status, message=outcome.message)
-        if isinstance(outcome.error, LockedError):
-            self._run_elsewhere.add(row.log)
-        seconds = outcome.seconds
-        if (summary := outcome.summary) is not None:
-            row = replace(
-                row,
-                frames=summary.frames,
-                unusable=summary.unusable,
-                declared=sum(summary.passes.values()),
-            )
-            if summary.up_to_date:
-                seconds = self._seconds.get(row.log, 0.0)
-        return replace(row, seconds=round(seconds, 2))
 
     def stopped(self) -> None:
         """The call was stopped: running logs become waiting, with their frames so far."""
@@ -113,7 +102,7 @@ class LogsTable:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
                 before = read_logs(self._path) if is_filled(self._path) else []
-                rows = (map(_harmless, astuple(row)) for row in self._merged(before).values())
+                rows = map(astuple, self._merged(before).values())
                 write_csv(self._path, COLUMNS, rows)
         except OSError as error:
             self.fault = f"{self._path}: cannot be written ({error.strerror})"
@@ -123,27 +112,16 @@ class LogsTable:
     def _merged(self, before: Sequence[Row]) -> dict[tuple[str, str], Row]:
         """The rows of this call and those that other calls wrote before, by key."""
         usable = {row.log for row in before if row.status in USABLE}
-        own = {row.key: row for row in self._rows if row.log not in self._run_elsewhere & usable}
+        own = {
+            (row.log, row.path): row
+            for row in self._rows
+            if row.log not in self._run_elsewhere & usable
+        }
         # A log may be refused because another log of its name has results there. Then both keep a
         # row, until this log has results too.
         ended = {row.log for row in own.values() if row.status in USABLE}
-        others = (row for row in before if row.log not in ended or row.key in own)
-        return {row.key: row for row in others} | own
-
-
-FORMULA = ("=", "+", "-", "@")
-"""Spreadsheets run a cell that begins so; a quotation mark in front makes it text."""
-
-
-def _harmless(cell: object) -> object:
-    begins = isinstance(cell, str) and cell.lstrip("'").startswith(FORMULA)
-    return f"'{cell}" if begins else cell
-
-
-def _text(cell: str) -> str:
-    """The text from which `_harmless` made a cell."""
-    quoted = cell.startswith("'") and cell.lstrip("'").startswith(FORMULA)
-    return cell[1:] if quoted else cell
+        others = (row for row in before if row.log not in ended or (row.log, row.path) in own)
+        return {(row.log, row.path): row for row in others} | own
 
 
 @contextmanager
@@ -162,25 +140,21 @@ def read_logs(path: Path) -> list[Row]:
 
     Raises SonarrecError if it is not such a table, or has columns of its own.
     """
-    whole: dict[str, Callable[[str], Any]] = dict.fromkeys(("frames", "unusable", "declared"), int)
-    # A duration that is not positive and finite is not known.
-    kinds = whole | {"seconds": lambda cell: s if 0 < (s := float(cell)) < math.inf else 0.0}
+    kinds: dict[str, Callable[[str], Any]] = dict.fromkeys(("frames", "unusable", "declared"), int)
+    kinds["seconds"] = float
     rows = []
     try:
-        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
+        with path.open(encoding="utf-8", errors="surrogateescape", newline="") as file:
             table = csv.DictReader(file)
             if set(COLUMNS) != set(table.fieldnames or ()):
-                raise KeyError
+                raise ValueError
             for cells in table:
-                values = {name: kinds.get(name, _text)(cells[name]) for name in COLUMNS}
-                if values["status"] not in get_args(Status):
-                    raise ValueError
-                rows.append(Row(**values))
+                rows.append(Row(**{name: kinds.get(name, str)(cells[name]) for name in COLUMNS}))
     except FileNotFoundError:
         return []
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    except (AttributeError, KeyError, TypeError, ValueError, csv.Error):
+    except (TypeError, ValueError, csv.Error):
         line = max(table.line_num, 1)
         raise SonarrecError(
             f"{path} line {line}: not a row of {','.join(COLUMNS)}; move the file away"

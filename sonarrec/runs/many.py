@@ -18,8 +18,8 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryFile
-from threading import Lock, Thread, Timer
-from time import monotonic, sleep
+from threading import Lock, Timer
+from time import monotonic
 from typing import IO
 
 from sonarrec.errors import SonarrecError
@@ -50,15 +50,13 @@ def run_here(tasks: Sequence[Task], watch: Watch) -> None:
         watch(i, run_task(task, observe, partial(watch, i)))
 
 
-def run_apart(
-    tasks: Sequence[Task], jobs: int, watch: Watch, timeout_s: float | None = None
-) -> None:
+def run_apart(tasks: Sequence[Task], jobs: int, watch: Watch) -> None:
     """Run tasks in processes of their own, `jobs` at a time, started in their order.
 
     An exception in the caller's thread, such as Ctrl-C, ends the processes; their logs keep the
     frames so far.
     """
-    processes, turn = Processes(timeout_s), Lock()
+    processes, turn = Processes(), Lock()
 
     def tell(i: int, event: Event) -> None:
         with turn:
@@ -84,9 +82,8 @@ def run_apart(
 class Processes:
     """Runs logs in processes: in one that an earlier log has left, else in a new one."""
 
-    def __init__(self, timeout_s: float | None = None, folder: Path | None = None) -> None:
-        """timeout_s: how long one log may take; None: no limit. folder: to which paths relate."""
-        self._timeout_s = timeout_s
+    def __init__(self, folder: Path | None = None) -> None:
+        """folder: to which the tasks' paths relate; default: the current one."""
         self._folder = folder
         self._idle = list[tuple[Child, IO[bytes]]]()  # with the file of what each prints
         self._running = set[Child]()
@@ -98,11 +95,14 @@ class Processes:
         with self._starting:
             self._stopped = True
             for child in [*self._running]:  # their threads take them out meanwhile
-                Thread(target=_end, args=(child,), daemon=True).start()
+                child.terminate()
+                killer = Timer(GRACE_S, child.kill)
+                killer.daemon = True
+                killer.start()
 
     def run(self, task: Task, tell: Callable[[Event], object] = str) -> Outcome:
         """Run a task; its outcome says if the process died. tell: gets the events before."""
-        start_s, limit_s = monotonic(), self._timeout_s
+        start_s = monotonic()
 
         def failed(why: str, fault: str = "") -> Outcome:
             error = SonarrecError(f"{task.path}: {why}")
@@ -116,29 +116,18 @@ class Processes:
             except OSError as error:  # no memory, file descriptors or disk space
                 return failed(f"no process could be started for it ({error.strerror})")
             self._running.add(child)
-        timer = Timer(limit_s or 0, _end, [child])
-        if limit_s is not None:
-            timer.start()
-        try:
-            outcome = _listen(child, task, tell)
-        finally:
-            timer.cancel()
-        late = limit_s is not None and monotonic() - start_s >= limit_s
+        outcome = _listen(child, task, tell)
         self._running.discard(child)
-        if outcome is not None and not late:
+        if outcome is not None:
             self._idle.append((child, printed))
             return outcome
         said = _said_until_its_end(child, printed)
         if self._stopped:
             return Outcome("waiting")
-        if late:
-            return failed(f"took more than {limit_s:g} s (--timeout)")
         if child.returncode >= 0:
             return failed("a bug in sonarrec ended its process; the traceback is above", said)
-        number = -child.returncode
-        name = signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
-        memory = " (out of memory?)" if name == "SIGKILL" else ""
-        return failed(f"its process was ended by {name}{memory}")
+        memory = " (out of memory?)" if child.returncode == -signal.SIGKILL else ""
+        return failed(f"its process was ended by {signal.Signals(-child.returncode).name}{memory}")
 
     def close(self) -> None:
         """End the processes that wait for another log."""
@@ -174,26 +163,13 @@ def _listen(child: Child, task: Task, tell: Callable[[Event], object]) -> Outcom
     return event
 
 
-def _end(child: Child) -> None:
-    child.terminate()
-    _wait_or_kill(child)
-
-
-def _wait_or_kill(child: Child) -> None:
-    """Wait for a process to end; one that does not within GRACE_S is killed."""
-    try:
-        child.wait(GRACE_S)
-    except subprocess.TimeoutExpired:
-        child.kill()
-
-
 def _said_until_its_end(child: Child, printed: IO[bytes]) -> str:
     """Wait for a process to end, for which there is no other task; what it has printed."""
     with child, printed:
         assert child.stdin is not None
         with suppress(OSError):
             child.stdin.close()
-        _wait_or_kill(child)
+        child.wait()
         printed.seek(0)
         return printed.read().decode(errors="replace")
 
@@ -201,13 +177,12 @@ def _said_until_its_end(child: Child, printed: IO[bytes]) -> str:
 def main() -> None:
     """The process that runs logs: tasks come on stdin, progress and outcomes go to stdout.
 
-    After SIGTERM, or if the parent dies, the frames so far are kept.
+    After SIGTERM, or if the parent is gone and so the pipe is broken, the frames so far are kept.
     """
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not mix with the pickles
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C on the terminal; the parent sends SIGTERM
     signal.signal(signal.SIGTERM, _stop)
-    Thread(target=_watch_parent, args=(os.getppid(),), daemon=True).start()
     frames, last = 0, 0.0  # of this task; when they were sent
 
     def send(event: Event) -> None:
@@ -240,15 +215,6 @@ def _next_task() -> Task | None:
         task: Task = pickle.load(sys.stdin.buffer)
         return task
     return None
-
-
-def _watch_parent(parent: int) -> None:
-    """End when the parent is gone: another process may be asked to run the same log."""
-    while os.getppid() == parent:
-        sleep(_REPORT_EVERY_S)
-    os.kill(os.getpid(), signal.SIGTERM)
-    sleep(GRACE_S)
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _stop(*_: object) -> None:

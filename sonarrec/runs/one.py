@@ -158,34 +158,21 @@ def _recognise(
 
 def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
     """Tell the user what showed at the end of the run."""
-    log, note, (static, saturated) = job.log, job.log.diagnostics.note, job.recogniser.restored
+    note, (static, saturated) = job.log.diagnostics.note, job.recogniser.restored
     doubts = plausibility.contradictions()
     if not writer.candidates:
-        width = disc_width_px(job.fan, job.landmarks)
-        hint = "" if width >= 1 else " (are the ranges in metres?)"
         doubts.append(
             f"0 candidates in {number_of(writer.frames, 'frame')}: a disc of {job.landmarks.name} "
-            f"would be {width:.0f} px wide here{hint}"
+            f"would be {disc_width_px(job.fan, job.landmarks):.0f} px wide here"
         )
     if doubts:
-        look = f"`sonarrec info {log.path} --preview FILE.png`, with the same geometry"
+        look = f"`sonarrec info {job.log.path} --preview FILE.png`, with the same geometry"
         note(f"{'; '.join(doubts)}; look at {look}")
     if static:
-        note(
-            f"{static:.1%} of the picture never changes, like drawn lines and text, or "
-            "dead beams; it is filled from the pixels beside it"
-        )
+        note(f"{static:.1%} of the picture never changes, and is filled from beside it")
     if saturated:
-        better = "a lower gain"
-        if (white := log.found_white) is not None:
-            better = (
-                f"a higher full_scale in sonar.toml than {white:.4g}, as the first frame has it,"
-            )
-        note(
-            f"{saturated:.0%} of the frames are saturated; how strong the strongest "
-            f"echoes are is estimated from how many there are; {better} is better"
-        )
-    if log.untimed:
+        note(f"{saturated:.0%} of the frames are saturated; a lower gain is better")
+    if job.log.untimed:
         note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
 
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import chain, groupby
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from sonarrec.config import Config
-from sonarrec.drawing.landmarks import distances, doubts
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import PoseTable, floor_depth
 from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
@@ -24,7 +22,6 @@ from sonarrec.readers.poses import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
-from sonarrec.results.folders import MADE, MADE_BY
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 from sonarrec.sonar import Sonar
 
@@ -80,8 +77,11 @@ def prepare(
     """
     earlier = read_run(run_options.earlier_run)
     source = find_log(path, log_options.up_to)
-    digest = digest_asked(earlier, source)
-    same_log = is_same_log(earlier, source, digest)
+    # To compute it takes long, so only where there is one to compare with.
+    digest = digest_of(source) if earlier.input.sha256 else None
+    same_log = earlier.input.name == name_as_text(source.name)
+    if digest is not None:
+        same_log = digest[1] == earlier.input.sha256
     given, log_options = log_options, earlier.complete(log_options, same_log=same_log)
     log_options = _with_companions(source, log_options, again=same_log)
     landmarks, from_where = chosen_landmarks(source, run_options.landmarks, earlier)
@@ -98,7 +98,7 @@ def prepare(
         fan = first.fan
         configs, about_beams = with_beams(run_options.configs, log.beam_width_deg, first)
         recogniser = SideBySide(configs, fan, landmarks, learned.model if learned else None, poses)
-        log.diagnostics.note(*about_beams, *_about_landmarks(landmarks, fan, configs))
+        log.diagnostics.note(*about_beams)
         folder = _results_of(source, out, name or log.name)
         identity = (name_as_text(log.name), *(digest or log.digest_source()))
         table = run_table(
@@ -121,63 +121,29 @@ def prepare(
             end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
             frame_count = max(end - span[0], 0)
         seen = chain([first], frames)
-        beams = beams_in_words(run_options.configs, configs, log, about_beams)
-        line = basis(log, fan, source, given, earlier, (landmarks, from_where), beams)
+        line = f"{_geometry(log, fan, source, given, earlier)}; landmarks {landmarks.name}"
+        line += f" ({from_where})"
         yield PreparedRun(
             log, seen, frame_count, fan, landmarks, poses, recogniser, line, table, folder
         )
 
 
-def digest_asked(earlier: RunFile, source: Source) -> tuple[int, str] | None:
-    """As `digest_of`, which takes long; None if the earlier run states none to compare with."""
-    return digest_of(source) if earlier.input.sha256 else None
-
-
-def is_same_log(earlier: RunFile, source: Source, digest: tuple[int, str] | None) -> bool:
-    """Whether the earlier run was of this log; a note is told if of another of the same name.
-
-    digest: from `digest_asked`; if None, names are compared.
-    """
-    name = name_as_text(source.name)
-    alike = earlier.input.name == name
-    if digest is None:
-        return alike
-    is_same = digest[1] == earlier.input.sha256
-    if alike and not is_same:
-        source.diagnostics.note(
-            f"made from another {name}; only its settings and its geometry are used",
-            about=earlier.path,
-        )
-    return is_same
-
-
-def _results_of(log: Source, out: Path, name: str) -> Path:
-    """The folder of a log's results in `out`; a note is told if another command writes there, too.
+def _results_of(source: Source, out: Path, name: str) -> Path:
+    """The folder of a log's results in `out`.
 
     Raises UsageError if it would replace the log, SonarrecError if it cannot be made there.
     """
     folder = out / name
     try:
-        itself = folder.resolve() == log.path.resolve()
+        itself = folder.resolve() == source.path.resolve()
     except OSError as error:  # the current folder is gone
         raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     if itself:
         raise UsageError(f"{folder}: this is the log itself; choose another --out")
-    if folder.is_symlink():
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise SonarrecError(
-            f"{folder}: a link, through which no results are written; remove it, or choose another "
-            "--out, which may be a link itself"
-        )
-    if folder.exists() and not folder.is_dir():
-        raise SonarrecError(
-            f"{folder}: a file is where the folder of the results would be; move it "
+            f"{folder}: a file or a link is where the folder of the results would be; move it "
             "away, or choose another --out"
-        )
-    if folder.name in MADE:
-        log.diagnostics.note(
-            f"`sonarrec {MADE_BY[folder.name]} {out}` writes into this folder, too; give it an "
-            "--out, or rename the log",
-            about=folder,
         )
     return folder
 
@@ -195,16 +161,6 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
         return log_options
     source.diagnostics.note(f"its poses are those of {poses}")
     return replace(log_options, odometry=poses)
-
-
-def _about_landmarks(landmarks: LandmarkSet, fan: Fan, configs: Sequence[Config]) -> list[str]:
-    """A note on a set that is hard to recognise in the middle of the window; none if it is not."""
-    width_deg = max(c.features.beam_width_deg for c in configs)
-    middle_m = (fan.range_min_m + fan.range_max_m) / 2
-    beam_m = middle_m * math.radians(width_deg)
-    found = doubts(landmarks, beam_m, distances(landmarks, beam_m))
-    where = f"landmark set {landmarks.name}, at {middle_m:.2g} m"
-    return [f"{where}: {'; '.join(found)} (see `sonarrec landmarks`)"] if found else []
 
 
 def _model(run_options: RunOptions, earlier: RunFile) -> ModelFile | None:
@@ -238,14 +194,7 @@ def _poses(source: Source, log_options: LogOptions, earlier: RunFile) -> PoseTab
         poses = read_poses(log_options.odometry)
     else:
         return None
-    if earlier.odometry and earlier.odometry != poses.source:
-        source.diagnostics.note(
-            f"the earlier run used other poses than {poses.name}", about=earlier.path
-        )
     return poses
-
-
-OPTION = "option"
 
 
 def chosen_landmarks(
@@ -254,77 +203,25 @@ def chosen_landmarks(
     """The set that the user chose, else the earlier run's, else that beside the log, else basin;
     and where it is from. Raises SonarrecError if it is invalid."""
     if choice is not None:
-        return earlier.landmark_set(choice), f"{OPTION}, {choice}"
+        return earlier.landmark_set(choice), f"option, {choice}"
     if "landmarks" in earlier.table:
         return earlier.landmark_set(), str(earlier.path)
     beside = None if source is None else source.beside(LANDMARKS_FILE)
     return earlier.landmark_set(beside), "built in" if beside is None else str(beside)
 
 
-def basis(
-    log: Log,
-    fan: Fan,
-    source: Source,
-    given: LogOptions,
-    earlier: RunFile,
-    landmarks: tuple[LandmarkSet, str],
-    beams: str,
-) -> str:
-    """The line. given: the options of the command alone. earlier: the run.toml that completed
-    them. landmarks: from `chosen_landmarks`. beams: from `beams_in_words`."""
-    file = given.sonar_file or source.beside(SONAR_FILE)
-    again = Sonar() if given.sonar_file else earlier.sonar()
-
-    def origin(key: str) -> str:
-        if getattr(given.sonar, key) is not None:
-            return OPTION
-        if getattr(again, key) is not None:
-            return str(earlier.path)
-        stated = getattr(log.stated, key)
-        if stated is not None and stated != getattr(log.header, key):
-            return str(file)
-        return "log" if getattr(log.sonar, key) is not None else "assumed"
-
-    height = origin("height_m")
-    if height == "assumed" and fan.height_m is not None:
-        height = "as the first frames show"
-    view = "field_of_view_deg" if log.sonar.bearings_deg is None else "bearings_deg"
-    window = [f"{fan.range_min_m:.4g}", f"to {fan.range_max_m:.4g} m"]
-    ends = [origin("range_min_m"), origin("range_max_m")]
-    one = [(" ".join(window), ends[0])] if ends[0] == ends[1] else [*zip(window, ends, strict=True)]
-    parts = [
-        *one,
-        (f"{fan.bearing_max_deg - fan.bearing_min_deg:.4g} deg wide", origin(view)),
-        (f"tilt {fan.tilt_deg:.4g} deg", origin("tilt_deg")),
-        (f"height {floor_depth(fan):.3g} m", height),
-    ]
-    told = {"layout", "range_min_m", "range_max_m", view, "tilt_deg", "height_m", "frame_rate_hz"}
-    others = [key for key in log.sonar.as_table() if key not in told]
-    parts += [(key, where) for key in others if (where := origin(key)) not in ("log", "assumed")]
-    chosen, from_where = landmarks
-    # An origin once for those that follow each other.
-    groups = groupby(parts, key=lambda part: part[1])
-    by_origin = [f"{', '.join(text for text, _ in same)} ({where})" for where, same in groups]
-    line = f"geometry {', '.join(by_origin)}; landmarks {chosen.name} ({from_where}); {beams}"
-    unused = source.others(SONAR_FILE, file)
-    unused += source.others(LANDMARKS_FILE, source.beside(LANDMARKS_FILE))
-    if from_where.startswith(OPTION) or "landmarks" in earlier.table:
-        unused += filter(None, [source.beside(LANDMARKS_FILE)])
-    seen = [str(place) for place in unused if str(place) not in from_where]
-    return line + (f"; not used: {', '.join(seen)}" if seen else "")
-
-
-def beams_in_words(
-    stated: Sequence[Config], used: Sequence[Config], log: Log, about: Sequence[str]
-) -> str:
-    """The beams' width, and where it is from. stated, used: the settings before and after
-    `with_beams`. about: its notes."""
-    widths = {c.features.beam_width_deg for c in used if c.features.beam_width_deg}
-    if not widths:
-        return "no beam width needed"
-    how = "by its beams" if about else "usual for this view"
-    if log.beam_width_deg is not None:
-        how = "stated"
-    if any(c.features.beam_width_deg for c in stated):
-        how = "setting"
-    return f"beams {' and '.join(f'{width:g}' for width in sorted(widths))} deg wide ({how})"
+def _geometry(log: Log, fan: Fan, source: Source, given: LogOptions, earlier: RunFile) -> str:
+    """The geometry that a run goes by, in words. given: the options of the command alone."""
+    again, file = earlier.sonar(), given.sonar_file or source.beside(SONAR_FILE)
+    origins = ["options"] if given.sonar != Sonar() else []
+    if not given.sonar_file and again != Sonar():
+        origins.append(str(earlier.path))
+    elif file is not None:
+        origins.append(str(file))
+    parts = (
+        f"geometry {fan.range_min_m:.4g} to {fan.range_max_m:.4g} m",
+        f"{fan.bearing_max_deg - fan.bearing_min_deg:.4g} deg wide",
+        f"tilt {fan.tilt_deg:.4g} deg" + " assumed" * (log.sonar.tilt_deg is None),
+        f"height {floor_depth(fan):.3g} m" + " assumed" * (fan.height_m is None),
+    )
+    return f"{', '.join(parts)} ({', '.join(origins) or 'log'})"

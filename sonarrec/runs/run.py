@@ -258,14 +258,13 @@ def run_tasks(
     watch: Watch | None = None,
     *,
     jobs: int | None = None,
-    timeout_s: float | None = None,
     scheduler: str | None = None,
     alone: bool = False,
 ) -> Runs:
     """Run the tasks and keep OUT/logs.csv, also if the call is stopped.
 
     out: a folder, or the URL of one. watch: gets what happens meanwhile. jobs: how many run at
-    once; default: the number of cores. timeout_s: for one log. scheduler: address of a Dask cluster
+    once; default: the number of cores. scheduler: address of a Dask cluster
     that runs them. alone: the call names a single log; if that gives no results, logs.csv is not
     written.
     """
@@ -287,9 +286,9 @@ def run_tasks(
             if scheduler is not None:
                 from sonarrec.runs.cluster import run_on_cluster  # with dask, only where needed
 
-                run_on_cluster(tasks, scheduler, keep, timeout_s)
-            elif jobs > 1 or timeout_s is not None:
-                run_apart(tasks, jobs, keep, timeout_s)
+                run_on_cluster(tasks, scheduler, keep)
+            elif jobs > 1:
+                run_apart(tasks, jobs, keep)
             else:
                 run_here(tasks, keep)
         except BaseException:  # Ctrl-C as well

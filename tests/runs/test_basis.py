@@ -39,43 +39,21 @@ def pings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path("dives/pings")
 
 
-def test_each_value_is_named_with_its_origin(pings: Path) -> None:
-    shutil.copy(SAMPLE / "sonar.toml", pings)
+def test_a_run_names_its_geometry_and_where_it_is_from(pings: Path) -> None:
+    shutil.copy(SAMPLE / "sonar.toml", "dives/sonar.toml")  # beside the log's folder
     (told,) = lines(sonarrec("run", pings, *SHORT, "--tilt-deg", "22").stderr)
     assert told == (
-        "sonarrec: pings: geometry 1.25 to 3.75 m, 28.8 deg wide (dives/pings/sonar.toml), "
-        "tilt 22 deg (option), height 0.68 m (dives/pings/sonar.toml); "
-        "landmarks basin (built in); beams 0.4 deg wide (usual for this view)"
+        "sonarrec: pings: geometry 1.25 to 3.75 m, 28.8 deg wide, tilt 22 deg, height 0.68 m "
+        "(options, dives/sonar.toml); landmarks basin (built in)"
     )
     again = ("--config", "out/pings/run.toml", "-o", "again")
     (told,) = lines(sonarrec("run", pings, *again).stderr)
     assert "tilt 22 deg, height 0.68 m (out/pings/run.toml); landmarks basin (out/" in told
-    assert told.endswith("beams 0.4 deg wide (setting)")
-    text = (pings / "sonar.toml").read_text().replace("height_m = 0.68\n", "flip = true\n")
-    (pings / "sonar.toml").write_text(text)
-    (told,) = lines(sonarrec("run", pings, *SHORT).stderr)
-    assert "flip (dives/pings/sonar.toml)" in told
-    assert "(as the first frames show)" in told or "(assumed)" in told
-    (told,) = lines(sonarrec("run", pings, *SHORT, "--range-min-m", "1.3").stderr)
-    assert "geometry 1.3 (option), to 3.75 m, 28.8 deg wide, tilt 20 deg (dives" in told
     assert sonarrec("run", pings, *SHORT, "--overwrite", "-q").stderr == ""
 
 
-def test_a_geometry_beside_a_folder_serves_the_log_in_it(pings: Path) -> None:
-    """Before, it was not found, and the error did not say that it lies there."""
-    shutil.copy(SAMPLE / "sonar.toml", "dives/sonar.toml")
-    (told,) = lines(sonarrec("run", pings, *SHORT).stderr)
-    assert "(dives/sonar.toml)" in told
-    shutil.copy(SAMPLE / "sonar.toml", pings)
-    (told,) = lines(
-        sonarrec("run", pings, *SHORT, "--overwrite", "--sonar", "dives/sonar.toml").stderr
-    )
-    assert told.endswith("; not used: dives/pings/sonar.toml")
-
-
 @pytest.mark.usefixtures("pings")
-@pytest.mark.parametrize("out", ["log", "log.mcap"])
-def test_a_scene_s_own_landmarks_need_not_be_named(out: str) -> None:
+def test_a_scene_s_own_landmarks_need_not_be_named() -> None:
     """Before, the set that lies beside the log was not taken: 'no landmark declared'."""
     rows = [[int(n <= k) for n in range(8)] for k in range(6)]
     text = "".join(
@@ -83,17 +61,16 @@ def test_a_scene_s_own_landmarks_need_not_be_named(out: str) -> None:
     )
     placed = "[[landmark]]\nid = 13\nground_m = 2.0\nazimuth_deg = 0.0\norientation_deg = 40.0\n"
     Path("mine.toml").write_text(SIX + text + placed)
-    sonarrec("simulate", "--scene", "mine.toml", "-o", out)
-    (told,) = lines(sonarrec("run", out, "-o", "out").stderr)
-    file = "log/landmarks.toml" if out == "log" else "log.landmarks.toml"
-    assert f"landmarks six ({file})" in told
+    sonarrec("simulate", "--scene", "mine.toml", "-o", "log.mcap")
+    (told,) = lines(sonarrec("run", "log.mcap", "-o", "out").stderr)
+    assert "landmarks six (log.landmarks.toml)" in told
     run = tomllib.loads(Path("out/log/run.toml").read_text())
     assert [one["id"] for one in run["landmarks"]["landmark"]] == [10, 11, 12, 13, 14, 15]
     sonarrec("evaluate", "out/log", "-q")
     with Path("out/log/evaluation/confusion.csv").open(newline="") as file_:
         rates = {row["landmark"]: row["tpr"] for row in csv.DictReader(file_)}
     assert "13" in rates
-    (told,) = lines(sonarrec("run", out, "-o", "other", "--landmarks", "basin").stderr)
+    (told,) = lines(sonarrec("run", "log.mcap", "-o", "other", "--landmarks", "basin").stderr)
     assert "landmarks basin (option, basin)" in told
     assert told.endswith(f"; not used: {file}")
 

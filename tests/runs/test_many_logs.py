@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import errno
 import os
 import shutil
@@ -23,12 +22,12 @@ from tests.support.command import sonarrec
 
 
 @pytest.mark.slow
-def test_a_log_that_dies_hangs_or_raises_costs_itself_only(tmp_path: Path) -> None:
-    logs = made(tmp_path, "a", "b", "dies", "c", "raises", "hangs", "d")
+def test_a_log_that_dies_or_raises_costs_itself_only(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "b", "dies", "c", "raises", "d")
     (tmp_path / "broken").mkdir()
     out = tmp_path / "out"
     done = subprocess.run(
-        command("run", *logs, tmp_path / "broken", "-j", 2, "--timeout", 30, "-o", out),
+        command("run", *logs, tmp_path / "broken", "-j", 2, "-o", out),
         capture_output=True,
         text=True,
         env=environment(tmp_path),
@@ -40,14 +39,12 @@ def test_a_log_that_dies_hangs_or_raises_costs_itself_only(tmp_path: Path) -> No
     assert {name for name, state in states.items() if state == "failed"} == {
         "dies",
         "raises",
-        "hangs",
         "broken",
     }
     assert "SIGKILL" in told["dies"]["message"]
-    assert "30 s (--timeout)" in told["hangs"]["message"]
     assert "bug in sonarrec" in told["raises"]["message"]
     assert "ZeroDivisionError: a fault of ours" in done.stderr
-    assert "4 done, 4 failed" in done.stderr
+    assert "4 done, 3 failed" in done.stderr
     alone = tmp_path / "alone"
     sonarrec("run", logs[0], "-o", alone, "-q")
     assert all(tables(out / name) == tables(alone / "a") for name in "abcd")
@@ -124,28 +121,19 @@ def test_a_call_that_is_stopped_goes_on(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
-def test_a_call_is_stopped_though_a_log_hangs(
-    sent: signal.Signals, code: int, tmp_path: Path
-) -> None:
+def test_a_call_is_stopped_though_a_log_hangs(tmp_path: Path) -> None:
     logs = made(tmp_path, "a", "hangs")
     call = ["run", *logs, "-o", tmp_path / "out", "-q"]
     words = command(*call, "-j", 2)
     with subprocess.Popen(words, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
         until((tmp_path / "hangs.held").is_file, running)
-        running.send_signal(sent)
+        running.send_signal(signal.SIGINT)
         try:
-            assert running.wait(300) == code, running.stderr.read().decode()
+            assert running.wait(300) == 130, running.stderr.read().decode()
         finally:
             running.kill()
     until(lambda: ended(tmp_path / "hangs"))
     sonarrec(*call)
-
-
-@pytest.mark.parametrize("seconds", ["nan", "inf", "1e10"])
-def test_a_time_that_no_clock_waits_for(seconds: str, tmp_path: Path) -> None:
-    done = sonarrec("run", SAMPLE, "--timeout", seconds, "-o", tmp_path / "out", code=2)
-    assert "'--timeout'" in done.stderr
 
 
 @pytest.mark.parametrize("share", ["0/3", "4/3", "1", "a/b", "1/0", "/"])
@@ -280,18 +268,3 @@ def test_a_refused_namesake_leaves_the_row_of_results_that_stand(tmp_path: Path)
     assert tables(out / "dive") == kept, "replaced unasked"
     sonarrec(*both, "--overwrite", "-q")
     assert states() == {str(logs[2]): "done", str(logs[1]): "done"}
-
-
-@pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", 'a\n"b', "'a", "'=a"])
-def test_any_name_is_read_back_from_logs_csv_and_none_is_a_formula(
-    name: str, tmp_path: Path
-) -> None:
-    """Spreadsheets ran names that begin with a sign."""
-    task = Task(f"{name}.mcap", name, str(tmp_path), LogOptions(), RunOptions([]))
-    LogsTable(tmp_path, [task]).write()
-    [row] = read_logs(tmp_path / "logs.csv")
-    assert (row.log, row.path) == (name, f"{name}.mcap")
-    with (tmp_path / "logs.csv").open(newline="") as file:
-        _, cells = csv.reader(file)
-    assert cells[0][0] not in "=+-@"
-    assert cells[0].removeprefix("'") == name.removeprefix("'" * (cells[0] == name))
