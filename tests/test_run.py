@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -74,7 +73,7 @@ def test_the_readme_commands(work: Path) -> None:
     assert "128 frames" in told.stdout
     assert told.stderr == (
         "sonarrec: pan: geometry 1.25 to 3.75 m, 28.8 deg wide, tilt 20 deg, height 0.68 m "
-        "(pan.sonar.toml); landmarks basin (built in); beams 0.4 deg wide (usual for this view)\n"
+        "(pan.sonar.toml); landmarks basin (built in)\n"
     )
     results = work / "sonarrec_out" / "pan"
     assert len(table(results / "frames.csv")) == 128
@@ -253,11 +252,3 @@ def test_nothing_is_declared_in_rivers(work: Path) -> None:
         }
     assert frames > 200
     assert len(declared) < 0.01 * frames
-
-
-def test_a_log_that_is_called_as_a_folder_of_a_batch_is_told(tmp_path: Path) -> None:
-    for name, command in (("map", "map"), ("evaluation", "evaluate")):
-        shutil.copytree(SAMPLE, tmp_path / name, ignore=shutil.ignore_patterns("*[1-9]*.png"))
-        out = tmp_path / "out"
-        told = sonarrec("run", tmp_path / name, "-o", out, "-q").stderr
-        assert f"{out / name}: `sonarrec {command} {out}` writes into this folder, too" in told

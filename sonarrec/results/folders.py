@@ -31,8 +31,6 @@ MADE = {
     "map": ("passes.csv", "map.png", "map.geojson", "map.csv"),
 }
 """Folders made from results, and the files in them."""
-MADE_BY = {"evaluation": "evaluate", "map": "map"}
-"""The command that makes each."""
 
 
 def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
