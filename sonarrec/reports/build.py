@@ -8,8 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sonarrec.errors import local, number_of
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.match import ScoringOptions, scoring_options
@@ -137,10 +135,10 @@ def _draw_all(
     topic: str | None,
 ) -> tuple[list[Picture], list[Shown], list[str]]:
     """Pictures and frames of the recordings given; a line for each recording not found."""
-    sources, missing = frames.match_recordings(logs, recordings, sonar, topic)
+    sources, missing = frames.match_recordings(logs, recordings)
     recorded = [log for log in logs if log.name in sources]
     passes = [s for log in recorded for s in judged_sightings(log)]
-    pictures = [*(_of_sightings(passes) if passes else _nearest_to_declared(recorded))]
+    pictures = [*_of_sightings(passes)]
     for method, of_method in mistakes.items():
         for e in [e for e in of_method if e.log in sources][:MOST_MISTAKEN]:
             wrong = f"{in_words(e)}."
@@ -193,15 +191,3 @@ def _of_sightings(passes: Sequence[JudgedSighting]) -> Iterator[Picture]:
             *("surest" if is_best else "rarest", f"{caption}."),
             f"False claim: {s.wrong}." if s.wrong else "",
         )
-
-
-def _nearest_to_declared(logs: Sequence[ReportedLog]) -> Iterator[Picture]:
-    """The estimate of the highest score, for logs in which nothing was declared."""
-    estimates = [
-        (log, n) for log in logs for n in np.flatnonzero(log.of_method(log.tracker)).tolist()
-    ]
-    if estimates:
-        log, n = max(estimates, key=lambda one: one[0].results.score[one[1]])
-        landmark, score = log.ids[log.results.landmark_index[n]], log.results.score[n]
-        caption = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
-        yield Picture(log.name, log.tracker, log.frame_of(n), "surest", caption)

@@ -22,15 +22,13 @@ from sonarrec.errors import number_of
 from sonarrec.evaluation.count import Scored
 from sonarrec.evaluation.plots import roc as evaluation_roc
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.reports.logs import ReportedLog, Track, alongside, true_landmark
+from sonarrec.reports.logs import ReportedLog, Track, alongside
 
 WIDTH, HEIGHT = 2000, 1000
 STYLES = 4
 """Line styles in the style sheet. They tell methods apart where one line covers another."""
 MOST_POINTS = 400
 """Points of a line, or bars in a row, at most: about one per one to three screen pixels."""
-SILENT_POINTS = 100  # bars in the row of a track that was never declared
-FOLLOWED = 0.15  # height of bars that show only that a track was followed
 UNSEEN = 0.01  # a probability that stays below this along the whole track is not drawn
 
 
@@ -70,7 +68,7 @@ class Chart(NamedTuple):
 
 
 Lane = tuple[str, Chart, bool]
-"""One row of a timeline, for one ID or one track: its name, and whether it is of the truth."""
+"""One row of an ID's timeline: its name, and whether it is of the truth."""
 
 
 class Axis(NamedTuple):
@@ -143,26 +141,6 @@ def _method_lane(log: ReportedLog, k: int, method: str, declared: BoolArray) -> 
     frames = number_of(len(surest), "frame")
     text = f"{method} declares ID.{log.ids[k]} in {claims} of {frames}"
     return method, Chart(text, shapes), False
-
-
-def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
-    """A row per track that was never declared: low grey bars for the frames in which it was
-    followed, and bars for the score of its most probable ID, in the colour of that ID."""
-    results, axis, lanes = log.results, time_axis(log), []
-    for track in silent:
-        start, score = log.time[track.frame_index], results.score[track.estimates]
-        followed = np.full(len(start), FOLLOWED)
-        shapes = [Shape(bars(axis, start, log.period, followed, SILENT_POINTS), None, "bar")]
-        named = results.landmark_index[track.estimates]
-        for k in np.unique(named).tolist():
-            height = np.where(named == k, score, 0.0)
-            path = bars(axis, start, log.period, height, SILENT_POINTS)
-            shapes.append(Shape(path, k, "bar", f"ID.{log.ids[k]}"))
-        truth, frames = true_landmark(log, track), number_of(len(start), "frame")
-        text = f"track {track.number}, {frames}, best score {float(score.max()):.2f}"
-        name = f"{track.number}" + ("" if truth is None else f" (on ID.{truth})")
-        lanes.append((name, Chart(text, shapes), truth is not None))
-    return lanes
 
 
 def roc(scored: Sequence[Scored]) -> Chart:
@@ -268,27 +246,21 @@ def thinned(y: FloatArray, most: int = MOST_POINTS) -> IntArray:
     return np.unique(np.concatenate([start + low, start + high]))
 
 
-def frames_a_bar(frames: int, most: int = MOST_POINTS) -> int:
-    """How many frames share a bar, in a row of at most `most` bars."""
-    return -(-frames // most)
+def frames_a_bar(frames: int) -> int:
+    """How many frames share a bar, in a row of at most MOST_POINTS bars."""
+    return -(-frames // MOST_POINTS)
 
 
 def bars(
-    axis: Axis,
-    start: FloatArray,
-    width: float,
-    height: FloatArray,
-    most: int = MOST_POINTS,
-    *,
-    mean: bool = False,
+    axis: Axis, start: FloatArray, width: float, height: FloatArray, *, mean: bool = False
 ) -> str:
     """A path of one bar per value above 0, from the bottom up.
 
-    start: (n,) left edges, rising. height: (n,) 0 to 1. If there are more than `most`,
-    neighbours are drawn as one bar: as high as the tallest or, with `mean`, as their mean.
-    Neighbouring bars of equal height become one shape.
+    start: (n,) left edges, rising. height: (n,) 0 to 1. If there are more than
+    MOST_POINTS, neighbours are drawn as one bar: as high as the tallest or, with `mean`, as their
+    mean. Neighbouring bars of equal height become one shape.
     """
-    size = frames_a_bar(len(start), most)
+    size = frames_a_bar(len(start))
     first = np.arange(0, len(start), size)
     last = np.minimum(first + size, len(start)) - 1
     if mean:

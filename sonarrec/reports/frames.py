@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import base64
 import os
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log, log_name, names_a_log, results_name
 from sonarrec.reports.logs import ReportedLog
+from sonarrec.results.folders import possible_names
 from sonarrec.results.read import check_same_log, read_estimates
 from sonarrec.results.run_file import LogOptions
 from sonarrec.sonar import Sonar
@@ -77,68 +77,60 @@ def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None
 
 
 def match_recordings(
-    logs: Sequence[ReportedLog], paths: Sequence[Path], sonar: Sonar, topic: str | None
+    logs: Sequence[ReportedLog], paths: Sequence[Path]
 ) -> tuple[dict[str, Path], list[str]]:
     """The recording of each log, by the log's name, and a line for each that was not found.
 
-    paths: recordings, or folders with recordings. A recording belongs to the log of its name, of
-    several to the one that it is by its contents; if there is one of each, they belong together.
-    Raises UsageError if it belongs to no log.
+    paths: recordings, or folders with recordings; of one log alone the recording may have any name.
+    Whether it is that log is checked when it is read. Raises UsageError for a path that is and
+    holds no recording of these logs.
     """
     sources: dict[str, Path] = {}
-    missing: dict[str, str] = {}
+    folders = []
     for path in paths:
-        inside, known = _inside(path), set(sources)
-        here = _possible_names(path)
-        named = [log for log in logs if log.name in here]
-        named = named or [log for log in logs if _names(log) & here]
-        if len(logs) == 1 and not inside:
-            named = [*logs]
-        elif any(_names(log) & inside.keys() for log in logs):
-            named = []  # a folder of the log's name that holds it
-        if len(named) == 1:  # whether it is that log is checked when it is read
-            sources[named[0].name] = path
-            continue
-        for log in named or [log for log in logs if log.name not in sources]:
-            candidates = [p for name in sorted(_names(log)) for p in inside.get(name, [])]
-            problem = f"no log of the name {log.name} in it"
-            for candidate in [path] if named else dict.fromkeys(candidates):
-                try:
-                    with open_recording(candidate, log, sonar, topic) as recording:
-                        check_same_log(recording, log.folder, log.results.run)
-                except SonarrecError as error:
-                    problem = f"{candidate} is not the log of {log.name} ({error})"
-                else:
-                    sources[log.name] = candidate
-                    break
-            missing[log.name] = f"--log {path}: {problem}; the page has no frames of it"
-        if sources.keys() == known:
+        inside, own = _inside(path), _possible_names(path)
+        found = {log.name: inside[name] for log in logs for name in _names(log) if name in inside}
+        if not found:
+            named = [log for log in logs if log.name in own]
+            named = named or [log for log in logs if own & {*_names(log)}]
+            found = {log.name: path for log in named or ([] if inside or logs[1:] else logs)}
+        if not found:
             listed = ", ".join(log.name for log in logs)
             raise UsageError(f"--log {path}: neither one of these logs nor holds any: {listed}")
-    return sources, [line for name, line in missing.items() if name not in sources]
+        folders += [str(path)] if inside else []
+        sources = found | sources
+    unfound = [log.name for log in logs if folders and log.name not in sources]
+    where = ", ".join(folders)
+    lines = [
+        f"--log {where}: no log of the name {n} in it; the page has no frames of it"
+        for n in unfound
+    ]
+    return sources, lines
 
 
-def _names(log: ReportedLog) -> set[str]:
-    """Possible names of the log's recording: as it was given to the run, or as its folder."""
+def _names(log: ReportedLog) -> list[str]:
+    """Possible names of the log's recording, the surest last: as it was given to the run, then as
+    its results, before which a run of several logs of one name puts those of their folders."""
     source = log.results.run.table.get("input", {})
     path = Path(str(source.get("path", log.folder.resolve().name)))
-    return {path.name, str(source.get("name", log_name(path))), log.name} - {""}
+    names = path.name, str(source.get("name", log_name(path))), log.name, log.folder.resolve().name
+    return [name for name in names if name]
 
 
 def _possible_names(path: Path) -> set[str]:
     """Possible names of a recording in run.toml: its file, the target of a link, or its results."""
-    names = name_as_text(path.name), name_as_text(path.resolve().name)
-    return {*names, results_name(log_name(path))}
+    names = possible_names(results_name(log_name(path)), path.resolve())
+    return {name_as_text(path.name), name_as_text(path.resolve().name), *names}
 
 
-def _inside(folder: Path) -> dict[str, list[Path]]:
+def _inside(folder: Path) -> dict[str, Path]:
     """Folders and log files below a folder, by their possible names."""
-    by_name: dict[str, list[Path]] = defaultdict(list)
+    by_name: dict[str, Path] = {}
     for root, folders, files in os.walk(folder):
-        folders.sort()
+        folders[:] = sorted(f for f in folders if not Path(root, f, "run.toml").exists())  # results
         for file in (*folders, *filter(names_a_log, sorted(files))):
             for name in _possible_names(path := Path(root, file)):
-                by_name[name].append(path)
+                by_name.setdefault(name, path)
     return by_name
 
 

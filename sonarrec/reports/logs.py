@@ -228,14 +228,14 @@ class Track(NamedTuple):
     frame_index: IntArray
 
 
-def tracks(log: ReportedLog) -> tuple[list[Track], list[Track]]:
-    """The tracks with a declaration, and those without any.
+def tracks(log: ReportedLog) -> list[Track]:
+    """The tracks with a declaration.
 
     First those with the most frames that are declared or on a landmark, then the longest.
     """
     results = log.results
     if results.probability is None or not follows(log.tracker):
-        return [], []
+        return []
     rows = np.flatnonzero(log.of_method(log.tracker) & (results.object >= 0))
     rows = rows[np.lexsort((results.frame_index[rows], results.object[rows]))]
     number, frame = results.object[rows], results.frame_index[rows]
@@ -251,8 +251,7 @@ def tracks(log: ReportedLog) -> tuple[list[Track], list[Track]]:
     if log.truth_near is not None:
         telling = telling | (log.truth_near >= 0)
     found.sort(key=lambda track: (-telling[track.estimates].sum(), -len(track.estimates)))
-    declared = [track for track in found if results.declared[track.estimates].any()]
-    return declared, [track for track in found if not results.declared[track.estimates].any()]
+    return [track for track in found if results.declared[track.estimates].any()]
 
 
 def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:

@@ -39,7 +39,6 @@ from sonarrec.results.run_file import RunFile, flat
 from sonarrec.results.sightings import PASS_GAP, Sighting
 
 MOST_TRACKS = 12
-MOST_SILENT = 40
 MOST_SIGHTINGS = 40
 MOST_MISTAKES = 20
 MOST_RATES = 40  # logs with a row of rates
@@ -177,18 +176,15 @@ def _log_view(log: ReportedLog, most_tracks: int) -> View:
     """One log's part of the page.
 
     axis: of the whole log's time. measured: heads of columns with a value in any sighting. dated:
-    whether the log's times are dates. silent: tracks that were never declared, on that axis.
+    whether the log's times are dates.
     """
     sightings, timeline = judged_sightings(log), charts.timeline(log)
-    (declared, silent), stamps = tracks(log), log.results.timestamp_ns
+    declared, stamps = tracks(log), log.results.timestamp_ns
     shown = nlargest(MOST_SIGHTINGS, sightings, key=lambda s: s.sighting.frames_declared)
     shown.sort(key=lambda s: (s.sighting.first_frame, s.sighting.last_frame))
     valued = {head for s in sightings for head, value, _ in _measured(s.sighting) if value}
     drawn = {k for k, _ in timeline}
-
-    def in_order(tracks: Sequence[Track]) -> list[Track]:
-        return sorted(tracks, key=lambda track: (int(track.frame_index[0]), track.number))
-
+    in_order = sorted(declared[:most_tracks], key=lambda t: (int(t.frame_index[0]), t.number))
     return {
         "log": log,
         "facts": list(_facts(log)),
@@ -201,10 +197,8 @@ def _log_view(log: ReportedLog, most_tracks: int) -> View:
         "sightings_left": len(sightings) - len(shown),
         "measured": [head for head, *_ in MEASURED if head in valued],
         "dated": stamps is not None and is_date(int(stamps[0])),
-        "tracks": [_track_view(log, track) for track in in_order(declared[:most_tracks])],
+        "tracks": [_track_view(log, track) for track in in_order],
         "tracks_in_all": len(declared),
-        "silent": charts.silent_lanes(log, in_order(silent[:MOST_SILENT])),
-        "silent_in_all": len(silent),
         "settings": list(_settings(log.results.run)),
     }
 

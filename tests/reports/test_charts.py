@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from hypothesis import strategies as st
 
 from sonarrec.landmarks import load_landmarks
 from sonarrec.reports import charts
-from sonarrec.reports.logs import ReportedLog, Track
 
 
 @given(st.lists(st.floats(0, 1) | st.just(np.nan), min_size=1, max_size=3000), st.integers(2, 400))
@@ -44,29 +41,6 @@ def test_lines_break_where_nothing_was_seen() -> None:
         [(1500, 500), (1500, 500)],
     ]
     assert charts.polyline(x, np.full(5, np.nan)) == ""
-
-
-def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
-    """Grey where it was followed; above it, where the score is worth a bar, in the ID's colour."""
-    log = SimpleNamespace(
-        time=np.arange(10.0),
-        period=1.0,
-        ids=(1, 2),
-        truth_near=None,
-        results=SimpleNamespace(
-            landmark_index=np.array([0, 0, 1, 1]),
-            score=np.array([0.0, 0.0, 0.4, 0.0]),
-        ),
-    )
-    track = Track(7, np.arange(4), np.array([2, 3, 4, 5]))
-    [(_, chart, _)] = charts.silent_lanes(cast(ReportedLog, log), [track])
-    followed, first, second = (painted(shape.path) for shape in chart.shapes)
-    assert (followed[400:1200] == 150).all()
-    assert not followed[:400].any()
-    assert not followed[1200:].any()
-    assert not first.any()
-    assert (second[800:1000] == 400).all()
-    assert np.count_nonzero(second) == 200
 
 
 def painted(path: str) -> np.ndarray:

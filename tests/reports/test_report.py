@@ -116,7 +116,6 @@ def test_results_of_another_program(tmp_path: Path) -> None:
     assert "counts 2 rows with at least 99.5% of the landmark in view" in page.text
     assert "ID.1 declared (0.90) while it is not in view" in page.text
     assert "ID.1 in view and not declared" in page.text
-    assert "no tracks with probabilities" in page.text
     assert "there is no run.toml" in page.text
 
 
@@ -188,18 +187,6 @@ def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Pa
     fault = sonarrec("report", tmp_path, code=1).stderr
     assert fault.startswith("sonarrec: ")
     assert "logs a and b were run with different landmark IDs" in fault
-
-
-def test_a_log_without_sightings(results: Path, tmp_path: Path) -> None:
-    """Nothing declared: the page says so and shows what came nearest to it."""
-    shutil.copytree(results, tmp_path / "pan")
-    rows = read_rows(results / "estimates.csv")
-    write_rows(tmp_path / "pan" / "estimates.csv", [row | {"declared": 0} for row in rows])
-    sonarrec("report", tmp_path / "pan", "--log", SAMPLE)
-    page = Page(tmp_path / "pan" / "report.html")
-    assert "No landmark was declared." in page.text
-    assert "Nothing declared; nearest to it ID." in page.text
-    assert len([name for name, _ in page.elements if name == "img"]) == 1
 
 
 @pytest.mark.slow
