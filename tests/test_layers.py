@@ -33,21 +33,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2620,
-    "drawing": 820,
+    "cli": 2584,
+    "drawing": 670,
     "evaluation": 3459,
     "geometry": 415,
     "learning": 636,
     "mapping": 1190,
-    "overlays": 470,
-    "readers": 5791,
+    "overlays": 414,
+    "readers": 5416,
     "recogniser": 6414,
-    "reports": 1830,
-    "results": 1711,
+    "reports": 1523,
+    "results": 1703,
     "runs": 1506,
-    "simulation": 2493,
+    "simulation": 2471,
     "tables": 804,
-    "truth": 1072,
+    "truth": 1062,
 }
 """Of a room; set to what stands after an issue, and it only falls."""
 SMALL = 400  # lines of a room of one module

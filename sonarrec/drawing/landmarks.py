@@ -16,7 +16,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage
 from sonarrec.drawing.pen import TRUTH, Pen
-from sonarrec.landmarks import IMAGE_CELLS, WIDEST_SIGMA, DrawnSet, LandmarkSet
+from sonarrec.landmarks import WIDEST_SIGMA, DrawnSet, LandmarkSet
 
 GRID, PLATE_GRID = 30, 56  # samples across a disc or plate
 TURN_DEG = 5  # of one disc against the other; of both against the line of sight three times that
@@ -28,10 +28,6 @@ HALF_POWER = 2.355  # width of a Gaussian beam, in its sigmas
 NEAR, NEAR_SEEN = 1 / 8, 0.04
 # The same of plates. AcTag24h10 has .20, AcTag24h4 .08, as drawn.
 PLATES_NEAR, PLATES_NEAR_SEEN = 0.06, 0.03
-# Of simulated discs with rings of .03 of the radius, a third of a beam, as many are recognised as
-# with .2; with .005 one in eleven is.
-THINNEST_BEAMS, THINNEST_SHARE = 0.25, 0.02
-THINNEST_CELL = 0.7  # beams; of simulated plates with cells as wide as a beam most are read
 SIDE_PX, MARGIN_PX, COLUMNS, MOST_DRAWN = 160, 30, 6, 70
 MARGIN_MM = 10
 SHEET_MARK = (
@@ -139,12 +135,15 @@ def _smeared(plate: np.ndarray, beam_m: float, landmarks: DrawnSet) -> FloatImag
 
 def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[str]:
     """What makes a set hard to recognise, a few words each. near: from `distances`."""
+    found, of_what, least, least_seen = [], "an eighth of their symbol", NEAR, NEAR_SEEN
     if isinstance(landmarks, DrawnSet):
-        found, of_what = _doubts_of_plates(landmarks, beam_m), f"{PLATES_NEAR:.0%} of their cells"
-        least, least_seen = PLATES_NEAR, PLATES_NEAR_SEEN
-    else:
-        found, of_what = _doubts_of_discs(landmarks, beam_m), "an eighth of their symbol"
-        least, least_seen = NEAR, NEAR_SEEN
+        of_what, least, least_seen = "6% of their cells", PLATES_NEAR, PLATES_NEAR_SEEN
+        share = HALF_POWER * WIDEST_SIGMA * landmarks.radius_m / max(beam_m, 1e-9)
+        if share < 1:
+            found.append(
+                f"beams are {1000 * beam_m:.0f} mm wide there, too wide for the plates: no ID is "
+                f"read beyond {share:.2f} of this range"
+            )
     close = [d for d in near if d.drawn < least]
     blurred = [d for d in near if d.seen < least_seen and d.drawn >= least]
     for alike, how in (
@@ -155,37 +154,6 @@ def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[
         more = f" and {len(alike) - 3} more pairs" if len(alike) > 3 else ""
         found += [f"IDs {pairs}{more} {how}"] if alike else []
     return found
-
-
-def _doubts_of_discs(landmarks: LandmarkSet, beam_m: float) -> list[str]:
-    """What makes discs hard to recognise, whatever else there is in the set."""
-    found, width = [], landmarks.ring[1] - landmarks.ring[0]
-    if width < THINNEST_SHARE:
-        found.append(f"there is no ring to speak of: it is {width:.2g} of the radius wide")
-    elif width * landmarks.radius_m < THINNEST_BEAMS * beam_m:
-        found.append(
-            f"the ring, {1000 * width * landmarks.radius_m:.0f} mm wide, is too thin for beams "
-            f"that are {1000 * beam_m:.0f} mm wide there"
-        )
-    for number, code in zip(landmarks.ids, landmarks.sectors, strict=True):
-        if len(set(code)) == 1:
-            kind = "a filled disc" if code[0] else "a blank disc"
-            found.append(f"ID {number} is {kind}, which other round things look like as well")
-    return found
-
-
-def _doubts_of_plates(landmarks: DrawnSet, beam_m: float) -> list[str]:
-    """What makes plates hard to read, whatever else there is in the set."""
-    wide = f"beams are {1000 * beam_m:.0f} mm wide there"
-    widest_m = HALF_POWER * WIDEST_SIGMA * landmarks.radius_m
-    if beam_m > widest_m:
-        share = widest_m / beam_m
-        return [f"{wide}, too wide for the plates: no ID is read beyond {share:.2f} of this range"]
-    cells = max(len(d) for d in landmarks.drawings())
-    cell_m = 2 * landmarks.radius_m / cells
-    if cells == IMAGE_CELLS or cell_m > THINNEST_CELL * beam_m:  # an image's are no cells
-        return []
-    return [f"{wide}, and cells of {1000 * cell_m:.0f} mm too small for them"]
 
 
 def draw_landmarks(landmarks: LandmarkSet, beam_m: float) -> ByteImage:

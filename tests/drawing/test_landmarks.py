@@ -46,20 +46,11 @@ def test_wide_beams_bring_ids_together() -> None:
     assert max(by_beam[-1].values()) < 0.2
 
 
-FAULTY = {
-    "a filled disc": ids((1, 0, 0, 0), (1, 1, 1, 1)),
-    "a blank disc": ids((1, 0, 0, 0), (0, 0, 0, 0)),
-    "IDs 1 and 2 differ in less than an eighth": ids((1,) * 3 + (0,) * 9, (1,) * 4 + (0,) * 8),
-    "no ring to speak of": BASIN | {"ring": [0.99, 1.0]},
-    "5 mm wide, is too thin for beams": BASIN | {"ring": [0.97, 1.0]},
-}
-
-
-@pytest.mark.parametrize("warning", FAULTY)
-def test_a_set_that_is_hard_to_recognise_is_told(warning: str, tmp_path: Path) -> None:
+def test_a_set_that_is_hard_to_recognise_is_told(tmp_path: Path) -> None:
     """By the command, and by a run in one note."""
     file = tmp_path / "set.toml"
-    file.write_text(tomli_w.dumps(FAULTY[warning]))
+    file.write_text(tomli_w.dumps(ids((1,) * 3 + (0,) * 9, (1,) * 4 + (0,) * 8)))
+    warning = "IDs 1 and 2 differ in less than an eighth"
     told = sonarrec("landmarks", file, "--distance", "2.5", "--beam-width", "0.5")
     assert warning in told.stderr
     assert told.stderr.count("note: ") == 1
