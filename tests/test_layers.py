@@ -37,7 +37,7 @@ MOST_LINES = {
     "drawing": 670,
     "evaluation": 3459,
     "geometry": 415,
-    "learning": 636,
+    "learning": 546,
     "mapping": 1190,
     "overlays": 414,
     "readers": 5416,

@@ -13,7 +13,7 @@ from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.learning.fit import FOLDS, fit, gain_on_the_rest, part_of
+from sonarrec.learning.fit import fit, part_of
 from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
 from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
@@ -211,10 +211,10 @@ def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, 
 
 
 def _learned(used: Sequence[_Lesson], landmarks: LandmarkSet, told: Diagnostics) -> LearningReport:
-    """Learn from the lessons, and compare with the built-in model."""
+    """Learn from the lessons."""
     parts = [lesson.samples for lesson in used]
     built_in = built_in_model()
-    model, gain = fit(parts, built_in), gain_on_the_rest(parts)
+    model = fit(parts, built_in)
     # They go into a comment too, where a line break in a name would end it.
     logs = ", ".join(printable(lesson.log) for lesson in used)
     frames = sum(lesson.frames for lesson in used)
@@ -241,33 +241,9 @@ def _learned(used: Sequence[_Lesson], landmarks: LandmarkSet, told: Diagnostics)
             f"strangers in {number_of(len(after), 'frame')}: mean belief in an ID by the built-in "
             f"model {before.mean():.3f}, learned {after.mean():.3f}"
         )
-    if gain is None:
-        lines.append(
-            f"with fewer than {FOLDS} tracks of landmarks, or of others, or with one landmark, "
-            "the gain over the built-in model is not measured"
-        )
-    else:
-        was, now, error = gain
-        lines += [
-            "log likelihood per track and frame, on landmarks and other tracks left out: "
-            f"built-in model {was:.3f}, learned {now:.3f}",
-            f"gain {now - was:+.3f}, with a standard error of {error:.3f} over landmarks and "
-            "other tracks",
-        ]
-    told.note(*_not_taught(unseen, gain))
-    return LearningReport(model, lines, told)
-
-
-def _not_taught(unseen: Sequence[str], gain: tuple[float, float, float] | None) -> Iterator[str]:
-    """A line for each thing that the recordings do not show. gain: as of gain_on_the_rest."""
     if unseen:
-        yield (
-            f"{', '.join(unseen)} never seen: all IDs share the curves, but whether they "
-            "fit these IDs is not shown"
+        told.note(
+            f"{', '.join(unseen)} never seen: all IDs share the curves, but whether they fit these "
+            "IDs is not shown"
         )
-    # As they are printed, so that figures that look equal count as equal.
-    if gain is not None and round(gain[1], 3) < round(gain[0], 3):
-        yield (
-            "the built-in model judges the tracks left out better than what is learned without "
-            "them; label more passes, or keep to the built-in model"
-        )
+    return LearningReport(model, lines, told)
