@@ -65,7 +65,7 @@ def test_memory_of_learning_is_little_more_than_the_samples():
 
 
 def test_samples_in_blocks_teach_what_they_teach_together(monkeypatch):
-    recordings = [drawn(known_model(), 700, 1), drawn(known_model(), 300, 2, smear=0.6)]
+    recordings = [drawn(known_model(), 200, 1), drawn(known_model(), 100, 2, smear=0.6)]
     together = fit(recordings)
     monkeypatch.setattr("sonarrec.learning.fit.AT_ONCE", 64)
     in_blocks = fit(recordings)

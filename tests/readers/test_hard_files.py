@@ -18,8 +18,8 @@ from sonarrec.readers import open_log
 from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
 from tests.support.command import sonarrec
+from tests.support.hard_logs import peak_of_reading
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
-from tests.support.shapes import peak_of_reading
 
 IMAGES = frames(6)
 

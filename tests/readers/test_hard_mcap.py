@@ -17,9 +17,8 @@ from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers.containers import mcap as recording
 from sonarrec.readers.containers import mcap_chunks as chunks
-from tests.support.hard_logs import HardLog, record
+from tests.support.hard_logs import HardLog, peak_of_reading, record, shapes
 from tests.support.logs import PERIOD_NS, cdr_image, frames, read
-from tests.support.shapes import peak_of_reading, shapes
 from tests.support.slow import but_first
 
 IMAGES = frames(12, 20, 20)
@@ -231,7 +230,7 @@ def least(tmp_path_factory: pytest.TempPathFactory) -> float:
     "shape", but_first(["one chunk, uncompressed", "10 overlapping chunks, lz4"])
 )
 def test_memory_does_not_grow_with_the_log(shape: str, least: float, tmp_path: Path) -> None:
-    """The shapes of tests/support/shapes.py, small, with a still smaller bound on held chunks.
+    """The shapes of tests/support/hard_logs.py, small, with a still smaller bound on held chunks.
 
     Without a bound 48 MB come on top of what the program itself takes.
     """

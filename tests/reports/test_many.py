@@ -63,17 +63,17 @@ def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     of those that have, a claim of ID.1 three metres off is no mistake in it."""
     far = [f"{n},framework,1,5.0,0,1,.9,1" for n in range(10, 20)]
     absent = "30,framework,1,2.0,0,2,.8,1"
-    estimates = {f"log{n:02d}": [PLACED, *far, absent] for n in range(11)}
+    estimates = {f"log{n:02d}": [PLACED, *far, absent] for n in range(MOST_LOGS)}
     head = "frame,method,landmark,score,declared"
-    estimates["log11"] = [head, *(f"{n},framework,1,.9,1" for n in range(10, 20))]
+    estimates[f"log{MOST_LOGS:02d}"] = [head, *(f"{n},framework,1,.9,1" for n in range(10, 20))]
     truth = [f"{log},{n},1,2.0,0" for log in estimates for n in range(10, 20)]
     out = plain_logs(tmp_path, estimates, truth)
     found = evaluate_logs(out, tmp_path / "gt.csv").counts
     count = found.scored_by("framework", "paper").count()
-    assert (count.fp, count.fn) == (11, 0)
+    assert (count.fp, count.fn) == (MOST_LOGS, 0)
     page = tmp_path / "page.html"
     report(out, page, ground_truth=tmp_path / "gt.csv")
     told = section(page.read_text(encoding="utf-8"), "mistakes")
-    assert "framework: 11 false claims, 0 missed" in told
+    assert f"framework: {MOST_LOGS} false claims, 0 missed" in told
     assert told.count("ID.2 declared (0.80) while it is not in view") == MOST_LOGS
     assert "ID.1" not in told.partition("smi: ")[0]

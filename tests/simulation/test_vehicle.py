@@ -100,12 +100,6 @@ def test_shadows_fall_away_from_where_the_vehicle_is_now() -> None:
         assert dark.mean() == pytest.approx(row.bearing_deg / 0.3 + 47.5, abs=2)
 
 
-def test_attitude_stays_within_what_is_stated() -> None:
-    path = poses(on_vehicle(200, pitch_deg=3.0, roll_deg=2.0))
-    for values, most in (([p.pitch_deg for p in path], 3.0), ([p.roll_deg for p in path], 2.0)):
-        assert np.max(np.abs(values)) == pytest.approx(most, rel=0.02)
-
-
 def test_too_long_a_run_is_one_clear_line_and_leaves_nothing(tmp_path) -> None:
     scene = on_vehicle(4000, surge_m_s=0.5)
     with pytest.raises(SonarrecError, match=r"the vehicle sees .* too much for 512 range bins"):

@@ -27,7 +27,6 @@ from tests.studies.results.record import judge, options, save, show
 from tests.support.simulated import (
     METHODS,
     PRESETS,
-    HoughRival,
     Job,
     in_processes,
     recognise,
@@ -194,8 +193,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     configs = [preset(name) for name in PRESETS if name in OURS or not asked.ours]
     scenes = [random_scene(r.seed, r.kind, frames=asked.frames) for r in recordings]
-    rivals = () if asked.ours else (HoughRival,)
-    jobs = [Job(s, r.folder, configs, rivals) for s, r in zip(scenes, recordings, strict=True)]
+    jobs = [
+        Job(s, r.folder, configs, not asked.ours) for s, r in zip(scenes, recordings, strict=True)
+    ]
     in_processes(recognise, jobs)
     rows = scored_rows(recordings)
     print(

@@ -16,7 +16,7 @@ from sonarrec.simulation.simulate import write_recording
 from tests.studies import baseline, scenes
 from tests.support.command import sonarrec
 from tests.support.rows import read_rows
-from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise
+from tests.support.simulated import METHODS, PRESETS, Job, recognise
 
 pytestmark = pytest.mark.slow
 
@@ -37,7 +37,7 @@ SCENE = Scene(
 
 def test_harness_is_what_the_commands_do(tmp_path: Path) -> None:
     log, in_memory = tmp_path / SCENE.name, tmp_path / "in_memory"
-    recognise(Job(SCENE, in_memory, [preset(name) for name in PRESETS], (HoughRival,)))
+    recognise(Job(SCENE, in_memory, [preset(name) for name in PRESETS], hough=True))
     write_recording(SCENE, log)
     results = tmp_path / "out" / log.name
     run = ["run", log, "--preset", ",".join(PRESETS), "--landmarks", log / "landmarks.toml"]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -53,25 +53,17 @@ METHODS = {
 """As they are told: short name, and the one in estimates.csv. SMI is named for its candidates."""
 
 
-class Rival(Protocol):
-    """Another recogniser of one log, whose estimates go under its own method names."""
-
-    def __init__(self, fan: Fan, landmarks: LandmarkSet) -> None: ...
-
-    def step(self, image: np.ndarray) -> list[Estimate]: ...
-
-
 @dataclass(frozen=True, slots=True)
 class Job:
     """One scene to render, and what is to recognise it. folder: emptied, then written.
 
-    rivals: what else judges the same frames, e.g. the plain Hough loop of baseline.py.
+    hough: whether the plain Hough loop of baseline.py judges the same frames.
     """
 
     scene: Scene
     folder: Path
     configs: Sequence[Config]
-    rivals: Sequence[type[Rival]] = ()
+    hough: bool = False
 
 
 def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
@@ -83,7 +75,7 @@ def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
     assert scene.sonar.layout == "fan"
     shutil.rmtree(job.folder, ignore_errors=True)
     recogniser = SideBySide(job.configs, fan, landmarks)
-    rivals = [rival(fan, landmarks) for rival in job.rivals]
+    rival = HoughRival(fan, landmarks) if job.hough else None
     source = (scene.name, 0, "")
     methods = recogniser.methods
     run = run_table(job.configs, methods, scene_sonar(scene), fan, landmarks, source)
@@ -94,7 +86,7 @@ def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
         def seen() -> Iterator[Frame]:
             for frame in frames or render(scene):
                 truth.extend(truth_rows(frame.index, frame.truth))
-                waiting.append([e for rival in rivals for e in rival.step(frame.image)])
+                waiting.append([] if rival is None else rival.step(frame.image))
                 yield Frame(frame.index, frame.timestamp_ns, frame.image, fan)
 
         for result in recogniser.recognise(seen()):
