@@ -12,7 +12,7 @@ from sonarrec.evaluation.curves import PUBLISHED
 from sonarrec.simulation.motion import poses
 from tests.studies import baseline, bench, scenes
 from tests.studies.learning.built_in import MODEL_SEEDS
-from tests.studies.paper import prediction, world
+from tests.studies.paper import prediction, search, world
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, TABLE_4, TABLE_5
 from tests.studies.paper.world import kept_worlds
 from tests.support.simulated import score
@@ -81,12 +81,32 @@ def test_the_kept_worlds_are_within_the_ranges_and_seen_as_often_as_published() 
 
 def test_a_recording_is_scored_by_every_method(tmp_path: Path) -> None:
     scene = kept_worlds("report")[0].scene(1, frames=48)
-    prediction.record(prediction.Job(scene, tmp_path))
-    scored = {(s.protocol, s.method): s for s in score([tmp_path]).scored}
+    folders = tmp_path / "0", tmp_path / "1"
+    prediction.record(prediction.Job(scene, folders))
+    scored = {(s.protocol, s.method): s for s in score(folders[:1]).scored}
     assert {s.method for s in scored.values()} == set(prediction.METHODS.values())
-    framework = scored["paper", prediction.METHODS["framework"]].count()
-    assert framework.double == 0
-    assert framework.total == len(IDS) * 48
+    for name in ("framework", "SMI, one claim", "continuity, one claim"):
+        count = scored["paper", prediction.METHODS[name]].count()
+        assert count.double == 0
+        assert count.total == len(IDS) * 48
+    again = tmp_path / "2", tmp_path / "3"
+    prediction.record(prediction.Job(scene, again))
+    tables = [(f / "estimates.csv").read_bytes() for f in (*folders, *again)]
+    assert tables[:2] == tables[2:]
+    assert tables[0] != tables[1]  # other particles
+
+
+def test_a_world_of_the_search_is_possible() -> None:
+    first = search.drawn(np.random.default_rng(1))
+    other = search.drawn(np.random.default_rng(2), like=first)
+    for drawn in (first, other):
+        pan = np.array([p.pan_deg for p in poses(drawn.scene(0))])
+        for item in drawn.scene(0).landmarks:
+            seen = int((np.abs(item.azimuth_deg - pan) < 14.4).sum())
+            assert abs(seen - IN_VIEW[item.id]) <= 16
+    same = [n for n in world.NAMES if first.values[n] == other.values[n]]
+    assert "ring_db" in same
+    assert "azimuth_deg_1" not in same
 
 
 def test_the_sign_flip_test_is_exact() -> None:

@@ -2,57 +2,55 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
-from sonarrec.arrays import FloatArray
-from sonarrec.config import preset
+from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.config import Config
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan, Frame
+from sonarrec.nouns import Estimate, Fan, Frame, Selection
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rotated_codes
 from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
 
 CONTINUITY = "continuity"
 """Stages 1 and 2, then SMI in every frame at its own operating point."""
+ONE = "_one_claim"
+"""A method with this in its name claims an ID at most once in a frame: where it is surest."""
 
 
 class Parts:
     """The paper's preset, whole and taken apart."""
 
-    def __init__(self, fan: Fan, landmarks: LandmarkSet) -> None:
-        self._config = config = preset("paper")
-        self._fan, self._ids = fan, landmarks.ids
+    def __init__(self, config: Config, fan: Fan, landmarks: LandmarkSet) -> None:
+        """config: the paper's preset, with the seed of its particles."""
+        self._fan, self._ids, self._declare = fan, landmarks.ids, config.smi.declare
         names = f"{FRAMEWORK}:paper", f"{SMI}:paper"
-        self._stages = ThreeStages(config, fan, landmarks, None, *names)
+        self.stages = ThreeStages(config, fan, landmarks, None, *names)
         self._bands = ShapeSampler(landmarks, (1.0, 1.0)).bands
         self._codes = rotated_codes(landmarks)
 
-    def step(self, frame: Frame) -> list[Estimate]:
+    def step(self, frame: Frame, image: ByteImage, selection: Selection) -> list[Estimate]:
         """The estimates of SMI, the framework and its parts in the log's next frame."""
-        stages, config = self._stages, self._config
-        image = stages.working_image(frame)
-        after = stages.stage2(frame, image, stages.stage1(image))
-        made = list(stages.stage3([after])[0].estimates)
+        after = self.stages.stage2(frame, image, selection)
+        made = list(self.stages.stage3([after])[0].estimates)
+        smi = [e for e in made if e.method.startswith(SMI)]
         held = identify(
             after.evidence.brightness, after.evidence.count > 0, self._bands, self._codes
         )
-        q, declare = held.measurement(), config.smi.declare
-        made += self._estimates(CONTINUITY, after.groups.positions, q, held.score, declare)
-        return made
+        continuity = self._estimates(after.groups.positions, held.measurement(), held.score)
+        return [*made, *once(smi), *continuity, *once(continuity)]
 
     def _estimates(
-        self,
-        method: str,
-        places: FloatArray,
-        beliefs: FloatArray,
-        scores: FloatArray,
-        threshold: float,
+        self, places: FloatArray, beliefs: FloatArray, scores: FloatArray
     ) -> list[Estimate]:
         range_m, bearing_deg = polar_from_pixel(self._fan, *places.T)
         return [
             Estimate(
-                method=method,
+                method=CONTINUITY,
                 object=i,
                 x_px=float(places[i, 0]),
                 y_px=float(places[i, 1]),
@@ -63,7 +61,16 @@ class Parts:
                 probabilities=np.append(beliefs[i], 0.0),
                 landmark=self._ids[beliefs[i].argmax()],
                 score=float(scores[i]),
-                declared=bool(scores[i] >= threshold),
+                declared=bool(scores[i] >= self._declare),
             )
             for i in range(len(places))
         ]
+
+
+def once(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """A method's estimates in one frame, but of each ID the best claim alone stays declared."""
+    claims = sorted((e for e in estimates if e.declared), key=lambda e: e.score)
+    best = {e.landmark: e for e in claims}
+    return [
+        replace(e, method=e.method + ONE, declared=best.get(e.landmark) is e) for e in estimates
+    ]

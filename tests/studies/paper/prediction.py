@@ -2,8 +2,11 @@
 
 The preset's SMI was chosen, and the worlds were built, on Table 4 alone; the framework's open
 choices were made in other worlds. What is told here is what follows. A world is one case: rates are
-told world by world, intervals are bootstrapped over worlds, and the test of a difference swaps the
-two methods in whole worlds.
+told world by world, the test of a difference swaps the two methods in whole worlds, and intervals
+draw worlds, in each its recordings, and in each of these the seed of the particles.
+
+No fake of the kept worlds is a blank disc. So some of the worlds are recorded again with one, in
+place of their first fake, and are told by themselves.
 """
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -21,12 +25,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sonarrec.arrays import FloatArray
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.config import preset
-from sonarrec.evaluation.count import Scored
-from sonarrec.evaluation.curves import PUBLISHED, Count
+from sonarrec.evaluation.count import Counts, LogCounts, Scored, count_log
+from sonarrec.evaluation.curves import PUBLISHED
 from sonarrec.nouns import Frame, FrameResult
-from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import poses
@@ -34,23 +38,37 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_in_view, truth_rows
 from sonarrec.truth.table import write_truth
-from tests.studies.paper.parts import CONTINUITY, Parts
-from tests.studies.paper.published import CLEAR, HALF, IDS, IN_VIEW, TABLE_4, TABLE_5, WHOLE
-from tests.studies.paper.world import FAKES, kept_worlds
+from tests.studies.paper.parts import CONTINUITY, ONE, Parts
+from tests.studies.paper.published import CLEAR, HALF, IDS, TABLE_4, TABLE_5, WHOLE
+from tests.studies.paper.world import FAKES, World, kept_worlds
 from tests.studies.results.record import options, save, show
-from tests.support.simulated import in_processes, score
+from tests.support.simulated import in_processes, matched
 
 SEEDS = range(7100, 7400)
 """Of the recordings that are reported: nothing is fitted or chosen on them."""
 METHODS = {
     "SMI": f"{SMI}:paper",
+    "SMI, one claim": f"{SMI}:paper{ONE}",
     "framework": f"{FRAMEWORK}:paper",
     "continuity alone": CONTINUITY,
-    "default": f"{FRAMEWORK}:default",
+    "continuity, one claim": CONTINUITY + ONE,
 }
-"""As they are told: short name, and the one in estimates.csv."""
-MOST = 3
-"""Recordings of a world."""
+"""As they are told: short name, and the one in estimates.csv. One claim: of each ID in a frame."""
+PAIRS = (
+    ("SMI", "framework"),
+    ("SMI, one claim", "framework"),
+    ("SMI", "continuity alone"),
+    ("SMI, one claim", "continuity, one claim"),
+    ("continuity, one claim", "framework"),
+)
+"""Of which the second less the first is told."""
+MOST, PARTICLES = 2, 2
+"""Recordings of a world, at most, and seeds of the particles over each."""
+SWEEPS = 640
+"""Frames of a recording: the pan there and back twice, so that each place is seen as often whatever
+the start. The paper speaks of two rotations, and has 992 frames."""
+WITH_BLANK = range(0, 10, 2)
+"""Worlds, by index, that are recorded with a blank disc as well."""
 PUBLISHED_GAIN = "framework less SMI, published", "TPR +0.0422, FPR -0.0105", ""
 COUNTINGS = ("paper", "strict")
 NEAR_PX, DISC_PX = 15.0, 30.0
@@ -65,48 +83,102 @@ DRAWS = 4000
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A recording of a world, and where its results go."""
+    """A recording of a world, and where the results with each seed of the particles go."""
 
     scene: Scene
-    folder: Path
+    folders: tuple[Path, ...]
 
 
 def record(job: Job) -> None:
     """Write the results of all methods over one recording, and its truth."""
     scene, fan, landmarks = job.scene, scene_fan(job.scene), job.scene.landmark_set
-    shutil.rmtree(job.folder, ignore_errors=True)
-    configs = [preset("paper"), preset("default")]
-    methods = list(METHODS.values())
-    run = run_table(configs, methods, scene_sonar(scene), fan, landmarks, (scene.name, 0, ""))
-    parts = Parts(fan, landmarks)
-    ours = ThreeStages(configs[1], fan, landmarks, None, METHODS["default"], None)
+    methods, sonar = list(METHODS.values()), scene_sonar(scene)
     truth: list[list[object]] = []
-    with ResultsWriter(job.folder, landmarks, run) as writer:
+    taken: list[tuple[Parts, ResultsWriter]] = []
+    with ExitStack() as stack:
+        for n, folder in enumerate(job.folders):
+            shutil.rmtree(folder, ignore_errors=True)
+            config = replace(preset("paper"), seed=PARTICLES * scene.seed + n)
+            source = scene.name, 0, ""
+            run = run_table([config], methods, sonar, fan, landmarks, source)
+            writer = stack.enter_context(ResultsWriter(folder, landmarks, run))
+            taken.append((Parts(config, fan, landmarks), writer))
+        stages = taken[0][0].stages  # no particles in the first
         for seen in render(scene):
             frame = Frame(seen.index, seen.timestamp_ns, seen.image, fan)
-            made = [*parts.step(frame), *ours.step(frame).estimates]
-            writer.write(FrameResult(seen.index, seen.timestamp_ns, 0, 0, tuple(made)))
+            image = stages.working_image(frame)
+            selection = stages.stage1(image)
+            for parts, writer in taken:
+                made = tuple(parts.step(frame, image, selection))
+                writer.write(FrameResult(seen.index, seen.timestamp_ns, 0, 0, made))
             truth.extend(truth_rows(seen.index, seen.truth))
-        writer.finish([])
-    write_truth(job.folder / "gt.csv", [*TRUTH_COLUMNS], truth)
+        for _, writer in taken:
+            writer.finish([])
+    for folder in job.folders:
+        write_truth(folder / "gt.csv", [*TRUTH_COLUMNS], truth)
+
+
+def count_of(folder: Path) -> LogCounts:
+    """The counts of one recording's results."""
+    return count_log(matched(folder), rates_only=True)
+
+
+def summed(logs: Sequence[LogCounts], folders: Sequence[Path]) -> tuple[Scored, ...]:
+    """Every method and protocol over some results."""
+    found = Counts()
+    for log in logs:
+        found.add(log)
+    return found.finish(folders).scored
 
 
 @dataclass(frozen=True, slots=True)
-class Rates:
-    """TPR and FPR, (worlds,) each, of one method in one counting; and of all worlds together."""
+class Group:
+    """Worlds by their numbers, with their recordings: jobs is (worlds,) of (recordings,)."""
 
-    tpr: FloatArray
-    fpr: FloatArray
-    pooled: tuple[float, float]
+    numbers: Sequence[int]
+    jobs: Sequence[Sequence[Job]]
+    pooled: tuple[Scored, ...]
+    worlds: Sequence[tuple[Scored, ...]]
+
+    def only(self, numbers: Sequence[int]) -> Group:
+        """Some of the worlds; `pooled` still is of all."""
+        at = [self.numbers.index(n) for n in numbers]
+        jobs, worlds = [self.jobs[i] for i in at], [self.worlds[i] for i in at]
+        return Group(numbers, jobs, self.pooled, worlds)
+
+    @property
+    def every_job(self) -> list[Job]:
+        return [job for jobs in self.jobs for job in jobs]
+
+    def counts(self, method: str, how: str) -> IntArray:
+        """(worlds, recordings, seeds, K, 4) TP, TN, FP, FN."""
+        each = [found(w, how, METHODS[method]).declared for w in self.worlds]
+        return np.stack([c.reshape(-1, PARTICLES, *c.shape[1:]) for c in each])
+
+    def rates(self, method: str, how: str) -> FloatArray:
+        """(worlds, 2) TPR and FPR."""
+        return rates_of(self.counts(method, how).sum(axis=(1, 2, 3)))
+
+    def told(self, method: str, how: str, k: int | None = None) -> str:
+        """TPR / FPR of all worlds together, of the k-th ID or of all."""
+        counts = self.counts(method, how).sum(axis=(0, 1, 2))
+        return "{:.4f} / {:.4f}".format(*rates_of(counts.sum(axis=0) if k is None else counts[k]))
 
 
-def rates_of(worlds: Sequence[Mapping[tuple[str, str], Count]], method: str, how: str) -> Rates:
-    """worlds: the counts of each, by protocol and method."""
-    each = [w[how, METHODS[method]] for w in worlds]
-    table = np.array([(c.tp, c.fn, c.fp, c.tn) for c in each])
-    tp, fn, fp, tn = np.vstack([table, table.sum(axis=0)]).T
-    tpr, fpr = tp / (tp + fn), fp / (fp + tn)
-    return Rates(tpr[:-1], fpr[:-1], (float(tpr[-1]), float(fpr[-1])))
+def rates_of(counts: IntArray) -> FloatArray:
+    """(..., 2) TPR and FPR of (..., 4) TP, TN, FP, FN; 0/0 is NaN."""
+    tp, tn, fp, fn = np.moveaxis(counts, -1, 0)
+    with np.errstate(invalid="ignore"):
+        return np.stack([tp / (tp + fn), fp / (fp + tn)], axis=-1)
+
+
+def drawn(counts: IntArray) -> IntArray:
+    """(DRAWS, worlds, ...) of (worlds, recordings, seeds, ...): worlds, recordings, seeds drawn."""
+    rng = np.random.default_rng(0)
+    w, r, p = counts.shape[:3]
+    worlds = rng.integers(w, size=(DRAWS, w, 1))
+    recordings, seeds = (rng.integers(n, size=(DRAWS, w, r)) for n in (r, p))
+    return np.asarray(counts[worlds, recordings, seeds].sum(axis=2))
 
 
 def flipped(difference: FloatArray) -> float:
@@ -116,19 +188,26 @@ def flipped(difference: FloatArray) -> float:
     return float(np.mean(means >= abs(difference.sum()) - 1e-12))
 
 
-def told(changes: FloatArray) -> str:
-    """(worlds, 2) changes of TPR and FPR: their means, p, and in how many worlds each is better."""
-    better = (changes * (1, -1) > 0).sum(axis=0)
-    cells = zip(("TPR", "FPR"), changes.T, better.tolist(), strict=True)
-    return ", ".join(
-        f"{name} {c.mean():+.4f} (p = {flipped(c):.3g}; {n} of {len(c)})" for name, c, n in cells
-    )
+def told(changes: FloatArray, many: FloatArray | None = None) -> str:
+    """(worlds, 2) changes of TPR and FPR: their means, p, and in how many worlds each is better.
+
+    many: (DRAWS, 2) means that were drawn, for 95 % intervals.
+    """
+    cells = []
+    for n, name in enumerate(("TPR", "FPR")):
+        change, sign = changes[:, n], (1, -1)[n]
+        low, high = ("", "") if many is None else np.percentile(many[:, n], (2.5, 97.5))
+        interval = "" if many is None else f" ({low:+.3f} to {high:+.3f})"
+        better = int((change * sign > 0).sum())
+        p = f"p = {flipped(change):.3g}; {better} of {len(change)}"
+        cells.append(f"{name} {change.mean():+.4f}{interval}, {p}")
+    return "; ".join(cells)
 
 
-def compared(worlds: Sequence[Mapping[tuple[str, str], Count]], a: str, b: str, how: str) -> str:
-    """b less a, mean over worlds, with p, and in how many worlds it is for b."""
-    first, second = rates_of(worlds, a, how), rates_of(worlds, b, how)
-    return told(np.column_stack([second.tpr - first.tpr, second.fpr - first.fpr]))
+def compared(group: Group, a: str, b: str, how: str) -> str:
+    """b less a, mean over worlds, with interval and p, and in how many worlds it is for b."""
+    many = [rates_of(drawn(group.counts(m, how).sum(axis=3))).mean(axis=1) for m in (a, b)]
+    return told(group.rates(b, how) - group.rates(a, how), many[1] - many[0])
 
 
 def false_by_thing(job: Job, landmark: int) -> dict[str, Counter[str]]:
@@ -137,7 +216,7 @@ def false_by_thing(job: Job, landmark: int) -> dict[str, Counter[str]]:
     frames = [truth_in_view(job.scene, fan, pose, None) for pose in poses(job.scene)]
     counts = {name: Counter[str]() for name in COLOURS}
     names = {METHODS[name]: name for name in COLOURS}
-    with (job.folder / "estimates.csv").open(newline="", encoding="utf-8") as file:
+    with (job.folders[0] / "estimates.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             if row["method"] not in names or (row["declared"], row["landmark"]) != (
                 "1",
@@ -157,27 +236,25 @@ def false_by_thing(job: Job, landmark: int) -> dict[str, Counter[str]]:
 
 
 def table_lines(
-    pooled: Scored, worlds: Sequence[Scored], published: Mapping[str, tuple[float, ...]]
+    group: Group, method: str, published: Mapping[str, tuple[float, ...]]
 ) -> list[dict[str, str]]:
-    """A table of the paper's with ours below, and 95 % intervals over worlds."""
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(len(worlds), size=(DRAWS, len(worlds)))
+    """A table of the paper's with ours below, and 95 % intervals."""
+    counts = group.counts(method, "paper")
+    counts = np.concatenate([counts, counts.sum(axis=3, keepdims=True)], axis=3)
+    value = rates_of(counts.sum(axis=(0, 1, 2)))
+    low, high = np.percentile(rates_of(drawn(counts).sum(axis=1)), (2.5, 97.5), axis=0)
     lines = []
-    for kind in ("tpr", "fpr"):
+    for n, kind in enumerate(("tpr", "fpr")):
         told = [f"{v:.4f}" for v in published[kind]]
         lines.append(dict(zip(COLUMNS, [f"{kind.upper()} published", *told], strict=True)))
-        cells = []
-        for k in (*range(len(IDS)), None):
-            counts = np.array([(c.tp, c.fn, c.fp, c.tn) for c in (w.count(k) for w in worlds)])
-            hit, miss = (counts[:, :2] if kind == "tpr" else counts[:, 2:]).T
-            value = getattr(pooled.count(k), kind)
-            with np.errstate(invalid="ignore"):
-                many = hit[drawn].sum(axis=1) / (hit + miss)[drawn].sum(axis=1)
-            low, high = np.percentile(many, (2.5, 97.5))
-            cells.append("0/0" if math.isnan(value) else f"{value:.4f} ({low:.3f}-{high:.3f})")
+        cells = [
+            "0/0" if math.isnan(v) else f"{v:.4f} ({a:.3f}-{b:.3f})"
+            for v, a, b in zip(value[:, n], low[:, n], high[:, n], strict=True)
+        ]
         lines.append(dict(zip(COLUMNS, ["ours", *cells], strict=True)))
-    beta = [str(pooled.count(k).total) for k in (*range(len(IDS)), None)]
-    lines.append(dict(zip(COLUMNS, ["ours, beta", *beta], strict=True)))
+    beta = counts.sum(axis=4).mean(axis=(0, 1, 2))
+    cells = [f"{b:.0f}" for b in beta]
+    lines.append(dict(zip(COLUMNS, ["ours, beta of a recording", *cells], strict=True)))
     return lines
 
 
@@ -262,84 +339,136 @@ def frames_until_clear(results: Path, method: str, landmark: int) -> list[int]:
     return waits
 
 
+def jobs_of(world: World, first: int, each: int, frames: int, folder: Path) -> list[Job]:
+    """Recordings of a world, with the seeds from SEEDS[first] on."""
+    return [
+        Job(
+            world.scene(SEEDS[first + n], frames),
+            tuple(folder / f"{n}_{p}" for p in range(PARTICLES)),
+        )
+        for n in range(each)
+    ]
+
+
+def counted(worlds: Sequence[World], jobs: Sequence[Sequence[Job]]) -> Group:
+    """Recorded jobs, scored."""
+    folders = [[f for job in of_world for f in job.folders] for of_world in jobs]
+    flat = [f for of_world in folders for f in of_world]
+    logs, each = in_processes(count_of, flat), len(folders[0])
+    mine = [logs[n : n + each] for n in range(0, len(logs), each)]
+    scored = [summed(log, folder) for log, folder in zip(mine, folders, strict=True)]
+    return Group([w.number for w in worlds], jobs, summed(logs, flat), scored)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
-    parser = options("paper.prediction", __doc__)
-    parser.add_argument("--recordings", type=int, default=MOST, help="of each world")
+    parser = options("paper.prediction", __doc__, frames=SWEEPS)
+    parser.add_argument("--recordings", type=int, default=1, help="of each world")
     asked = parser.parse_args(arguments)
-    worlds, each = kept_worlds("report"), asked.recordings
+    as_kept = kept_worlds("report")
+    with_blank = [replace(as_kept[w], fakes=("blank", *as_kept[w].fakes[1:])) for w in WITH_BLANK]
     jobs = [
-        Job(world.scene(SEEDS[w * MOST + n]), asked.out / "recordings" / f"{w}_{n}")
-        for n in range(each)
-        for w, world in enumerate(worlds)
+        [
+            jobs_of(
+                world, 100 * g + MOST * w, asked.recordings, asked.frames, asked.out / f"{g}_{w}"
+            )
+            for w, world in enumerate(worlds)
+        ]
+        for g, worlds in enumerate((as_kept, with_blank))
     ]
-    in_processes(record, jobs)
-    by_world = [
-        [j.folder for j in jobs if j.folder.name.startswith(f"{w}_")] for w in range(len(worlds))
-    ]
-    scored = [score(folders).scored for folders in by_world]
-    pooled = score([job.folder for job in jobs]).scored
-    counts = [{(s.protocol, s.method): s.count() for s in mine} for mine in scored]
-    lines = []
-    for w, world in enumerate(worlds):
-        line = {"world": str(world.number), "fakes": "+".join(world.fakes)}
-        for how in COUNTINGS:
-            a, b = (rates_of(counts, m, how) for m in ("SMI", "framework"))
-            line[how] = f"{a.tpr[w]:.3f} / {a.fpr[w]:.3f} -> {b.tpr[w]:.3f} / {b.fpr[w]:.3f}"
-        lines.append(line)
-    show("By world, SMI -> framework, TPR / FPR", lines)
+    in_processes(record, [job for group in jobs for of_world in group for job in of_world])
+    kept, blank = counted(as_kept, jobs[0]), counted(with_blank, jobs[1])
+    tell(kept, blank)
+    draw_roc(PICTURE, kept.pooled, kept.worlds)
+    save(asked.record)
+
+
+def tell(kept: Group, blank: Group) -> None:
+    """All tables."""
     show(
         "All worlds together, TPR / FPR",
-        [
-            {"method": m}
-            | {how: "{:.4f} / {:.4f}".format(*rates_of(counts, m, how).pooled) for how in COUNTINGS}
-            for m in METHODS
-        ],
+        [{"method": m} | {how: kept.told(m, how) for how in COUNTINGS} for m in METHODS],
     )
-    pairs = [("SMI", "framework"), ("SMI", "continuity alone")]
     show(
-        "Differences: mean over worlds, exact sign-flip test over worlds, in how many it is better",
+        "Differences: mean over worlds (95 % interval), exact sign-flip test over worlds, in how "
+        "many it is better",
         [
             dict(zip(("difference", *COUNTINGS), PUBLISHED_GAIN, strict=True)),
             *(
                 {"difference": f"{b} less {a}"}
-                | {how: compared(counts, a, b, how) for how in COUNTINGS}
-                for a, b in pairs
+                | {how: compared(kept, a, b, how) for how in COUNTINGS}
+                for a, b in PAIRS
             ),
+        ],
+    )
+    same = kept.only(blank.numbers)
+    with_blank = [
+        {"method": m}
+        | {how: blank.told(m, how) for how in COUNTINGS}
+        | {"ID.1, strict": blank.told(m, "strict", 0)}
+        | {"without the blank": same.told(m, "strict", 0)}
+        for m in METHODS
+    ]
+    show("Worlds with a blank disc in place of their first fake, TPR / FPR", with_blank)
+    show(
+        "Differences in the worlds with a blank disc",
+        [
+            {"difference": f"{b} less {a}"} | {how: compared(blank, a, b, how) for how in COUNTINGS}
+            for a, b in PAIRS[:2]
         ],
     )
     for title, name, published in (
         ("Table 4, SMI on single frames", "SMI", TABLE_4),
         ("Table 5, the framework", "framework", TABLE_5),
     ):
-        mine = [found(s, "paper", METHODS[name]) for s in scored]
-        show(title, table_lines(found(pooled, "paper", METHODS[name]), mine, published))
-    waits = np.concatenate([frames_until_clear(j.folder, METHODS["framework"], 1) for j in jobs])
-    beside: dict[str, object] = {
+        show(title, table_lines(kept, name, published))
+    show("By world, SMI -> framework, TPR / FPR", world_lines(kept))
+    show("By world with a blank disc, SMI -> framework, TPR / FPR", world_lines(blank))
+    for group, about in ((kept, ""), (blank, " with a blank disc")):
+        by_thing = [false_by_thing(j, 1) for j in group.every_job]
+        total = {name: sum((c[name] for c in by_thing), Counter[str]()) for name in COLOURS}
+        show(
+            f"False claims of ID.1 in {len(by_thing)} recordings{about}, by the thing they lie on",
+            [
+                {"thing": kind} | {name: total[name][kind] for name in COLOURS}
+                for kind in sorted({*total["SMI"], *total["framework"]})
+            ],
+        )
+    show("Beside", [{"figure": k, "value": v} for k, v in beside(kept).items()])
+
+
+def world_lines(group: Group) -> list[dict[str, str]]:
+    """A line for each world."""
+    lines = []
+    for w, (number, jobs) in enumerate(zip(group.numbers, group.jobs, strict=True)):
+        fakes = "+".join(o.kind for o in jobs[0].scene.objects if o.kind in FAKES)
+        line = {"world": str(number), "fakes": fakes}
+        for how in COUNTINGS:
+            a, b = (group.rates(m, how)[w] for m in COLOURS)
+            line[how] = f"{a[0]:.3f} / {a[1]:.3f} -> {b[0]:.3f} / {b[1]:.3f}"
+        lines.append(line)
+    return lines
+
+
+def beside(group: Group) -> dict[str, object]:
+    """Other figures beside the paper's."""
+    first = [j.folders[0] for j in group.every_job]
+    waits = np.concatenate([frames_until_clear(f, METHODS["framework"], 1) for f in first])
+    told: dict[str, object] = {
         f"frames until ID.1 is {LEAD:g} times as probable as the next, median": np.median(waits),
         f"the same, nine of ten passes (paper: about {CLEAR})": np.percentile(waits, 90),
         "passes": len(waits),
     }
+    for how in COUNTINGS:
+        each = rates_of(group.counts("framework", how).sum(axis=3))
+        tpr, fpr = np.sqrt(each.var(axis=2, ddof=1).mean(axis=(0, 1))).round(4).tolist()
+        told[f"framework {how}, spread by the particles' seed alone, TPR"] = tpr
+        told[f"framework {how}, spread by the particles' seed alone, FPR"] = fpr
     for name, fpr, tpr in PUBLISHED:
-        curve = found(pooled, "paper", METHODS[name]).curve()
+        curve = found(group.pooled, "paper", METHODS[name]).curve()
         reached = float(curve.tpr[curve.fpr <= fpr].max())
-        beside[f"{name}, TPR at the published FPR of {fpr} (published {tpr})"] = round(reached, 4)
-    for i, published in IN_VIEW.items():
-        views = [len(places(j.folder / "gt.csv", i, HALF)) for j in jobs]
-        name = f"frames with half of ID.{i} in view, mean (published {published})"
-        beside[name] = round(float(np.mean(views)))
-    by_thing = [false_by_thing(j, 1) for j in jobs]
-    total = {name: sum((c[name] for c in by_thing), Counter[str]()) for name in COLOURS}
-    show(
-        f"False claims of ID.1 in {len(jobs)} recordings, by the thing on which they lie",
-        [
-            {"thing": kind} | {name: total[name][kind] for name in COLOURS}
-            for kind in sorted({*total["SMI"], *total["framework"]})
-        ],
-    )
-    show("Beside", [{"figure": k, "value": v} for k, v in beside.items()])
-    draw_roc(PICTURE, pooled, scored)
-    save(asked.record)
+        told[f"{name}, TPR at the published FPR of {fpr} (published {tpr})"] = round(reached, 4)
+    return told
 
 
 if __name__ == "__main__":

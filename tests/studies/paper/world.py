@@ -1,7 +1,8 @@
 """The worlds on record: answers to all that the paper leaves open of its basin, within ranges.
 
-They were drawn, measured against Tables 3 and 4 and kept by tests/studies/paper/search.py of commit
-8d855fe2; choices.py beside it chose what `--preset paper` says where the paper is open.
+They were drawn, measured against Tables 3 and 4 and kept by search.py of commit 8d855fe2, whose
+choices.py chose what `--preset paper` says where the paper is open. Since then their numbers were
+rounded, so `off` and `rates`, measured at that time, hold nearly. search.py finds others.
 """
 
 from __future__ import annotations
