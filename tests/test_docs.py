@@ -2,8 +2,8 @@
 
 In README.md and sonarrec/help/*.md a line `$ COMMAND` of a code block is run, in order, in a fresh
 copy of the sample data. Lines under it are what it prints, in order, `...` standing for anything.
-`$ cat FILE` of a file that is not there yet makes it, and `$ nano FILE` any. A command that names a server is not run
-here: tests/runs/test_remote.py has servers.
+`$ cat FILE` of a file that is not there yet makes it, and `$ nano FILE` any. A command that names a
+server is not run here: tests/runs/test_remote.py has servers.
 """
 
 from __future__ import annotations
