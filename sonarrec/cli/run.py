@@ -232,13 +232,15 @@ def run_and_print(
         assert summary is not None
         say(*found_in(summary, done.outcomes[0].folder))
     elif not quiet:
-        say("", *_table(tasks, done.outcomes))
+        say(*_table(tasks, done.outcomes))
     if several and (failed or not quiet):
         counts = Counter(_in_words(outcome) for outcome in done.outcomes)
         line = ", ".join(f"{counts[how]} {how}" for how in HOW if counts[how])
         if failed:
             more = "; logs.csv lists them" if len(failed) > MOST_FAILED else ""
             line += more or f": {', '.join(failed)}"
+        elif (folder := done.outcomes[0].folder) and "/" in folder:
+            line += f", in {folder.rpartition('/')[0]}"
         click.echo(printable(line), err=bool(failed))
     tell((), [*_notes(tasks, done.outcomes), *done.notes])
     return done

@@ -60,7 +60,7 @@ def printed(words: Sequence[str], cwd: Path, **environment: object) -> str:
 
 def assert_once(shares: Sequence[str], out: Path) -> None:
     """Every log is done, by one of the shares, of which none had nothing to do."""
-    done = [re.findall(r"results/(\w): 3 frames", text) for text in shares]
+    done = [re.findall(r"(?m)^(?:.*results/)?(\w)(?: +3 |: 3 frames)", text) for text in shares]
     assert Counter(name for share in done for name in share) == Counter(LOGS)
     assert all(done)
     assert {name: row["status"] for name, row in rows(out).items()} == dict.fromkeys(LOGS, "done")
