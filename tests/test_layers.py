@@ -33,9 +33,9 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2584,
+    "cli": 2586,
     "drawing": 670,
-    "evaluation": 3459,
+    "evaluation": 3463,
     "geometry": 415,
     "learning": 546,
     "mapping": 1190,

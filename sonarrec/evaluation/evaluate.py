@@ -409,6 +409,10 @@ def _notes(counts: Counts) -> Iterator[str]:
     for name, part in zip(counts.logs, counts.parts, strict=True):
         if missing := [method for method in counts.methods if method not in part.methods]:
             yield f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
-    for k, landmark in enumerate(counts.ids):
-        if not any(scored.base[:, k, 3].any() for scored in counts.scored):
-            yield f"ID.{landmark} is never in view: its TPR is 0/0 and says nothing"
+    unseen = [
+        f"ID.{landmark}"
+        for k, landmark in enumerate(counts.ids)
+        if not any(scored.base[:, k, 3].any() for scored in counts.scored)
+    ]
+    if unseen:
+        yield f"never in view: {', '.join(unseen)}; a TPR of 0/0 says nothing"

@@ -113,7 +113,7 @@ def test_tables_4_and_5_to_the_last_digit(tmp_path: Path) -> None:
         for line, printed in zip(lines[start:], table.split("\n")[1:], strict=False):
             left = line.split("|")[0].replace("0.0000*", "0.0000").split()
             assert left == printed.split()
-    assert "ID.2 is never in view" in done.output
+    assert "never in view: ID.2" in done.output
     assert max(len(line) for line in lines if "|" in line) <= 100
 
     with (results / "evaluation" / "confusion.csv").open() as file:
