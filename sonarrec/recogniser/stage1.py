@@ -7,6 +7,8 @@ correlation (Hough) map above a threshold are candidates.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import cv2
@@ -73,13 +75,13 @@ class CandidateSelector:
             self._detector = EdgeScore(config, plane)
         else:
             share = gap_share(landmarks, plane.fan, beam_width_deg)
-            self._detector = RingScore(config, plane, landmarks, share)
+            self._detector = RingScore(config, plane, landmarks, self._surroundings, share)
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape), best first."""
         levels = self._surroundings(image)
         maps = self._detector(image, levels)
-        positions, scores = self._peaks(image, levels, maps)
+        positions, scores = self._peaks(maps)
         score = np.clip(maps.score, 0, 1, out=maps.score)
         return Selection(score, positions, scores, levels.mean, maps.sigma, maps.step)
 
@@ -88,21 +90,19 @@ class CandidateSelector:
         around = self._surroundings
         return around.at(selection.mean, places), around.at(selection.sigma, places)
 
-    def _peaks(
-        self, image: ByteImage, levels: Levels, maps: ScoreMaps
-    ) -> tuple[FloatArray, FloatArray]:
+    def _peaks(self, maps: ScoreMaps) -> tuple[FloatArray, FloatArray]:
         """(n, 2) sub-pixel positions of peaks above the threshold, (n,) scores; best first."""
         peaks, least = maps.peaks, self._config.threshold
-        searched = least if maps.step == 1 else LEAST_SHARE / COARSE_SHARE * least
+        searched = least if maps.on_pixels is None else LEAST_SHARE / COARSE_SHARE * least
         top = (peaks >= cv2.dilate(peaks, BESIDE)) & (maps.peak_score >= searched)
         index = np.flatnonzero(top)
         height, scores = peaks.ravel()[index], maps.peak_score.ravel()[index].astype(float)
         order = np.lexsort((-height, -scores))[: self._most_peaks]
         positions, scores = _refine(peaks, index[order]), scores[order]
-        if isinstance(self._detector, RingScore) and maps.step > 1:
+        if maps.on_pixels is not None:
             places = maps.step * (positions + 0.5) - 0.5
             places = places[self._apart(places, 2 * self._most)]
-            positions, scores = self._detector.on_pixels(image, levels, places, self._surroundings)
+            positions, scores = maps.on_pixels(places)
             order = np.argsort(-scores, kind="stable")[: np.count_nonzero(scores >= least)]
             positions, scores = positions[order], scores[order]
         kept = self._apart(positions, self._most)
@@ -149,7 +149,6 @@ class Surroundings:
     def __init__(self, plane: Plane) -> None:
         size = 4 * _reach(plane) // COARSE + 1
         self._size = (size, size)
-        self._shape = plane.inside.shape
         self._inside = plane.inside
         self.cells = max(1, int(np.count_nonzero(plane.inside)))
         self._block = _shrunk(_whole(plane.inside).astype(np.float32), COARSE)
@@ -162,26 +161,24 @@ class Surroundings:
         block = _shrunk(half, COARSE // SEARCHED)
         mean = np.asarray(self._blur(block) / self._seen, np.float32)
         # The relief is the level over that of the surroundings, which is even within a block.
-        squares = _shrunk(_shrunk(np.square(grey, dtype=np.uint16), 2), COARSE // 2)
-        squares = squares.astype(np.float32)
-        squares += mean * (mean * self._block - 2 * block)
-        whole = math.sqrt(max(float(squares.sum()), 0.0) * COARSE**2 / self.cells)
+        power = _shrunk(_shrunk(np.square(grey, dtype=np.uint16), 2), COARSE // 2).astype(
+            np.float32
+        )
+        power += mean * (mean * self._block - 2 * block)
         # A black or uniform frame has only rounding errors as relief.
-        whole = max(whole, LEAST_SIGMA)
-        variance = self._blur(squares) / self._seen
+        variance = max(float(power.sum()), 0.0) * COARSE**2 / self.cells
+        whole = max(math.sqrt(variance), LEAST_SIGMA)
         least = np.float32((LEAST_LOCAL_SIGMA * whole) ** 2)
-        sigma = np.sqrt(np.maximum(variance, least), dtype=np.float32)
+        sigma = np.sqrt(np.maximum(self._blur(power) / self._seen, least), dtype=np.float32)
         return Levels(half, mean, sigma, whole)
 
     def at(self, coarse: FloatImage, places: FloatArray) -> FloatArray:
         """(n,) values on the coarse grid, interpolated to the pixels at (n, 2) positions."""
         if len(places) == 0:  # OpenCV refuses empty maps
             return np.empty(0)
-        rows, columns = self._shape
-        pixel = np.minimum(np.maximum(np.rint(places), 0), (columns - 1, rows - 1))
+        pixel = np.clip(np.rint(places), 0, np.array(self._inside.shape[::-1]) - 1)
         column, row = ((pixel + 0.5) / COARSE - 0.5).astype(np.float32).T
-        border = cv2.BORDER_REPLICATE
-        found = cv2.remap(coarse, column, row, cv2.INTER_LINEAR, borderMode=border)
+        found = cv2.remap(coarse, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, float).ravel()
 
     def _blur(self, blocks: FloatImage) -> FloatImage:
@@ -225,6 +222,9 @@ class ScoreMaps(NamedTuple):
     value where it is the same everywhere."""
     step: int = 1
     """Of the working image's pixels from one of the maps' to the next."""
+    on_pixels: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None
+    """Where the maps are coarser than the image: (n, 2) exact positions, (column, row), and (n,)
+    scores of the discs at or beside (n, 2) places."""
 
 
 class Detector(Protocol):
@@ -272,9 +272,15 @@ class RingScore:
     """The default score: a bright ring's contrast over its surroundings, 1 for full contrast."""
 
     def __init__(
-        self, config: Candidates, plane: Plane, landmarks: LandmarkSet, share: float
+        self,
+        config: Candidates,
+        plane: Plane,
+        landmarks: LandmarkSet,
+        surroundings: Surroundings,
+        share: float,
     ) -> None:
         """share: from `gap_share`."""
+        self._surroundings = surroundings
         gap = landmarks.symbol[1] + GAP_MARGIN, landmarks.ring[0] - GAP_MARGIN
 
         def contrast(step: int) -> tuple[FloatArray, FloatArray]:
@@ -298,32 +304,29 @@ class RingScore:
             return
         # The kernel at a pixel and its neighbours, in a patch that holds them all.
         fine = contrast(1)[0]
-        self._side = side = fine.shape[0] + 2
-        patch = np.zeros((3, 3, side, side))
-        for row in range(3):
-            for column in range(3):
-                patch[row, column, row : side - 2 + row, column : side - 2 + column] = fine
-        self._patch = patch.reshape(9, -1).T.copy()
+        self._side = fine.shape[0] + 2
+        shifts = [((row, 2 - row), (column, 2 - column)) for row in range(3) for column in range(3)]
+        self._patch = np.stack([np.pad(fine, shift).ravel() for shift in shifts], axis=1)
         self._pixels = self._padded(plane.inside)
 
     def __call__(self, image: ByteImage, levels: Levels) -> ScoreMaps:
         """Contrast is in standard deviations of the relief around each pixel."""
         step, shape = self._step, self._inside.shape
-        grey = levels.half if step == SEARCHED else _whole(image).astype(np.float32)
+        grey = levels.half if step == SEARCHED else _whole(image) * self._inside
         relief = grey - enlarged(levels.mean, shape, step) * self._inside
-        if step == 1:
-            relief *= self._inside
         score = self._correlate(relief)
         score *= self._gain * self._scale
         score /= enlarged(levels.sigma, shape, step)
-        return ScoreMaps(score, score, score, levels.sigma, step)
+        exact = partial(self._on_pixels, image, levels) if step > 1 else None
+        return ScoreMaps(score, score, score, levels.sigma, step, exact)
 
-    def on_pixels(
-        self, image: ByteImage, levels: Levels, places: FloatArray, around: Surroundings
+    def _on_pixels(
+        self, image: ByteImage, levels: Levels, places: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) positions, (column, row), and (n,) scores of rings at or beside (n, 2) places."""
-        rows, columns = image.shape  # which whole blocks may exceed
-        pixel = np.minimum(np.rint(places).astype(int), (columns - 1, rows - 1))
+        """As ScoreMaps.on_pixels."""
+        around = self._surroundings
+        # Whole blocks may exceed the image.
+        pixel = np.minimum(np.rint(places).astype(int), np.array(image.shape[::-1]) - 1)
         patches = np.empty((2, len(places), self._side, self._side), np.uint8)
         padded = self._padded(image)
         for n, (column, row) in enumerate(pixel.tolist()):
@@ -336,9 +339,8 @@ class RingScore:
         lines = np.stack([found[:, 1], found[:, :, 1]])  # along a row, and down a column
         before, here, after = np.moveaxis(lines, 2, 0)
         shift = _vertex(before, here, after, 1.0)
-        block = pixel // self._step
-        gain = self._gain[block[:, 1], block[:, 0]]
-        scores = found.max(axis=(1, 2), initial=0) * gain / around.at(levels.sigma, pixel)
+        gain = self._gain[tuple(pixel[:, ::-1].T // self._step)] / around.at(levels.sigma, pixel)
+        scores = found.max(axis=(1, 2), initial=0) * gain
         # Rounded, since the last digits of a product depend on the processor.
         return np.round(pixel + shift.T, 4), np.round(scores, 6)
 
