@@ -31,7 +31,6 @@ from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, ShapeSampler
 
 MOST_STEP_ERROR = 0.25  # disc radii; a motion with a larger standard error begins a new mean
 OLD_SHARE = 0.5  # weight of the frames of a look in the next
-SUMMED_EVERY = 2  # every second frame is summed: neighbours show nearly the same speckle
 LEAST_WEIGHT = 2.0  # frames in a pixel of the mean that is searched
 LEAST_FRAMES = 12  # in view of a disc; with fewer, a track knows as much as the mean
 LEAST_SCORE = 0.25  # of a candidate: the mean is less noisy than a frame, so a low score will do
@@ -139,7 +138,7 @@ class SecondLook:
 
     def take(self, image: ByteImage, selection: Selection) -> None:
         """Add a frame's working image; its result follows in `learn`."""
-        # The selection's score map is not needed, and four times as large as the picture.
+        # The selection's score map is not needed, and is up to four times as large as the image.
         self._waiting.append((image, selection.mean, selection.sigma))
 
     def learn(self, result: FrameResult) -> None:
@@ -148,8 +147,7 @@ class SecondLook:
         self._move(result.motion)
         self._now.poses.append(self._pose)
         self._seen[result.index] = self._pose, self._now
-        if len(self._now.poses) % SUMMED_EVERY == 0:
-            self._sum(image, mean, sigma)
+        self._sum(image, mean, sigma)
         if len(self._now.poses) == self._half:
             self._look()
 
@@ -170,7 +168,7 @@ class SecondLook:
         columns, rows = (-(-(o + n) // SIDE) for o, n in ((left, width), (top, height)))
         seen = np.asarray(cv2.warpAffine(self._inside, matrix, (width, height)))
         # Pixels at the edge are interpolated with what was not seen.
-        seen = np.multiply(seen > 0.99, SUMMED_EVERY, dtype=np.float32)
+        seen = (seen > 0.99).astype(np.float32)
         whole = np.zeros((2, rows * SIDE, columns * SIDE), np.float32)
         part = whole[:, top : top + height, left : left + width]
         part[0] = cv2.warpAffine(relief, matrix, (width, height))
