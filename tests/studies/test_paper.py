@@ -37,14 +37,12 @@ def test_no_seed_is_used_twice() -> None:
         assert not set(seeds) & set(others), f"{a} and {b} share seeds"
 
 
-def test_no_world_serves_twice() -> None:
-    """The worlds of the choices and of the report are others, and no two are akin."""
-    chosen, reported = kept_worlds("choice"), kept_worlds("report")
-    assert len(reported) >= 8
-    numbers = [w.number for w in (*chosen, *reported)]
-    assert len(set(numbers)) == len(numbers)
+def test_no_two_worlds_are_akin() -> None:
+    worlds = kept_worlds()
+    assert len(worlds) >= 8
+    assert len({w.number for w in worlds}) == len(worlds)
     # The places of things and all that is drawn once differ in each of them.
-    for a, b in combinations([[*w.values.values()] for w in (*chosen, *reported)], 2):
+    for a, b in combinations([[*w.values.values()] for w in worlds], 2):
         assert np.mean(np.isclose(a, b)) < 0.2
 
 
@@ -68,7 +66,7 @@ def test_in_view_is_what_the_counts_of_table_5_say() -> None:
 
 def test_the_kept_worlds_are_within_the_ranges_and_seen_as_often_as_published() -> None:
     """Counted from the simulator's truth, not by the rule by which the worlds were found."""
-    for kept in (*kept_worlds("choice"), *kept_worlds("report")):
+    for kept in kept_worlds():
         assert all(u.low <= kept.values[u.name] <= u.high for u in world.UNKNOWNS)
         scene = kept.scene(5)
         assert scene.frames == FRAMES
@@ -80,7 +78,7 @@ def test_the_kept_worlds_are_within_the_ranges_and_seen_as_often_as_published() 
 
 
 def test_a_recording_is_scored_by_every_method(tmp_path: Path) -> None:
-    scene = kept_worlds("report")[0].scene(1, frames=48)
+    scene = kept_worlds()[0].scene(1, frames=48)
     folders = tmp_path / "0", tmp_path / "1"
     prediction.record(prediction.Job(scene, folders))
     scored = {(s.protocol, s.method): s for s in score(folders[:1]).scored}

@@ -7,10 +7,9 @@ of a part is the same whatever the other parts are, so every combination of part
 as well. Of the combinations in which each landmark's stable frames measure as Table 3 says, within
 STABLE_OFF, that nearest to Table 4 is the world. It is measured anew on recordings of its own, and
 kept if the distance of its mean rates to Table 4 is no larger than the chance of one recording
-explains, and its totals are near, too. Lots say what it serves for.
+explains, and its totals are near, too.
 
-Recordings have few frames: neighbours say nearly the same. The worlds on record are of an earlier
-version (commit 8d855fe2) and are rounded: this one builds others of the same kind.
+Recordings have few frames: neighbours say nearly the same.
 """
 
 from __future__ import annotations
@@ -46,7 +45,6 @@ APART_M, IN_VIEW_OFF = 0.05, 10  # least floor between things; frames off the in
 STABLE_OFF = 0.03  # of a mean similarity off Table 3, which is as much off the ideal itself
 EXPLAINED = 14.07  # chi square of seven rates that chance stays below in 95 % of cases
 TOTAL_OFF = np.array([0.08, 0.025])  # most that TPR and FPR of all IDs may be off Table 4
-FOR_CHOICES = 6
 HERE = [IDS.index(i) for i in PRESENT]
 PUBLISHED = np.array([*(TABLE_4["tpr"][k] for k in HERE), *TABLE_4["fpr"][:-1]])
 SCALE = np.array([0.04, 0.08, 0.08, 0.03, 0.01, 0.02, 0.02])  # about the chance of one recording
@@ -208,7 +206,7 @@ def meets(seven: FloatArray, chance: FloatArray) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Build worlds, keep those that meet Table 4, draw lots, and write them."""
+    """Build worlds, and write those that meet Table 4."""
     parser = options("paper.search", __doc__)
     parser.add_argument("--worlds", type=int, default=WORLDS, help="that are built")
     asked = parser.parse_args(arguments)
@@ -218,12 +216,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for world, each, _ in built:
         word = "kept" if meets(each.mean(axis=0), chance) else "left"
         print(world.number, "+".join(world.fakes), each.mean(axis=0).round(3), word)
-    lot = np.random.default_rng(FIRST_SEED).permutation(len(kept)).tolist()
     rows = [
-        {"number": world.number, "use": "choice" if place < FOR_CHOICES else "report", "off": off}
-        | {"rates": each.mean(axis=0).round(3).tolist(), "fakes": list(world.fakes)}
+        {"number": world.number, "off": round(off, 4), "rates": each.mean(axis=0).round(3).tolist()}
+        | {"fakes": list(world.fakes)}
         | world.values
-        for (world, each, off), place in zip(kept, lot, strict=True)
+        for world, each, off in kept
     ]
     asked.out.mkdir(parents=True, exist_ok=True)
     (asked.out / "worlds.toml").write_text(tomli_w.dumps({"world": rows}), encoding="utf-8")

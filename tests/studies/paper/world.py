@@ -1,8 +1,8 @@
 """The worlds on record: answers to all that the paper leaves open of its basin, within ranges.
 
-They were drawn, measured against Tables 3 and 4 and kept by search.py of commit 8d855fe2, whose
-choices.py chose what `--preset paper` says where the paper is open. Since then their numbers were
-rounded, so `off` and `rates`, measured at that time, hold nearly. search.py finds others.
+search.py draws them, measures them against Tables 3 and 4, and keeps those that meet these. In none
+of them anything was chosen: what `--preset paper` says where the paper is open was chosen in other
+worlds (choices.py of commit 8d855fe2).
 """
 
 from __future__ import annotations
@@ -128,12 +128,8 @@ class World:
         )
 
 
-def kept_worlds(use: str) -> list[World]:
-    """The worlds on record that serve for one thing: "choice" or "report"."""
+def kept_worlds() -> list[World]:
+    """The worlds on record."""
     with KEPT.open("rb") as file:
         rows = tomllib.load(file)["world"]
-    return [
-        World({n: row[n] for n in NAMES}, tuple(row["fakes"]), row["number"])
-        for row in rows
-        if row["use"] == use
-    ]
+    return [World({n: row[n] for n in NAMES}, tuple(row["fakes"]), row["number"]) for row in rows]
