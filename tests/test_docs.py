@@ -125,7 +125,11 @@ def test_commands_in_order_print_what_is_shown(
     assert without or any("sonarrec" in command for command, _ in found)
     for command, shown in found:
         words = command.split()
-        if words[0] == "nano" or (words[0] == "cat" and not Path(words[1]).exists()):
+        if words[:1] == ["nano"] and words[1].endswith("gt.csv"):  # as if all were checked
+            Path(words[1]).write_text(
+                re.sub(r",(tracked|interpolated)\b", ",", Path(words[1]).read_text())
+            )
+        elif words[0] == "nano" or (words[0] == "cat" and not Path(words[1]).exists()):
             Path(words[1]).write_text("\n".join(shown) + "\n", encoding="utf-8")
         elif words[0] != "make" and "://" not in command:
             printed = run(command, tmp_path)

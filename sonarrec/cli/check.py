@@ -162,7 +162,13 @@ def _run(
 def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> None:
     """Record the results, and say so."""
     from sonarrec.evaluation.check_file import save
+    from sonarrec.truth.check import unchecked
+    from sonarrec.truth.table import read_truth
 
+    for log in logs:
+        table = read_truth(log.ground_truth)
+        if proposed := unchecked(table, log.name):
+            raise SonarrecError(f"nothing is recorded: {proposed}")
     notes = save(folder, one.record, logs)
     tell([], notes)
     if not quiet:
@@ -181,7 +187,7 @@ def _compare(one: Check, logs: Sequence[LogToRun], old: Path, folder: Path) -> C
 
     pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
     scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)
-    return compare(old, folder, pairs, scoring, jobs=None)
+    return compare(old, folder, pairs, scoring)
 
 
 def _judge(one: Check, compared: Comparison, limits: Limits) -> Judgement:

@@ -11,7 +11,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, WORSE, leave, say, tell
-from sonarrec.cli.groups import ANY, command, in_batch, in_output
+from sonarrec.cli.groups import ANY, command, in_output
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
@@ -28,11 +28,6 @@ MOST_NOTES = 5
 @options.compare("What got better or worse from OLD to NEW, in place of RESULTS.")
 @options.limits
 @options.scoring
-@in_batch(
-    "-j --jobs",
-    type=click.IntRange(min=1),
-    help="How many logs are read at once.  [default: as many as cores; 1 for a few small]",
-)
 @in_output(
     "-v --verbose --details details",
     is_flag=True,
@@ -51,7 +46,6 @@ def evaluate(
     pairs: Path | None,
     compare: tuple[Path, Path] | None,
     limits: Limits,
-    jobs: int | None,
     scoring: ScoringOptions,
     details: bool,
     as_json: bool,
@@ -88,7 +82,7 @@ def evaluate(
         from sonarrec.evaluation import compare as comparing
 
         old, new = compare
-        found = comparing.compare(old, new, truth, scoring, jobs=jobs)
+        found = comparing.compare(old, new, truth, scoring)
         notes, unused, folder = found.notes, found.unused, out or new / "evaluation"
         files = comparing.write_comparison(folder, found)
         judged = comparing.judge(found, limits)
@@ -104,14 +98,13 @@ def evaluate(
             truth if isinstance(truth, list) else folder_of_logs,
             None if isinstance(truth, list) else truth,
             scoring,
-            jobs=jobs,
         )
         notes, unused, folder = scored.notes, scored.unused, out or beside / "evaluation"
         files = write_evaluation(folder, scored)
         worse = limits.broken(scored.counts.scored)
         document = json_text(scored) if as_json else ""
         shown = screen(scored, details) + "\n"
-    tell(unused, notes if quiet and not as_json else ())
+    tell(unused)
     if as_json:
         click.echo(document, nl=False)
     elif not quiet:

@@ -381,7 +381,7 @@ settings = as_one("settings", _SETTINGS, lambda values: SettingsChoice(**values)
 quiet = in_output(
     "-q --quiet",
     is_flag=True,
-    help="No progress bar and no summary; still notes and errors.",
+    help="No progress bar and no summary; what is wrong is still told.",
 )
 
 

@@ -197,7 +197,7 @@ def propose(
     """Propose a gt.csv from the confident tracks of RESULTS.
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). A person
-    must correct the proposal: look at it with `sonarrec truth check`, add what is missing and
+    must correct the proposal: look at it with `overlay --ground-truth`, add what is missing and
     remove what is wrong. Scoring the same results against an uncorrected proposal is meaningless.
 
     \b

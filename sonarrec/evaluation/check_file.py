@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +11,6 @@ from typing import Any, NamedTuple
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers.named_logs import logs_named
 from sonarrec.readers.open import find_log
-from sonarrec.results.folders import alone, exchange, part_of
 from sonarrec.results.run_file import LogOptions
 from sonarrec.results.write import write_run
 from sonarrec.runs.one import result_names
@@ -20,8 +18,8 @@ from sonarrec.tables.outputs import writing
 from sonarrec.tables.toml import Share, checked, from_table, read_toml
 from sonarrec.truth.table import TRUTH_FILE
 
-TABLES = ("frames.csv", "estimates.csv")
-"""Of recorded results, beside run.toml."""
+FILES = ("frames.csv", "estimates.csv", "run.toml")
+PART = ".part"  # the ending of a file that is being written
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +116,8 @@ class Check(NamedTuple):
         names = iter(result_names([log.path for log in logs if not log.name]))
         logs = [log._replace(name=log.name or next(names)) for log in logs]
         for log in logs:
-            if Path(log.name).name != log.name or [x.name for x in logs].count(log.name) > 1:
+            plain = log.name.isprintable() and log.name != ".." and Path(log.name).name == log.name
+            if not plain or [x.name for x in logs].count(log.name) > 1:
                 raise UsageError(
                     f"{self.path}: log name {log.name}: not the name of one folder; give each "
                     "[[log]] a name of its own"
@@ -161,39 +160,32 @@ def read_check(path: Path) -> Check:
 
 
 def is_recorded(record: Path, name: str) -> bool:
-    """Whether there are results of a log on record."""
-    return all((record / name / table).is_file() for table in TABLES)
+    """Whether there are results of a log on record; half of them are none."""
+    files = (record / name / file for file in FILES)
+    return all(file.is_file() and file.stat().st_size for file in files)
 
 
 def save(results: Path, record: Path, logs: Sequence[LogToRun]) -> list[str]:
-    """Record the results of the logs, in place of all on record; returns notes.
+    """Record the results of the logs; returns notes.
 
-    Nothing on record is replaced before all is written, or SonarrecError raised.
+    Nothing on record is replaced before all is written, or SonarrecError raised. Other files stay.
     """
-    notes: list[str] = []
-    with writing(record), ExitStack() as stack:
-        record.mkdir(parents=True, exist_ok=True)
+    parts: list[Path] = []
+    with writing(record):
         for log in logs:
-            folder = record / log.name
-            stack.enter_context(alone(folder))
-            part = part_of(folder)
-            shutil.rmtree(part, ignore_errors=True)
-            part.mkdir()
-            for table in TABLES:
-                shutil.copyfile(results / log.name / table, part / table)
+            (record / log.name).mkdir(parents=True, exist_ok=True)
+            parts += (part := [record / log.name / f"{name}{PART}" for name in FILES])
+            for path in part[:-1]:
+                shutil.copyfile(results / log.name / path.stem, path)
             run = read_toml(results / log.name / "run.toml")
             # What is committed must not change with the folder it was made in.
             run["input"] = {k: v for k, v in run["input"].items() if k != "place"}
             run["input"]["path"] = log.stated
-            write_run(part / "run.toml", run)
-        for log in logs:
-            notes += exchange(record / log.name)
-        names = {log.name for log in logs}
-        for folder in sorted(record.iterdir()):
-            if folder.is_dir() and folder.name not in names and is_recorded(record, folder.name):
-                for file in (*TABLES, "run.toml"):
-                    (folder / file).unlink(missing_ok=True)
-                if not any(folder.iterdir()):
-                    folder.rmdir()
-                notes.append(f"{folder}: of no log in the check file any more, deleted")
-    return notes
+            write_run(part[-1], run)
+        for path in parts:
+            path.replace(path.with_suffix(""))
+    names = {log.name for log in logs}
+    left = (
+        f for f in sorted(record.iterdir()) if f.name not in names and is_recorded(record, f.name)
+    )
+    return [f"{folder}: of no log in the check file any more; delete it" for folder in left]

@@ -18,7 +18,7 @@ import pandas as pd
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
 from sonarrec.evaluation.count import Counts, Scored
 from sonarrec.evaluation.curves import Count
-from sonarrec.evaluation.evaluate import LogToScore, score_logs
+from sonarrec.evaluation.evaluate import LogToScore, lacks, score_logs
 from sonarrec.evaluation.figures import BY_NAME, MAIN, draws, rates_of, units_text
 from sonarrec.evaluation.match import ScoringOptions, scoring_options
 from sonarrec.evaluation.pairs import Pair, find_truths_beside, pair_up, read_pairs
@@ -207,7 +207,6 @@ def compare(
     options: ScoringOptions | None = None,
     *,
     pairs: str | Path | None = None,
-    jobs: int | None = 1,
     **scoring: Any,
 ) -> Comparison:
     """What got better or worse from old to new results, on their common frames.
@@ -221,7 +220,7 @@ def compare(
     old, new: their logs are paired by name; if each holds one log, these are paired. ground_truth:
     one table for all logs, or pairs that name a truth per log; None: the truth beside each log.
     pairs: a CSV that names the truth of each log. options: how it is scored; else `scoring`, as
-    `evaluate` takes it, `method` to `sonar`. jobs: as of `evaluate`.
+    `evaluate` takes it, `method` to `sonar`.
     Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
     read.
     """
@@ -231,18 +230,12 @@ def compare(
     ground_truth = Path(ground_truth) if isinstance(ground_truth, str) else ground_truth
     ground_truth = read_pairs(Path(pairs)) if pairs else ground_truth
     logs = _logs(pair_up(old, new, told), ground_truth, told)
-    scores = score_logs(logs, options, jobs, "compared", isinstance(ground_truth, Path) and new)
-    before, after = scores.sides
-    told.problem(*(line for log in scores.logs for line in log.unused))
-    told.problem(*scores.unused, *scores.copies)
-    told.note(*scores.notes)
+    one_truth_of = new if isinstance(ground_truth, Path) else None
+    _, (before, after), _ = score_logs(logs, options, "compared", told, one_truth_of)
     both = [m for m in after.methods if m in before.methods]
     methods = chosen({*before.methods, *after.methods}, options.methods, ", ".join(after.logs))
-    for log, *parts in zip(scores.logs, before.parts, after.parts, strict=True):
-        for folder, part, side in zip(log.log.results, parts, scores.sides, strict=True):
-            if lacks := [m for m in methods if m in side.methods and m not in part.methods]:
-                names = ", ".join(lacks)
-                told.note(f"{folder}: has no estimates of {names}; this counts as no claim")
+    for side, counts in ((old, before), (new, after)):
+        told.note(*(f"{side}: {line}" for line in lacks(counts)))
     if before.placed != after.placed:
         without = new if before.placed else old
         told.note(f"protocol strict is not compared: {without} has no positions that can be used")

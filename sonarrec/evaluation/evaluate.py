@@ -1,30 +1,26 @@
 """Scores results against truth: one folder, several, or a table of pairs.
 
-Each log is read, matched and counted by itself, in parallel if wanted, so that memory does not grow
-with the logs.
+Each log is read, matched and counted by itself, so that memory does not grow with the logs.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, local, number_of, printable
 from sonarrec.evaluation.count import Counts, LogCounts, count_log
+from sonarrec.evaluation.doubts import doubts
 from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.match import (
     DEFAULT,
-    PROTOCOLS,
-    Matched,
     ScoringOptions,
     match,
     scoring_options,
@@ -44,23 +40,10 @@ from sonarrec.results.read import (
     rows_of,
 )
 from sonarrec.results.run_file import read_run
-from sonarrec.runs import cores
 from sonarrec.sonar import Sonar
-from sonarrec.truth.check import (
-    FEWEST,
-    misfit,
-    tell_fit,
-    tell_other_logs,
-    tell_rows,
-    without_rows,
-)
+from sonarrec.truth.check import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
-
-WORTH_LOGS = 20
-"""Logs per process, by default; a process takes as long to start as to read so many."""
-Log = TypeVar("Log")
-Found = TypeVar("Found")
 
 
 class LogToScore(NamedTuple):
@@ -89,7 +72,7 @@ class LogScore:
     """Why the truth does not fit the log; None if it does."""
     notes: list[str]
     unused: list[str]
-    """A line for each part of the results that is not used."""
+    """A line for each doubt about the truth, then each part of the results that is not used."""
     counts: list[LogCounts]
     """Of each of its results; empty if the truth does not fit, or once they are added up."""
 
@@ -98,48 +81,39 @@ class LogScore:
         return self.log.results[-1]
 
 
-Unread = tuple[str, SonarrecError]
-"""The name of a log whose results or truth cannot be read, and why."""
+def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) -> LogScore:
+    """Read, match and count one log, old and new results on their common frames.
 
-
-def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) -> LogScore | Unread:
-    """Read, match and count one log, old and new results on their common frames. ids: as of
-    `match`."""
-    notes: list[str] = []
-    unused: list[str] = []
-    try:
-        table = _truth_table(log.ground_truth)
-        sides = [
-            replace(read_log(folder, options.landmarks, options.sonar), name=log.name)
-            for folder in log.results
-        ]
-        of = recording(log.results[-1], sides[-1].run)
-        common = sides[0].frame
-        if sides[1:]:
-            notes += _check_comparable(log.results, sides)
-            common = np.intersect1d(common, sides[1].frame)
-            if not len(common):
-                raise SonarrecError(
-                    f"{' and '.join(map(str, log.results))} have no frame in common"
-                )
-        for folder, side in zip(log.results, sides, strict=True):
-            if alone := len(side.frame) - len(common):
-                frames = number_of(alone, "frame")
-                unused.append(f"{log.name}: {frames} in {folder} only; not compared")
-            unused += not_whole(side, "scored")
-        if sides[1:]:
-            sides = [_only(side, common) for side in sides]
-        last = sides[-1]
-        # Each side is scored as by itself: pixels lie where its own geometry puts them.
-        truths = [
-            match_truth(table, replace(last, fan=side.fan or last.fan), options.tolerance_s)
-            for side in sides
-        ]
-    except SonarrecError as fault:  # the other logs can be scored
-        return log.name, fault
-    told, truth = Diagnostics(), truths[-1]
-    proposals = "they say nothing about the results that they came from"
-    tell_fit(told, table, last, truth, proposals)
+    ids: as of `match`. Raises SonarrecError if its results or its truth cannot be read.
+    """
+    told, unused = Diagnostics(), list[str]()
+    table = _truth_table(log.ground_truth)
+    sides = [
+        replace(read_log(folder, options.landmarks, options.sonar), name=log.name)
+        for folder in log.results
+    ]
+    of = recording(log.results[-1], sides[-1].run)
+    common = sides[0].frame
+    if sides[1:]:
+        told.note(*_check_comparable(log.results, sides))
+        common = np.intersect1d(common, sides[1].frame)
+        if not len(common):
+            raise SonarrecError(f"{' and '.join(map(str, log.results))} have no frame in common")
+    for folder, side in zip(log.results, sides, strict=True):
+        if alone := len(side.frame) - len(common):
+            frames = number_of(alone, "frame")
+            unused.append(f"{log.name}: {frames} in {folder} only; not compared")
+        unused += not_whole(side, "scored")
+    if sides[1:]:
+        sides = [_only(side, common) for side in sides]
+    last = sides[-1]
+    # Each side is scored as by itself: pixels lie where its own geometry puts them.
+    truths = [
+        match_truth(table, replace(last, fan=side.fan or last.fan), options.tolerance_s)
+        for side in sides
+    ]
+    truth = truths[-1]
+    tell_fit(told, table, last, truth)
     score = LogScore(
         log=log,
         recording=of,
@@ -147,7 +121,7 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
         rows=(len(table.at), truth.rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
         fault=misfit(table, last, truth),
-        notes=notes + told.notes,
+        notes=told.notes,
         unused=unused,
         counts=[],
     )
@@ -155,8 +129,7 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
         for side, of_side in zip(sides, truths, strict=True):
             matched = match(side, of_side, options.min_visible, ids, within_m=options.within_m)
             score.counts.append(count_log(matched, rates_only=len(sides) > 1))
-        if (doubt := _no_claim_right(matched, score.counts[-1])) is not None:
-            score.notes.append(f"{table.path}: {doubt}")
+        score.unused[:0] = doubts(table, last, truth, matched)
     return score
 
 
@@ -187,79 +160,29 @@ def _only(log: LogResults, frames: np.ndarray) -> LogResults:
     )
 
 
-def _no_claim_right(log: Matched, counts: LogCounts) -> str | None:
-    """The doubt that a truth is that of the log, if none of the claims that the leading method
-    declares is right; None if one is, or if claims or rows are few."""
-    claims = int((log.declared & (log.method_index == 0)).sum())
-    if min(claims, len(log.truth_frame_index)) < FEWEST:
-        return None
-    if counts.sums["declared", PROTOCOLS[log.placed], log.methods[0]][..., 0].any():
-        return None
-    return (
-        f"none of the {claims} claims of {log.methods[0]} in {log.name} is right; is this the "
-        "truth of this recording, and are its positions and their units right?"
-    )
-
-
 @lru_cache(maxsize=1)
 def _truth_table(path: Path) -> TruthTable:
     """The table; cached, since one file may cover several logs."""
     return read_truth(path)
 
 
-def map_logs(
-    work: Callable[[Log], Found], logs: Sequence[Log], jobs: int | None
-) -> Iterator[Found]:
-    """Yield the result of `work` for each log, in order.
-
-    jobs: number of processes; default: the number of cores, but one for WORTH_LOGS logs.
-    """
-    _truth_table.cache_clear()  # the files may have changed since the last call
-    if jobs is None:
-        jobs = min(cores(), len(logs) // WORTH_LOGS)
-    if min(jobs, len(logs)) < 2:
-        yield from map(work, logs)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(logs)), context) as workers:
-        try:
-            yield from workers.map(work, logs)
-        except BrokenProcessPool:
-            raise SonarrecError(
-                "a process that read results was killed, perhaps for lack of memory; nothing was "
-                "written; --jobs 1 reads one log at a time"
-            ) from None
-
-
-class Scores(NamedTuple):
-    """The logs that can be scored, the counts of their results, old and new, on the same frames and
-    passes, the names of all logs; notes, and lines on what, and on which copies, could not be used.
-    """
-
-    logs: list[LogScore]
-    sides: list[Counts]
-    names: list[str]
-    notes: list[str]
-    unused: list[str]
-    copies: list[str]
-
-
 def score_logs(
     logs: Sequence[LogToScore],
     options: ScoringOptions,
-    jobs: int | None,
     action: str,
+    told: Diagnostics,
     one_truth_of: object = None,
-) -> Scores:
-    """Read, match and count the logs.
+) -> tuple[list[LogScore], list[Counts], list[str]]:
+    """Read, match and count the logs, and tell what is in doubt or not used.
 
-    jobs: as in `map_logs`. action: what is done with the logs, such as "scored". one_truth_of: what
-    one truth is for, where it is given for all logs.
+    action: what is done with the logs, such as "scored". one_truth_of: what one truth is for, where
+    it is given for all logs. Returns the logs that can be scored, the counts of their results, old
+    and new, on the same frames and passes, and the names of all logs.
     Raises SonarrecError if no log can be scored.
     """
     read: list[LogScore] = []
     kept: list[LogScore] = []
-    unread: list[Unread] = []
+    unread: list[tuple[str, SonarrecError]] = []  # the others can be scored
     copies = Diagnostics()
     once = CountedOnce(action, copies)
     sides = [Counts() for _ in logs[0].results]
@@ -268,9 +191,12 @@ def score_logs(
         with suppress(SonarrecError):
             ids = read_run(log.results[-1] / "run.toml").landmark_set(options.landmarks).ids
             break
-    for score in map_logs(partial(score_log, options=options, ids=ids), logs, jobs):
-        if not isinstance(score, LogScore):
-            unread.append(score)
+    _truth_table.cache_clear()  # the files may have changed since the last call
+    for log in logs:
+        try:
+            score = score_log(log, options, ids)
+        except SonarrecError as error:
+            unread.append((log.name, error))
             continue
         read.append(score)
         if once.add(score.folder, score.recording):
@@ -294,16 +220,16 @@ def score_logs(
     # A log without a row counts as empty, but only if others have rows.
     if len(scored) < len(kept) and not any(score.rows[1] for score in scored):
         raise SonarrecError(next(str(score.fault) for score in kept if score.fault is not None))
-    unused = [f"{error}; {name} is not {action}" for name, error in unread]
-    unused += [f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None]
-    notes = [*copies.notes, *(note for score in scored for note in score.notes)]
+    told.problem(*(line for score in scored for line in score.unused))
+    told.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
+    told.problem(*(f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None))
+    told.problem(*copies.problems)
+    told.note(*copies.notes, *(note for score in scored for note in score.notes))
     for counts in sides:
         counts.finish([score.folder for score in scored], options.methods if not sides[1:] else ())
     for score, name in zip(scored, sides[0].logs, strict=True):
-        told = Diagnostics()
         tell_rows(told, name, score.rows[1], score.rows[3])
-        notes += told.notes
-    return Scores(scored, sides, names, notes, unused, copies.problems)
+    return scored, sides, names
 
 
 def evaluate(
@@ -317,7 +243,6 @@ def evaluate(
     within_m: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | Mapping[str, Any] | None = None,
-    jobs: int | None = 1,
     out: str | Path | None = None,
 ) -> Evaluation:
     """Score results, of one log or of several, against ground truth.
@@ -330,12 +255,14 @@ def evaluate(
     `sonarrec help evaluate` defines claims and both protocols.
 
     method: one or several to score; default: all, the framework first.
-    jobs: how many logs are read at once, each in its own process.
-    Raises SonarrecError where files cannot be used or have no frame in common.
+    Warns where part of the input is not used or in doubt. Raises SonarrecError where files cannot
+    be used or have no frame in common.
     """
     scoring = scoring_options(method, min_visible, tolerance_s, landmarks, sonar, within_m)
     logs = results if pairs is None else read_pairs(Path(pairs))
-    found = evaluate_logs(logs, ground_truth, scoring, jobs=jobs)
+    found = evaluate_logs(logs, ground_truth, scoring)
+    for line in found.unused:
+        warnings.warn(line, stacklevel=2)
     if out is not None:
         write_evaluation(Path(local(out)), found)
     return found
@@ -345,12 +272,9 @@ def evaluate_logs(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None = None,
     options: ScoringOptions = DEFAULT,
-    *,
-    jobs: int | None = None,
 ) -> Evaluation:
     """Score a results folder, of one log or of several, or pairs of results and truth.
 
-    jobs: number of processes, as in `map_logs`; it does not change the result.
     Logs of equal name get the names of their folders.
     """
     options.check()
@@ -363,18 +287,15 @@ def evaluate_logs(
         results, table = Path(results), read_truth(Path(ground_truth))
         pairs = [Pair(folder, table.path) for folder in find_logs(results)]
     logs = [LogToScore((p.results,), p.ground_truth, p.log or log_of(p.results)) for p in pairs]
-    scores = score_logs(logs, options, jobs, "scored", table and results)
-    [counts] = scores.sides
-    told.problem(*scores.unused, *_left_out(scored := scores.logs, as_one=table is not None))
-    told.note(*scores.notes)
+    scored, [counts], names = score_logs(logs, options, "scored", told, table and results)
+    told.problem(*_unprocessed(scored, as_one=table is not None))
     if table is not None:
         others = Diagnostics()
-        tell_other_logs(others, table, scores.names, "they are not scored")
+        tell_other_logs(others, table, names, "they are not scored")
         # If one log was asked for the rows of others are a note.
         tell = told.note if [log.results for log in logs] == [(results,)] else told.problem
         tell(*others.problems)
     told.note(*_notes(counts))
-    told.problem(*scores.copies)
     summary = summarise(counts)
     return Evaluation(
         counts=counts,
@@ -386,8 +307,8 @@ def evaluate_logs(
     )
 
 
-def _left_out(scored: Sequence[LogScore], *, as_one: bool) -> Iterator[str]:
-    """A line for each part of truth and results that is not scored. as_one: all share a truth."""
+def _unprocessed(scored: Sequence[LogScore], *, as_one: bool) -> Iterator[str]:
+    """A line for each truth with rows on frames without results. as_one: all logs share one."""
     for logs in [scored] if as_one else [[score] for score in scored]:
         if unprocessed := sum(score.rows[2] for score in logs):
             frames = number_of(sum(score.frames for score in logs), "frame")
@@ -395,8 +316,6 @@ def _left_out(scored: Sequence[LogScore], *, as_one: bool) -> Iterator[str]:
                 f"{logs[0].log.ground_truth}: {unprocessed} of {logs[0].rows[0]} rows lie on "
                 f"frames that were not processed; they are not scored ({frames} processed)"
             )
-        for score in logs:
-            yield from score.unused
 
 
 def _notes(counts: Counts) -> Iterator[str]:
@@ -406,9 +325,7 @@ def _notes(counts: Counts) -> Iterator[str]:
             "the strict protocol is not scored: truth or estimates have no positions, or they are "
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
-    for name, part in zip(counts.logs, counts.parts, strict=True):
-        if missing := [method for method in counts.methods if method not in part.methods]:
-            yield f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
+    yield from lacks(counts)
     unseen = [
         f"ID.{landmark}"
         for k, landmark in enumerate(counts.ids)
@@ -416,3 +333,10 @@ def _notes(counts: Counts) -> Iterator[str]:
     ]
     if unseen:
         yield f"never in view: {', '.join(unseen)}; a TPR of 0/0 says nothing"
+
+
+def lacks(counts: Counts) -> Iterator[str]:
+    """A note on each log without estimates of a method that others have."""
+    for name, part in zip(counts.logs, counts.parts, strict=True):
+        if missing := [method for method in counts.methods if method not in part.methods]:
+            yield f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"

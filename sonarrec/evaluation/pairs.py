@@ -23,9 +23,6 @@ from sonarrec.results.run_file import Input, read_run
 from sonarrec.tables.read import read_header, read_table
 from sonarrec.truth.table import HEADER, TRUTH_FILE
 
-FEW = 2
-"""Logs whose truths are told one by one."""
-
 
 @dataclass(frozen=True, slots=True)
 class Pair:
@@ -113,10 +110,8 @@ def find_truths_beside(folders: Iterable[Path], told: Diagnostics) -> list[Pair]
         more = f" (and {number_of(len(without) - 1, 'more log')} without one)" * bool(without[1:])
         raise UsageError(f"{without[0]}{more}; give --ground-truth, or --pairs")
     told.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
-    notes = [f"{p.results}: ground truth {p.ground_truth}, beside its log" for p in pairs]
-    if len(pairs) > FEW:
-        notes = [f"{len(pairs)} logs: ground truth beside each, such as {pairs[0].ground_truth}"]
-    told.note(*notes)
+    of, each = (pairs[0].results, "its log") if len(pairs) == 1 else (f"{len(pairs)} logs", "each")
+    told.note(f"{of}: ground truth {pairs[0].ground_truth}, beside {each}")
     return pairs
 
 

@@ -53,7 +53,7 @@ class Evaluation:
     notes: tuple[str, ...]
     """What is remarkable, a line each."""
     unused: tuple[str, ...]
-    """Input that could not be used, a line each."""
+    """Input that could not be used or is in doubt, a line each."""
 
     @property
     def scored(self) -> tuple[Scored, ...]:

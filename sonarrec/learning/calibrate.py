@@ -24,7 +24,7 @@ from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
 from sonarrec.tables.outputs import MODEL_MARK
-from sonarrec.truth.check import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
+from sonarrec.truth import check
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import HEADER, TRUTH_FILE, TruthTable, read_truth
 
@@ -93,11 +93,11 @@ def learn(
     names = [lesson.log for lesson in lessons]
     if not any(lesson.rows for lesson in used):
         misfits = [lesson.misfit for lesson in lessons if lesson.misfit is not None]
-        why = without_rows(file, len(table.at), names, "it shows no landmark")
+        why = check.without_rows(file, len(table.at), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
     for file, table in tables.items():
         if truths.count(file) > 1:  # of one log a truth of several is used as it is
-            tell_other_logs(told, table, names, "they teach nothing")
+            check.tell_other_logs(told, table, names, "they teach nothing")
     return _learned(used, landmarks, told)
 
 
@@ -161,22 +161,22 @@ def _lesson(
     shown = truth.visible > 0
     met = shown & lain_on(tracks, truth.frame_index, truth.position)
     labelled = [(rows.sum(), len(np.unique(truth.landmark_index[rows]))) for rows in (shown, met)]
-    unlike = misfit(table, tracks, truth)
+    unlike = check.misfit(table, tracks, truth)
     if unlike is None and shown.any() and not (samples.label < len(landmarks.ids)).any():
         # Landmarks where the truth does not have them would be learned as "none of these".
         unlike = (
             f"{table.path}: no track of {name} lies within {2 * ON * landmarks.radius_m:.3g} m of "
-            f"any of its {number_of(int(shown.sum()), 'position')}; are they of this geometry? "
-            "`sonarrec truth check` draws them"
+            f"any of its {number_of(int(shown.sum()), 'position')}; are they of this geometry?"
         )
     told.note(*(f"{name}: {line}" for line in beams))
     told.problem(*log.diagnostics.problems)
     if unlike is not None:
         told.problem(f"{unlike}; nothing is learned from {name}")
     else:
-        proposals = "they teach what the program takes for true already"
-        tell_fit(told, table, tracks, truth, proposals)
-        tell_rows(told, name, truth.rows, truth.between)
+        if proposed := check.unchecked(table, name):
+            told.note(f"{proposed}; they teach what the program takes for true already")
+        check.tell_fit(told, table, tracks, truth)
+        check.tell_rows(told, name, truth.rows, truth.between)
         if truth.unprocessed:
             told.problem(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "

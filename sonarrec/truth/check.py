@@ -100,29 +100,27 @@ def tell_other_logs(
         )
 
 
-def tell_fit(
-    told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, of_proposals: str
-) -> None:
-    """Tell what a reader should know of the rows on one log.
+def unchecked(table: TruthTable, name: str) -> str:
+    """How many rows for a log are as `truth propose` wrote them, a clause; empty: none."""
+    rows = table.rows_of(name)
+    if not (proposed := np.count_nonzero(table.proposed[rows])):
+        return ""
+    return (
+        f"{table.path}: {proposed} of {len(rows)} rows for {name} are unchecked proposals of "
+        "`truth propose` (clear `source` in those that you have checked)"
+    )
 
-    truth: as matched to the log. of_proposals: the consequence of rows as `truth propose` wrote
-    them, a clause.
-    """
-    rows, path, name = table.rows_of(log.name), table.path, log.name
-    if proposed := np.count_nonzero(table.proposed[rows]):
-        told.note(
-            f"{path}: by `source`, {proposed} of {len(rows)} rows for {name} are unchecked "
-            f"proposals of `truth propose`; {of_proposals}. Clear `source` where you checked"
-        )
+
+def tell_fit(told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth) -> None:
+    """Tell what a reader should know of the rows on one log. truth: as matched to the log."""
+    path, name = table.path, log.name
     if outside := np.count_nonzero(_outside_image(log, truth)):
         told.note(
             f"{path}: {outside} of {len(truth.frame_index)} positions lie outside the image of "
             f"{name}; `sonarrec truth check` names them"
         )
-    frames, half = np.unique(truth.frame_index), len(log.frame) / 2
-    if len(frames) >= FEWEST and (
-        np.diff(frames).min() > 1 or frames[-1] < half or frames[0] >= half
-    ):
+    frames = np.unique(truth.frame_index)
+    if len(frames) >= FEWEST and np.diff(frames).min() > 1:
         first, last = log.frame[frames[[0, -1]]]
         told.note(
             f"{path}: {len(frames)} of {len(log.frame)} frames of {name}, from {first} to {last}, "

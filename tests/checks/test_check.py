@@ -41,6 +41,9 @@ def test_red_when_declare_is_raised_then_recorded_then_green() -> None:
     right = truth.read_text()
     truth.write_text("frame,landmark\n0,9\n")
     assert "landmark 9 is not in the set" in sonarrec("check", "--update", code=1).stderr
+    lines = right.splitlines()
+    truth.write_text("\n".join([f"{lines[0]},source", *(f"{line},tracked" for line in lines[1:])]))
+    assert "unchecked proposals" in sonarrec("check", "--update", code=1).stderr
     truth.write_text(right)
     nothing = sonarrec("check", code=2)
     assert "no results on record yet" in nothing.stderr
@@ -130,10 +133,13 @@ def test_a_log_new_in_the_file_and_one_gone_from_it(repository: Path) -> None:
     FILE.write_text('[[log]]\npath = "other"\n')
     (RECORD / "faint" / "note.txt").write_text("mine")
     told = sonarrec("check", "--update")
-    assert "sonarrec.check/faint: of no log in the check file any more, deleted" in told.stderr
+    assert "sonarrec.check/faint: of no log in the check file any more; delete it" in told.stderr
+    files = "frames.csv", "estimates.csv", "run.toml"
     assert set(contents(RECORD)) == {
-        *("faint/note.txt", "other/frames.csv", "other/estimates.csv", "other/run.toml")
+        *("faint/note.txt", *(f"{log}/{name}" for log in ("faint", "other") for name in files))
     }
+    (RECORD / "other" / "run.toml").write_text("")
+    assert "no results on record" in sonarrec("check", code=2).stderr
 
 
 @pytest.mark.slow
@@ -168,6 +174,8 @@ def test_nothing_is_written_over_the_record() -> None:
         ("[[log]]\npath = 'faint'\nground_truth = 'x.csv'", "[[log]] 1: x.csv: no such file"),
         ("[[log]]\npath = 'bare'", "[[log]] 1: no gt.csv in or beside bare"),
         ("[[log]]\npath = 'faint'\nname = '../up'", "not the name of one folder"),
+        ("[[log]]\npath = 'faint'\nname = '..'", "not the name of one folder"),
+        ("[[log]]\npath = 'faint'\nname = \"a\\u0000\"", "not the name of one folder"),
         ("[[log]]\npath = 'faint'\n" * 2, "given 2 times"),
         ("record = '.'\n[[log]]\npath = 'faint'", "faint is the log itself"),
         ("least_tpr = { framework = 2 }\n[[log]]\npath = 'faint'", "least_tpr.framework must be"),

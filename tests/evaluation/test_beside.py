@@ -55,7 +55,7 @@ def test_each_log_has_its_own(logs: Path) -> None:
     truth(logs / "logs" / "gt.csv", range(8))
     truth(logs / "logs" / "pings" / "gt.csv", range(12))
     done = command(logs / "out")
-    assert f"3 logs: ground truth beside each, such as {logs}/logs/a.gt.csv" in done.stdout
+    assert f"3 logs: ground truth {logs}/logs/a.gt.csv, beside each" in done.stdout
     found = evaluate(logs / "out")
     per_log = [scored(found, "strict").count(0, n) for n in range(len(found.folders))]
     assert [(c.tp, c.fn) for c in per_log] == [(1, 3), (2, 6), (3, 9)]

@@ -340,8 +340,10 @@ def test_a_comparison_says_what_a_score_says_of_each_log(tmp_path: Path) -> None
             (tmp_path / side / f"{log}.case" / "out").rename(tmp_path / side / log)
     write_csv(tmp_path / "gt.csv", [*TRUTH_HEADER, "log"], [(*row, "a") for row in TRUTH])
     notes = compare(tmp_path / "old", tmp_path / "new", tmp_path / "gt.csv").notes
-    b = tmp_path / "new" / "b"
     empty = "b: no row in the ground truth, so it is taken to hold no landmark"
-    assert notes[-2:] == (empty, f"{b}: has no estimates of n; this counts as no claim")
+    assert notes[-2:] == (
+        empty,
+        f"{tmp_path / 'new'}: b: has no estimates of n; this counts as no claim",
+    )
     scored_alone = evaluate(tmp_path / "new", tmp_path / "gt.csv").notes
     assert {empty, "b: has no estimates of n; this counts as no claim"} <= set(scored_alone)

@@ -43,17 +43,6 @@ def table(text: bytes) -> list[dict[str, str]]:
     return list(csv.DictReader(text.decode().splitlines()))
 
 
-@pytest.mark.slow
-def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> None:
-    made = {}
-    for jobs in ("1", "3"):  # of 12 logs: more than the three have ahead
-        out = tmp_path / "evaluation"
-        done = sonarrec("evaluate", "--pairs", pairs, "-j", jobs, "-o", out, "--details")
-        made[jobs] = files(out), done.output
-        shutil.rmtree(out)
-    assert made["1"] == made["3"]
-
-
 BROKEN = {
     "estimates.csv": ("frame,method\n0,smi\n", "estimates.csv: wrong columns, no "),
     "frames.csv": ("frame\n", "frames.csv: no frame was processed"),
@@ -69,7 +58,7 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: 
     """The first of three, of either side where two are compared: tables are as without it. If none
     can be read it is one line. One fault is found in another process."""
     old, new, pairs = make_sides(tmp_path / "made", 3, 50, 2)
-    words = ["evaluate", "--pairs", pairs, "-q", "-j", 2 if name == "run.toml" else 1]
+    words = ["evaluate", "--pairs", pairs, "-q"]
     words += ["--compare", old, new] if side else []
     text, told = BROKEN[name]
 
@@ -148,5 +137,5 @@ def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     .5 MB in all). What was read of a log is 4,000 estimates of 17 numbers, .5 MB: were it kept,
     nine more would be 4.5 MB."""
     pairs = read_pairs(make_logs(tmp_path / "made", 11, 1000, 2))
-    few, many = (peak_mb(lambda n=n: evaluate_logs(pairs[:n], jobs=1)) for n in (2, 11))  # type: ignore[misc]
+    few, many = (peak_mb(lambda n=n: evaluate_logs(pairs[:n])) for n in (2, 11))  # type: ignore[misc]
     assert many - few < 1

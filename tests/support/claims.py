@@ -72,4 +72,4 @@ def evaluated(*logs: Matched) -> Evaluation:
 
 def evaluate(results: str | Path, truth: str | Path | None = None, **options: Any) -> Evaluation:
     """The scores of files. options: of ScoringOptions."""
-    return evaluate_logs(results, truth, ScoringOptions(**options), jobs=1)
+    return evaluate_logs(results, truth, ScoringOptions(**options))

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
+from sonarrec import evaluate
 from sonarrec.config import preset
 from sonarrec.runs.run import run as run_log
 from sonarrec.truth.table import read_truth
@@ -217,11 +218,13 @@ def test_scoring_counts_the_rows_that_nobody_has_checked(tmp_path: Path) -> None
     folder, gt = results(tmp_path / "log", track(1, range(20))), tmp_path / "proposed.csv"
     proposed(folder)
     call = ("evaluate", folder, "--ground-truth", gt)
-    told = sonarrec(*call).stdout
+    told = sonarrec(*call, code=3).stderr.splitlines()[0]
     assert "20 of 20 rows for log are unchecked proposals of `truth propose`" in told
+    with pytest.warns(UserWarning, match="20 of 20 rows"):
+        evaluate(folder, gt)
     lines = gt.read_text().splitlines()
     lines[1:16] = [line.replace(",tracked", ",") for line in lines[1:16]]
     gt.write_text("\n".join(lines) + "\n")
-    assert "by `source`, 5 of 20 rows" in sonarrec(*call).stdout
+    assert "5 of 20 rows for log are unchecked" in sonarrec(*call, code=3).stderr
     gt.write_text(gt.read_text().replace(",tracked", ",diver"))
-    assert "truth propose" not in sonarrec(*call).stdout
+    assert "truth propose" not in sonarrec(*call).output
