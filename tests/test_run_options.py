@@ -13,7 +13,7 @@ from sonarrec import run
 from sonarrec.cli.endings import finish, tell
 from sonarrec.results.run_file import read_run
 from tests.support.batch import made
-from tests.support.command import SAMPLE, on_a_terminal, sonarrec
+from tests.support.command import SAMPLE, on_a_terminal, sample_log, sonarrec
 from tests.support.locked import locked
 
 TEN = SAMPLE / "00000*.png"
@@ -65,26 +65,60 @@ def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "run GONE",
-        "run GONE GONE",
-        "info GONE",
-        "evaluate GONE --ground-truth GT",
-        "evaluate --ground-truth GONE",
-        "evaluate --pairs GONE",
-        "evaluate --compare GONE GONE --ground-truth GT",
-        "report GONE",
-        "overlay GONE -o o.mcap",
-        "calibrate GONE --ground-truth GT -o m.toml",
-        "truth check GT GONE",
-        "truth convert GONE",
-        "truth propose GONE",
-    ],
-)
-def test_an_input_that_is_not_there_is_exit_code_2_everywhere(tmp_path: Path, words: str) -> None:
-    run_words(words, 2, GONE=tmp_path / "gone")
+FAULTS = {  # and the exit code: `sonarrec help run`
+    ("an input that is not there", 2): """run GONE | run GONE GONE | info GONE
+        evaluate GONE --ground-truth GT | evaluate --ground-truth GONE | evaluate --pairs GONE
+        evaluate --compare GONE GONE --ground-truth GT | report GONE | overlay GONE -o o.mcap
+        calibrate GONE --ground-truth GT -o m.toml | truth check GT GONE | truth convert GONE
+        truth propose GONE | map GONE | check GONE""",
+    (
+        "nothing in it",
+        2,
+    ): """run EMPTY | info EMPTY | evaluate EMPTY --ground-truth GT | report EMPTY
+        map EMPTY | truth propose EMPTY | overlay LOG EMPTY -o o.mp4 | truth check GT EMPTY""",
+    ("no truth", 2): """evaluate OUT | calibrate LOG -o m.toml | check CHECK""",
+    ("a setting or a set that does not exist", 2): """run LOG --set a.b=1 | check CHECK --set a.b=1
+        run LOG --landmarks GONE | evaluate OUT --ground-truth GT --landmarks GONE""",
+    ("no geometry", 1): """run BARE -o o | truth check GT BARE
+        calibrate BARE --ground-truth GT -o m.toml""",
+    ("an output that cannot be written", 1): """run LOG -o /proc/x | map OUT -o /proc/x
+        evaluate OUT --ground-truth GT -o /proc/x | report OUT -o /proc/x.html
+        overlay LOG OUT -o /proc/x.mp4 | simulate --frames 2 -o /proc/x
+        truth propose OUT -o /proc/x.csv | calibrate LOG --ground-truth GT -o /proc/x.toml
+        info LOG --write-sonar /proc/x.toml""",
+    (
+        "a part that cannot be used",
+        3,
+    ): """run PARTLY -o o | info PARTLY | overlay PARTLY o -o o.mp4
+        evaluate OUT --ground-truth MORE | calibrate PARTLY --ground-truth GT -o m.toml""",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fault", "code"), FAULTS)
+def test_a_fault_has_one_exit_code_in_all_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, code: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    places = {
+        "GONE": tmp_path / "gone",
+        "EMPTY": tmp_path / "empty",
+        "LOG": sample_log(tmp_path / "log", 40),
+        "BARE": sample_log(tmp_path / "bare", 40),
+        "PARTLY": sample_log(tmp_path / "partly", 40),
+        "OUT": tmp_path / "out" / "log",
+        "CHECK": tmp_path / "check.toml",
+        "MORE": tmp_path / "more.csv",
+    }
+    places["EMPTY"].mkdir()
+    sonarrec("run", "-q", places["LOG"], "-o", tmp_path / "out")
+    (places["BARE"] / "sonar.toml").unlink()
+    (places["PARTLY"] / "000003.png").write_bytes(b"no image")
+    places["CHECK"].write_text('[[log]]\npath = "log"\n')
+    places["MORE"].write_bytes((SAMPLE.parent / "pan.gt.csv").read_bytes())
+    for words in re.split(r"\s*[|\n]\s*", FAULTS[fault, code]):
+        done = run_words(words, code, **places)
+        assert "Traceback" not in done.output, words
 
 
 @pytest.mark.parametrize(

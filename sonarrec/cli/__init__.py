@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import logging
 import os
 import sys
 from importlib import import_module
@@ -42,6 +43,7 @@ class _Program(click.Group):
         return super().resolve_command(ctx, args)
 
     def main(self, *arguments: Any, **options: Any) -> Any:
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it has no home it says so
         _open_streams()
         return super().main(*arguments, **options)
 

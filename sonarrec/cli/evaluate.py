@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import PARTLY, WORSE, leave, say, tell
+from sonarrec.cli.endings import MOST_NOTES, PARTLY, WORSE, leave, say, tell
 from sonarrec.cli.groups import ANY, command, in_output
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.compare import Limits
     from sonarrec.evaluation.match import ScoringOptions
-
-MOST_NOTES = 5
 
 
 @command(short_help="Score results against ground truth, or compare them.")

@@ -162,7 +162,7 @@ def _opened(
 def _results_folder(path: Path, source: Source, results: Path) -> Path:
     """The folder of the log's results, else of what a stopped run left.
 
-    source: the log at `path`. Raises SonarrecError if there is none.
+    source: the log at `path`. Raises MissingError if there is none.
     """
     # A run of several logs of one name put the names of their folders in front.
     names = possible_names(source.name, source.place.resolve())
@@ -170,8 +170,7 @@ def _results_folder(path: Path, source: Source, results: Path) -> Path:
         for folder in (place, part_of(place)):
             if (folder / "frames.csv").is_file():
                 return folder
-    kind = SonarrecError if results.is_dir() else MissingError
-    raise kind(
+    raise MissingError(
         f"{results}: no results of {path} here (no frames.csv, nor {source.name}/frames.csv); "
         f"`sonarrec run {path}` writes them"
     )

@@ -252,7 +252,7 @@ def _find(path: Path, up_to: Path | None) -> Source:
         if is_bag_folder(path):
             files, reader = bag_files(path), _BAG_FOLDER
         elif not (files := ImagePaths(filter(is_image, path.iterdir()))):
-            raise SonarrecError(_why_no_log(path))
+            raise MissingError(_why_no_log(path))
     elif path.is_file():
         files, name, reader = [path], log_name(path), _reader_of(path)
     elif path.exists():  # a device, a pipe

@@ -98,7 +98,7 @@ class LogResults:
 def find_logs(results: Path) -> list[Path]:
     """The results folders of single logs: `results` itself, or those in it, in natural order.
 
-    The part of a stopped run counts where there are no finished results. Raises SonarrecError if
+    The part of a stopped run counts where there are no finished results. Raises MissingError if
     there are none.
     """
     if (results / "frames.csv").is_file():
@@ -113,7 +113,7 @@ def find_logs(results: Path) -> list[Path]:
     logs = {path.name: path for path in results.iterdir() if _holds_frames(path)}
     names = (n for n in logs if not (n.endswith(PART) and n.removesuffix(PART) in logs))
     if not (found := sorted((logs[name] for name in names), key=natural_order)):
-        raise SonarrecError(
+        raise MissingError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "
             "give the folder that `sonarrec run` wrote"
         )
@@ -436,9 +436,9 @@ def check_same_log(log: Any, folder: Path, run: RunFile) -> None:
         size, digest = log.digest_source()
         if (size, digest) != (made_from.bytes, made_from.sha256):
             raise SonarrecError(
-                f"{folder}: results of another log, {made_from.name} (SHA-256 "
-                f"{made_from.sha256[:12]}...), not of {log.path} ({digest[:12]}...); give the log "
-                f"they were made from, or `sonarrec run {log.path}`"
+                f"{folder}: results of another log, {made_from.path or made_from.name}, or of "
+                f"{log.path} before its files changed; give the log they were made from, or "
+                f"`sonarrec run {log.path}`"
             )
     elif log.frame_count is not None:
         last = read_frames(folder)["frame"].max(initial=-1)
@@ -458,14 +458,14 @@ def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str 
     a, b = before.input.recording, after.input.recording
     if a is None or b is None:
         without = " and ".join(str(f) for f, of in ((old, a), (new, b)) if of is None)
-        return f"{without}: no SHA-256 of the log in run.toml; frames are matched by number"
+        return f"{without}: run.toml does not identify the log; frames are matched by number"
     if a != b:
         of = " and ".join(
-            f"{run.input.name} (SHA-256 {sha[:12]}...{f', topic {topic}' if topic else ''})"
-            for run, (sha, topic) in ((before, a), (after, b))
+            f"{run.input.path or run.input.name}{f', topic {topic}' if topic else ''}"
+            for run, (_, topic) in ((before, a), (after, b))
         )
         raise SonarrecError(
-            f"{old} and {new}: results of different logs, {of}; compare results of one log"
+            f"{old} and {new}: results of different logs, {of}, or its files changed in between"
         )
     return None
 

@@ -104,5 +104,5 @@ def test_truth_of_another_log_is_told(work: Path) -> None:
 def test_results_of_another_log(work: Path) -> None:
     cv2.imwrite(str(work / "log" / "frame0.png"), noise(1)[0] + 1)
     told = sonarrec("overlay", "log", "-o", "o.mcap", code=1)
-    assert "results of another log, log (SHA-256" in told.stderr
+    assert "results of another log, " in told.stderr
     assert len(told.stderr.splitlines()) == 1

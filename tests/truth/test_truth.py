@@ -160,7 +160,7 @@ def test_no_results(case: Path) -> None:
     (case / "out" / "estimates.csv").unlink()
     assert "estimates.csv: no such file" in failure(case)
     (case / "out" / "frames.csv").unlink()
-    assert "no results here" in failure(case)
+    assert "no results here" in failure(case, 2)
 
 
 def test_estimates_off_the_listed_frames_are_counted_and_said(case: Path) -> None:
