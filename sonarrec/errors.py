@@ -13,9 +13,10 @@ Place = TypeVar("Place")
 def printable(text: object) -> str:
     """The text as every terminal and UTF-8 file can hold it, where text leaves the program.
 
-    Control characters, and bytes of names that are no UTF-8, become escapes such as \\xe9.
+    Control characters, and bytes of names that are no UTF-8, become escapes such as \\xe9; secrets
+    of URLs are left out.
     """
-    plain = name_as_text(text)
+    plain = hidden(name_as_text(text))
     if plain.isprintable():
         return plain
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in plain)
@@ -62,7 +63,9 @@ def name_from_text(text: str) -> str:
 
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/{1,2}(?=[^/])")  # a Path keeps one slash only
-_IN_TEXT = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2})(?:[^\s/'\"]*@)?([^\s?;'\"]*)[^\s'\"]*")
+_IN_TEXT = re.compile(
+    r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2})(?:[^\s/'\"]*@)?([^\s?;'\"]*)(?:[?;][^\s'\"]*[^\s'\":,;])?"
+)
 
 
 def is_url(text: object) -> bool:
@@ -79,7 +82,7 @@ def local(place: Place) -> Place:
     """The place itself. Raises UsageError if it is a URL: only `run` takes these."""
     if is_url(place):
         raise UsageError(
-            f"{hidden(place)}: only `sonarrec run` takes URLs; copy it to this machine, or mount "
+            f"{place}: only `sonarrec run` takes URLs; copy it to this machine, or mount "
             "the server: sonarrec help remote"
         )
     return place

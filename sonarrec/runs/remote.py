@@ -24,7 +24,7 @@ COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv")
 def check_out(url: str) -> None:
     """Raise UsageError if results cannot be put there."""
     if url.partition(":")[0].lower() in ("http", "https"):
-        raise UsageError(f"{hidden(url)}: results cannot be put on a web server; give s3, gs, sftp")
+        raise UsageError(f"{url}: results cannot be put on a web server; give s3, gs, sftp")
     with _told(url):
         _opened(url)
 
@@ -44,7 +44,7 @@ def logs_at(url: str, *, recursive: bool = False) -> list[str]:
         else:
             found = [*_below(fs, path, recursive)]
     if not found:
-        raise MissingError(f"{hidden(url)}: no log there")
+        raise MissingError(f"{url}: no log there")
     return [front + p for p in sorted(found, key=natural_order)]
 
 
@@ -95,7 +95,7 @@ def put(place: Path, url: str) -> None:
             fs.put(str(place), part, recursive=place.is_dir())
             sent, came = sum(p.is_file() for p in (place, *place.rglob("*"))), fs.find(part)
             if len(came) != sent:
-                raise SonarrecError(f"{hidden(url)}: {len(came)} of {number_of(sent, 'file')} came")
+                raise SonarrecError(f"{url}: {len(came)} of {number_of(sent, 'file')} came")
             if fs.exists(path):
                 fs.rm(path, recursive=True)
             if place.is_dir():
@@ -131,7 +131,7 @@ def _opened(url: str) -> tuple[Any, str]:
         fs, path = fsspec.url_to_fs(url, use_listings_cache=False)
     except ImportError as error:
         missing = f"{error.name} is missing; pip install 'sonarrec[remote]'"
-        raise SonarrecError(f"{hidden(url)}: {missing}") from None
+        raise SonarrecError(f"{url}: {missing}") from None
     return fs, path
 
 
@@ -143,7 +143,7 @@ def _told(url: str) -> Iterator[None]:
     except SonarrecError:
         raise
     except FileNotFoundError:
-        raise MissingError(f"{hidden(url)}: not there, or no answer from its server") from None
+        raise MissingError(f"{url}: not there, or no answer from its server") from None
     except Exception as error:  # s3fs, gcsfs, aiohttp and asyncssh have no common class
         text = " ".join(hidden(error).split())[:200] or type(error).__name__
-        raise SonarrecError(f"{hidden(url)}: {text}; see `sonarrec help remote`") from None
+        raise SonarrecError(f"{url}: {text}; see `sonarrec help remote`") from None

@@ -137,6 +137,20 @@ def test_no_output_has_a_secret(text: str, shown: str) -> None:
     assert hidden(text) == shown
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("run", "info", "evaluate", "report", "overlay", "map", "calibrate", "check", "help"),
+        *("landmarks", "truth check x", "truth convert", "truth propose", "run x --preset"),
+        *("run x --landmarks", "run x --set", "run x --config", "evaluate --ground-truth"),
+    ],
+)
+def test_no_message_has_a_secret(words: str) -> None:
+    url = "https://me:s3cret@host.invalid/a;k=s3cret?X-Amz-Signature=s3cret"
+    done = sonarrec(*words.split(), url, code=2)
+    assert "s3cret" not in done.output
+
+
 def test_what_takes_no_url_says_so() -> None:
     told = sonarrec("evaluate", "s3://user:pw@bucket/results", code=2).stderr
     assert "s3://bucket/results: only `sonarrec run` takes URLs" in told
