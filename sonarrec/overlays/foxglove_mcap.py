@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from sonarrec.drawing.results import AROUND, Mark, Moment, caption, outline_of, 
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Frame
 from sonarrec.readers.messages.foxglove import json_schema
-from sonarrec.tables.outputs import OVERLAY_LIBRARY, writing
+from sonarrec.tables.outputs import OVERLAY_LIBRARY, replaced, writing
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
@@ -33,43 +33,38 @@ WriteFrame = Callable[[Frame, Sequence[Moment], Sequence[Mark]], None]
 def foxglove_file(path: Path, landmarks: LandmarkSet, with_images: bool) -> Iterator[WriteFrame]:
     """Annotations of every frame, and its fan image if `with_images`.
 
-    After an exception the file keeps what was written but gets no footer. Raises SonarrecError
-    where it cannot be written.
+    After an exception there is none. Raises SonarrecError where it cannot be written.
     """
-    with writing(path):
-        file = path.open("wb")
+    with writing(path), replaced(path) as new, new.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(library=OVERLAY_LIBRARY)
 
-    def channel(topic: str, message: str) -> int:
-        schema = json.dumps(json_schema(message)).encode()
-        number = writer.register_schema(message, "jsonschema", schema)
-        return writer.register_channel(topic, "json", number)
+        def channel(topic: str, message: str) -> int:
+            schema = json.dumps(json_schema(message)).encode()
+            number = writer.register_schema(message, "jsonschema", schema)
+            return writer.register_channel(topic, "json", number)
 
-    annotations = channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")
-    images = channel(FAN_TOPIC, "foxglove.CompressedImage") if with_images else None
+        annotations = channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")
+        images = channel(FAN_TOPIC, "foxglove.CompressedImage") if with_images else None
 
-    def write(frame: Frame, history: Sequence[Moment], truth: Sequence[Mark]) -> None:
-        logged = frame.timestamp_ns if frame.stamps.log is None else frame.stamps.log
-        # Foxglove pairs annotations with the image whose own stamp is the same to the nanosecond.
-        stamp = logged if frame.stamps.header is None else frame.stamps.header
-        messages = {}
-        if images is not None:
-            png = cv2.imencode(".png", np.asarray(frame.image))[1].tobytes()
-            image = {"frame_id": "sonar", "data": base64.b64encode(png).decode(), "format": "png"}
-            messages[images] = {"timestamp": _time(stamp), **image}
-        messages[annotations] = _annotations(frame, stamp, landmarks, history, truth)
-        with writing(path):
+        def write(frame: Frame, history: Sequence[Moment], truth: Sequence[Mark]) -> None:
+            logged = frame.timestamp_ns if frame.stamps.log is None else frame.stamps.log
+            # Foxglove pairs annotations with the image whose own stamp is the same to the ns.
+            stamp = logged if frame.stamps.header is None else frame.stamps.header
+            messages = {}
+            if images is not None:
+                png = cv2.imencode(".png", np.asarray(frame.image))[1].tobytes()
+                image = {
+                    "frame_id": "sonar",
+                    "data": base64.b64encode(png).decode(),
+                    "format": "png",
+                }
+                messages[images] = {"timestamp": _time(stamp), **image}
+            messages[annotations] = _annotations(frame, stamp, landmarks, history, truth)
             for to, message in messages.items():
                 writer.add_message(to, logged, json.dumps(message).encode(), logged)
 
-    try:
         yield write
-    except BaseException:
-        with suppress(OSError), file:  # the first fault is reported
-            writer.flush()  # type: ignore[no-untyped-call]
-        raise
-    with writing(path), file:
         writer.finish()  # type: ignore[no-untyped-call]
 
 

@@ -6,7 +6,7 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -36,7 +36,7 @@ from sonarrec.results.read import (
 )
 from sonarrec.results.run_file import LogOptions, frame_span, read_run, span_text
 from sonarrec.sonar import Sonar, sonar_from
-from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_output, writing
+from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_output, replaced, writing
 from sonarrec.truth.check import misfit, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
@@ -210,35 +210,35 @@ def _video_file(path: Path, landmarks: LandmarkSet, frame_rate_hz: float) -> Ite
 
     Raises SonarrecError if the name is not UTF-8, or where it did not become a whole video.
     """
-    name, frames = opencv_name(path), 0
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are reported below
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     # MPEG-4 divides a second into 65,535 parts at the most; players want one frame a second.
     rate = round(min(max(frame_rate_hz, 1.0), 60.0), 3)
-    video = cv2.VideoWriter()
+    video, frames = cv2.VideoWriter(), 0
+    with writing(path), replaced(path) as new:
+        name = opencv_name(new)
 
-    def write(frame: Frame, history: Sequence[Moment], truth: Sequence[Mark]) -> None:
-        nonlocal frames
-        picture = _picture(frame, landmarks, history, truth)
-        if not frames:
+        def write(frame: Frame, history: Sequence[Moment], truth: Sequence[Mark]) -> None:
+            nonlocal frames
+            picture = _picture(frame, landmarks, history, truth)
             size = (picture.shape[1], picture.shape[0])
-            if not video.open(name, cv2.VideoWriter.fourcc(*"mp4v"), rate, size):
+            if not (frames or video.open(name, cv2.VideoWriter.fourcc(*"mp4v"), rate, size)):
                 raise SonarrecError(f"{path}: cannot be written")
-        video.write(picture)
-        frames += 1
+            video.write(picture)
+            frames += 1
 
-    try:
-        yield write
-    finally:
-        if video.isOpened():
+        try:
+            yield write
+        finally:
             video.release()
-            with suppress(OSError), path.open("ab") as file:
-                file.write(VIDEO_MARK)
-    # OpenCV does not report a failed write.
-    if cv2.VideoCapture(name).get(cv2.CAP_PROP_FRAME_COUNT) != frames:
-        raise SonarrecError(
-            f"{path}: {number_of(frames, 'frame')} did not become a whole video (is the disk full?)"
-        )
+        # OpenCV does not report a failed write.
+        if cv2.VideoCapture(name).get(cv2.CAP_PROP_FRAME_COUNT) != frames:
+            raise SonarrecError(
+                f"{path}: {number_of(frames, 'frame')} did not become a whole video (is the disk "
+                "full?)"
+            )
+        with new.open("ab") as file:
+            file.write(VIDEO_MARK)
 
 
 @contextmanager

@@ -98,7 +98,8 @@ def alone(folder: Path) -> Iterator[None]:
     """
     path = folder.with_name(f".{folder.name}.lock")
     while True:
-        with path.open("wb") as file:
+        flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)  # a link may lead to any file
+        with os.fdopen(os.open(path, flags, 0o666), "wb") as file:
             if not locked(file):
                 raise LockedError(
                     f"{folder}: another run writes here now; wait for it, or choose another --out"
@@ -166,10 +167,7 @@ def _sync(folder: Path) -> None:
 
 
 def _clear(old: Path, place: Path) -> None:
-    """Delete results, and files made from them, in `old`, and move the rest to `place`.
-
-    Raises OSError if that fails.
-    """
+    """Delete results, and files made from them, in `old`, and move the rest to `place`."""
     for name, names in MADE.items():
         folder = old / name
         if folder.is_dir() and not folder.is_symlink():

@@ -131,15 +131,15 @@ def prepare(
 def _results_of(source: Source, out: Path, name: str) -> Path:
     """The folder of a log's results in `out`.
 
-    Raises UsageError if it would replace the log, SonarrecError if it cannot be made there.
+    Raises UsageError if it would replace the log or lie in it, SonarrecError if it cannot be made.
     """
     folder = out / name
     try:
-        itself = folder.resolve() == source.path.resolve()
+        itself = source.path.resolve() in (folder.resolve(), out.resolve())
     except OSError as error:  # the current folder is gone
         raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     if itself:
-        raise UsageError(f"{folder}: this is the log itself; choose another --out")
+        raise UsageError(f"{source.path}: this is the log itself; choose another --out")
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise SonarrecError(
             f"{folder}: a file or a link is where the folder of the results would be; move it "

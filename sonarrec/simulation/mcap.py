@@ -22,8 +22,7 @@ ACOUSTIC = "marine_acoustic_msgs/msg"
 class McapWriter:
     """Writes frames into one channel of an MCAP file. Use it as a context manager.
 
-    After an exception the file keeps what was written but gets no footer, so that readers see that
-    it is cut short.
+    After an exception the file gets no footer.
     """
 
     def __init__(self, path: Path, sonar: Geometry | None) -> None:
@@ -79,6 +78,4 @@ class McapWriter:
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
             self._writer.finish()  # type: ignore[no-untyped-call]
-        else:
-            self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.close()

@@ -20,7 +20,7 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import AnyScene, PlateScene, load_scene, scene_sonar, scene_table
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
-from sonarrec.tables.outputs import writing
+from sonarrec.tables.outputs import replaced, writing
 
 PLATE_COLUMNS = ("frame", "landmark", *TRUTH_COLUMNS[4:])
 COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
@@ -94,7 +94,7 @@ def write_recording(
         if plates:
             corners = table("corners.csv", ("frame", "landmark", *CORNERS))
         if mcap:
-            messages = stack.enter_context(McapWriter(out, geometry))
+            messages = stack.enter_context(McapWriter(stack.enter_context(replaced(out)), geometry))
         for frame in chain([first], frames):
             if mcap:
                 messages.write(frame.timestamp_ns, frame.image)

@@ -60,7 +60,7 @@ def check_output(
         log = place.parent if images else place
         if _same(path, place) or _same(path, log):
             raise UsageError(f"{path}: this command reads it; write somewhere else")
-        if kind == "picture" and log.is_dir() and _same(path.parent, log):
+        if kind in ("picture", "overlay", "video") and log.is_dir() and _same(path.parent, log):
             raise UsageError(f"{path}: it would become part of the recording; write somewhere else")
     if not path.exists():
         above = next(place for place in path.parents if place.exists())
@@ -150,7 +150,7 @@ def replaced(path: Path) -> Iterator[Path]:
         yield path
         return
     target = path.resolve()
-    new = target.with_name(f".{os.getpid()}-{next(_numbers)}.new")
+    new = target.with_name(f".{os.getpid()}-{next(_numbers)}.new{target.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if target.exists():

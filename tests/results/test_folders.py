@@ -19,7 +19,7 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import exchange, folder_names, part_of, restore
 from sonarrec.results.read import find_logs
 from tests.support.batch import SAMPLE, command, environment, made, until
-from tests.support.command import sonarrec
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.kills import finished, frames, stop_at_random
 from tests.support.locked import locked
 from tests.support.logs import cdr_image, mcap_file
@@ -170,6 +170,14 @@ def test_a_stopped_run_leaves_its_part_and_the_old_results(
     sonarrec("run", "-q", log, "-o", out, "--overwrite")  # no lock is left, and no part
     assert frames(out / "dive") == list(range(FRAMES))
     assert not part.exists()
+
+
+def test_a_link_in_place_of_the_lock_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".pan.lock").symlink_to(tmp_path / "mine")
+    sonarrec("run", "-q", SAMPLE, "--frames", ":2", "-o", tmp_path / "out", code=1)
+    assert (tmp_path / "mine").read_text() == "mine"
 
 
 @pytest.mark.slow
