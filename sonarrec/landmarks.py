@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.tables.toml import (
     Positive,
@@ -24,8 +24,9 @@ from sonarrec.tables.toml import (
 )
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
-MOST_CELLS = 64
-"""Along the side of a drawing; an image is reduced to at most IMAGE_CELLS."""
+MOST_CELLS, MOST_IDS = 64, 500
+"""Along the side of a drawing, whose image is reduced to at most IMAGE_CELLS; of a drawn set."""
+SQUARE = "the plate is square, so is its drawing"
 IMAGE_CELLS = 28
 WIDEST_SIGMA = 0.15  # halves of a plate's side: beams of a larger one do not resolve its drawing
 Hand = Literal["no", "yes", "either"]
@@ -184,7 +185,7 @@ class _DrawnSetFile:
     cells: tuple[str, ...] = ()
     codes: str = ""
     family: str = ""
-    ids: tuple[Whole, ...] = ()
+    ids: tuple[Whole, ...] | None = None
     mirrored: Hand = "either"
     pose: PlatePose = "free"
 
@@ -251,15 +252,18 @@ def _drawn_from_table(table: dict[str, Any], where: str, error: type[SonarrecErr
     ids = tuple(row.id for row in rows)
     drawings = [_drawing(row, where, error) for row in rows]
     if stated.family:
-        family = load_landmarks(stated.family)
+        built_in = (BUILT_IN / f"{stated.family}.toml").is_file()
+        family = load_landmarks(stated.family) if built_in else None
         if ids or not isinstance(family, DrawnSet):
-            raise error(f"{where}: family must name a drawn set, in place of any [[landmark]]")
-        ids = stated.ids or family.ids
+            raise error(f"{where}: family names a built-in drawn set, in place of any [[landmark]]")
+        ids = family.ids if stated.ids is None else stated.ids
         if unknown := set(ids) - set(family.ids):
             raise error(f"{where}: {stated.family} has no ID {min(unknown)}")
         drawings = [family.drawings()[k] for k in family.indices(np.asarray(ids))]
-    elif stated.ids:
+    elif stated.ids is not None:
         raise error(f"{where}: ids chooses among those of a family, and none is named")
+    if len(ids) > MOST_IDS:
+        raise error(f"{where}: {len(ids)} IDs, more than {MOST_IDS}; state those that are used")
     for number, drawing in zip(ids, drawings, strict=True):
         if drawing.all() or not drawing.any():
             raise error(f"{where}: the drawing of ID {number} is all of one kind")
@@ -294,7 +298,7 @@ def views(drawing: BoolArray, mirrored: Hand) -> list[BoolArray]:
 
 
 def _drawing(row: _Drawing, where: str, error: type[SonarrecError]) -> BoolArray:
-    """(n, n) cells of a [[landmark]], filled up with dark ones to a square."""
+    """(n, n) cells of a [[landmark]]."""
     if bool(row.cells) == bool(row.image):
         raise error(f"{where}: ID {row.id} needs cells, or an image, and not both")
     if row.image:
@@ -303,34 +307,29 @@ def _drawing(row: _Drawing, where: str, error: type[SonarrecError]) -> BoolArray
     is_even = len({len(line) for line in rows}) == 1 and rows[0]
     if not is_even or any(cell not in "01" for line in rows for cell in line):
         raise error(f"{where}: cells of ID {row.id} must be rows of 0 and 1, equally long")
-    cells = np.array(rows) == "1"
-    if max(cells.shape) > MOST_CELLS:
+    if len(rows) != len(rows[0]):
+        raise error(f"{where}: ID {row.id} has {len(rows)} rows of {len(rows[0])} cells; {SQUARE}")
+    if len(rows) > MOST_CELLS:
         raise error(f"{where}: ID {row.id} has more than {MOST_CELLS} cells along a side")
-    return np.asarray(_squared(cells), bool)
+    return np.asarray(np.array(rows) == "1")
 
 
 def _drawing_of_image(path: Path, where: str, error: type[SonarrecError]) -> BoolArray:
     """The cells of a picture: one a pixel where it is small, else IMAGE_CELLS along its side."""
     import cv2  # not for commands that read no picture
 
+    if not path.is_file():
+        raise error(f"{where}: image {path}: no such file")
     try:
-        data = np.fromfile(path, np.uint8)
-        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
     except (OSError, ValueError, cv2.error):
         picture = None
     if picture is None:
-        raise error(f"{where}: image {path} cannot be read")
-    grey: ByteImage = _squared(np.asarray(picture, np.uint8))
+        raise error(f"{where}: image {path}: not a picture that can be read, such as a PNG")
+    grey = np.asarray(picture, np.uint8)
+    if grey.shape[0] != grey.shape[1]:
+        size = f"{grey.shape[1]} x {grey.shape[0]} pixels"
+        raise error(f"{where}: image {path} has {size}; {SQUARE}")
     if len(grey) > IMAGE_CELLS:
         grey = np.asarray(cv2.resize(grey, (IMAGE_CELLS,) * 2, interpolation=cv2.INTER_AREA))
     return np.asarray(grey > (int(grey.min()) + int(grey.max())) / 2)
-
-
-def _squared(cells: Any) -> Any:
-    """(n, n) an array in the middle of a dark square."""
-    rows, columns = cells.shape
-    side = max(rows, columns)
-    square = np.zeros((side, side), cells.dtype)
-    top, left = (side - rows) // 2, (side - columns) // 2
-    square[top : top + rows, left : left + columns] = cells
-    return square

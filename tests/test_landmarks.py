@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -146,8 +147,8 @@ def test_pattern_of_a_plate_is_its_drawing_as_one_reads_it() -> None:
 
 
 def test_images_and_small_pictures_become_cells(tmp_path: Path) -> None:
-    picture = np.zeros((120, 80), np.uint8)
-    picture[20:100, 10:30] = 200
+    picture = np.zeros((120, 120), np.uint8)
+    picture[20:100, 30:50] = 200
     assert cv2.imwrite(str(tmp_path / "bar.png"), picture)
     assert cv2.imwrite(str(tmp_path / "tag.png"), np.array([[255, 0], [0, 0]], np.uint8))
     file = tmp_path / "set.toml"
@@ -157,6 +158,12 @@ def test_images_and_small_pictures_become_cells(tmp_path: Path) -> None:
     )
     found = load_landmarks(file)
     assert isinstance(found, DrawnSet)
+    os.mkfifo(tmp_path / "pipe")
+    cv2.imwrite(str(tmp_path / "wide.png"), picture[:60])
+    for name, words in (("pipe", "no such file"), ("wide.png", "120 x 60 pixels")):
+        (tmp_path / "other.toml").write_text(file.read_text().replace("bar.png", name))
+        with pytest.raises(SonarrecError, match=words):
+            load_landmarks(tmp_path / "other.toml")
     bar, tag = found.drawings()
     assert tag.tolist() == [[True, False], [False, False]]
     assert bar.shape == (28, 28)
@@ -166,16 +173,20 @@ def test_images_and_small_pictures_become_cells(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
+        ({"landmark": [{"id": 1, "cells": ["101", "010"]}]}, "2 rows of 3 cells"),
+        ({"landmark": [], "cells": ["????"] * 4, "codes": "00f1 " * 501}, "501 IDs"),
+        ({"family": "set.toml", "landmark": []}, "a built-in drawn set"),
+        ({"family": "actag24h10", "landmark": [], "ids": []}, "needs an id"),
         ({"landmark": []}, "needs an id"),
         ({"landmark": [{"id": 1, "cells": ["11", "11"]}]}, "all of one kind"),
         ({"landmark": [{"id": 1, "cells": ["12", "11"]}]}, "rows of 0 and 1"),
         ({"landmark": [{"id": 1, "cells": ["1", "11"]}]}, "equally long"),
         ({"landmark": [{"id": 1}]}, "cells, or an image"),
-        ({"landmark": [{"id": 1, "image": "no.png"}]}, "cannot be read"),
+        ({"landmark": [{"id": 1, "image": "no.png"}]}, "no such file"),
         ({"kind": "painted"}, "kind must be"),
         ({"family": "actag24h10"}, "in place of"),
         ({"family": "actag24h10", "landmark": [], "ids": [9]}, "has no ID 9"),
-        ({"family": "basin", "landmark": []}, "name a drawn set"),
+        ({"family": "basin", "landmark": []}, "a built-in drawn set"),
         ({"ids": [7]}, "none is named"),
         ({"size_m": 0}, "size_m"),
         ({"landmark": [], "cells": ["1?", "??"], "codes": "5 g"}, "hex words of 1 digits"),

@@ -14,7 +14,7 @@ import click
 
 from sonarrec.cli.endings import INTERRUPTED, tell
 from sonarrec.cli.groups import advice_on
-from sonarrec.errors import SonarrecError, UsageError, name_as_text, printable
+from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.nouns import VERSION
 
 COMMANDS = (
@@ -58,8 +58,9 @@ class _Program(click.Group):
             tell(["stopped"])
             ctx.exit(INTERRUPTED)
         except OSError as error:
-            if error.filename is not None:  # usually a folder without permission
-                tell([f"{printable(name_as_text(error.filename))}: {error.strerror}"])
+            name = "" if error.filename is None else f"{name_as_text(error.filename)}: "
+            if name or error.errno == errno.ENOENT:  # no permission, or no temporary folder
+                tell([f"{name}{error.strerror}"])
                 ctx.exit(1)
             if error.errno not in UNWRITTEN:
                 raise

@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.learning.fit import fit, part_of
 from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
 from sonarrec.nouns import Frame
@@ -63,10 +63,10 @@ def learn(
     and frames do not count. observe: called at every frame.
     Raises SonarrecError if logs or truth cannot be used or hold too little.
     """
-    if config.features.measurement != "track":
+    if config.features.measurement != "track" or isinstance(landmarks, DrawnSet):
         raise UsageError(
-            "the appearance model serves features.measurement = track; this preset measures "
-            "single frames by the published model and learns nothing"
+            "an appearance model is learned for discs, with features.measurement = track; drawn "
+            "plates have the built-in one, and the paper's preset has the published one"
         )
     truths = [ground_truth or _truth_beside(path) for path in paths]
     tables = {file: read_truth(file) for file in dict.fromkeys(truths)}

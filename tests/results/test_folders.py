@@ -19,7 +19,7 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import exchange, folder_names, part_of, restore
 from sonarrec.results.read import find_logs
 from tests.support.batch import SAMPLE, command, environment, made, until
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import sonarrec
 from tests.support.kills import finished, frames, stop_at_random
 from tests.support.locked import locked
 from tests.support.logs import cdr_image, mcap_file
