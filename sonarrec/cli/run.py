@@ -350,7 +350,7 @@ def found_in(summary: Summary, folder: str) -> list[str]:
     """
     again = "up to date, " * summary.up_to_date
     lines = [f"{folder}: {again}{number_of(summary.frames, 'frame')}"]
-    for method, count in summary.passes.items() if not summary.up_to_date else ():
+    for method, count in summary.passes.items():
         lines += [f"  {method}:"] if len(summary.passes) > 1 else []
         sightings = [s for s in summary.sightings if s.method == method]
         if not sightings:

@@ -88,6 +88,8 @@ def overlay(
         check_output(out / "000000.png", kind, [path])
     else:
         check_output(out, kind, [path, truth_file])
+    if (path / "frames.csv").is_file():
+        raise UsageError(f"{path}: holds results; give their log: sonarrec overlay LOG {path}")
     source = find_log(path)
     folder = _results_folder(path, source, Path(results))
     run = read_run(folder / "run.toml")
