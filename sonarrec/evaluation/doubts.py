@@ -35,7 +35,7 @@ def doubts(table: TruthTable, log: LogResults, truth: Truth, matched: Matched) -
     other = _other_reading(matched, claims, rows) if matched.placed else ""
     if other and log.timestamp_ns is not None and "frame" in other:
         step_s = np.median(np.diff(np.sort(log.timestamp_ns))) / 1e9
-        other += f", of {step_s:.3g} s each; are frames counted from 0, and the clocks the same"
+        other += f" ({int(other.split()[0]) * step_s:.3g} s); do both count from 0, by one clock"
     if other:
         yield f"{path}: its rows fit the claims in {name} better {other}?"
     elif not len(judge(matched, matched.methods[0], PROTOCOLS[matched.placed]).right):

@@ -95,7 +95,7 @@ def put(place: Path, url: str) -> None:
             fs.put(str(place), part, recursive=place.is_dir())
             sent, came = sum(p.is_file() for p in (place, *place.rglob("*"))), fs.find(part)
             if len(came) != sent:
-                raise SonarrecError(f"{url}: {len(came)} of {number_of(sent, 'file')} came")
+                raise SonarrecError(f"{url}: {len(came)} of {number_of(sent, 'file')} arrived")
             if fs.exists(path):
                 fs.rm(path, recursive=True)
             if place.is_dir():
