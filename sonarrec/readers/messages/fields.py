@@ -99,6 +99,14 @@ class Fields:
             raise self._wrong(name, "list of vectors")
         return np.column_stack(columns)
 
+    def sender(self) -> str:
+        """The frame_id of the header, or Foxglove's; empty if there is neither."""
+        header = self._values.get("header")
+        try:
+            return (Fields(header) if isinstance(header, Mapping) else self).text("frame_id")
+        except UnusableError:
+            return ""
+
     def stamp_ns(self) -> int | None:
         """The stamp of the header, or Foxglove's timestamp, ns; None if there is neither."""
         clock: Any = self._values.get("timestamp")

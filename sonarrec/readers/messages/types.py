@@ -183,15 +183,20 @@ def message_type(schema_name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """Turns a message's bytes into a Frame; raises UnusableError if they cannot be used."""
+    """Turns a message's bytes into a Frame; raises UnusableError if they cannot be used. senders:
+    where the messages so far are from, at most three."""
 
     fields: Decode
     read: Read
     polar: bool
+    senders: set[str]
 
     def __call__(self, message: memoryview) -> Frame:
         with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
-            return self.read(Fields(self.fields(message)))
+            fields = Fields(self.fields(message))
+            if len(self.senders) < 3 and (sender := fields.sender()):
+                self.senders.add(sender)
+            return self.read(fields)
 
 
 def decoder_for(
@@ -204,7 +209,7 @@ def decoder_for(
     if name not in MESSAGES:
         return None
     fields = fields_decoder(name, schema_encoding, schema_data, message_encoding)
-    return None if fields is None else Decoder(fields, MESSAGES[name], name in PINGS)
+    return None if fields is None else Decoder(fields, MESSAGES[name], name in PINGS, set())
 
 
 def fields_decoder(
