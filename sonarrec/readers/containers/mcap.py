@@ -117,6 +117,10 @@ class McapRecording(Recording):
                 self._look_into(position)
         if self._summary_is_complete():
             self.counts = Counter(self._statistics.channel_message_counts)
+        if unlisted := sum(n for c, n in self.counts.items() if c not in self._listed):
+            self.fault(
+                f"{number_of(unlisted, 'message')} of channels that it does not define, not read"
+            )
         if self._damaged:
             self.fault(f"not read: {number_of(self._damaged, 'damaged definition')}")
 
@@ -266,7 +270,8 @@ class _Pass:
         # A heap, sorted by the next message of each run: (next message, the others, contents). A
         # chunk is one run, or none; its contents are released after its last message.
         self._runs: list[tuple[_Position, Iterator[_Position], Contents | None]] = []
-        self._passed_count = self._lost_count = 0
+        self._passed_count = self._lost_count = self._late_count = 0
+        self._latest = 0  # log time
         self.spans: list[tuple[int, int, int]] = []
         self.back_ns = 0
 
@@ -287,6 +292,11 @@ class _Pass:
                 yield self._next()
             if log.file.seek(0, 2) < log.size:
                 log.fault("the file became shorter while it was read")
+            if self._late_count:
+                log.fault(
+                    "a chunk states a later start than its messages have: "
+                    f"{number_of(self._late_count, 'frame')} out of order"
+                )
             count = sum(log.counts[c] for c in self._channels)
             if self._passed_count < count:
                 gone = count - self._passed_count + self._lost_count
@@ -299,6 +309,8 @@ class _Pass:
         message, run, contents = heapq.heappop(self._runs)
         data, problem = None, None
         self._passed_count += 1
+        self._late_count += message.log_time < self._latest
+        self._latest = max(self._latest, message.log_time)
         if message.contents is None:
             self._lost_count += 1
         elif message.length > MAX_FRAME_BYTES:
