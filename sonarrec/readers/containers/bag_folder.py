@@ -26,8 +26,9 @@ def is_bag_folder(folder: Path) -> bool:
     Raises OSError."""
     if (folder / METADATA).is_file():
         with (folder / METADATA).open("rb") as file:
-            if b"rosbag2_bagfile_information" in file.read(2**12):
-                return True
+            head = file.read(2**12)
+        if b"rosbag2_bagfile_information" in head or (not head and _stored(folder)):
+            return True
     stems = {match[1] if (match := _numbered(p)) else "" for p in _stored(folder)}
     stem = stems.pop() if len(stems) == 1 else ""
     return bool(stem) and (stem == folder.resolve().name or stem.startswith("rosbag2_"))

@@ -54,6 +54,9 @@ class Db3Recording(Recording):
                 )
 
     def _read_channels(self) -> None:
+        select = "SELECT name FROM sqlite_master WHERE type = 'view'"  # may have no end
+        if {"messages", "topics"} & {name for (name,) in self._db.execute(select)}:
+            raise ValueError("a view stands in place of a table")
         definitions: dict[str, tuple[str, bytes]] = {}
         columns = "topic_type, encoding, encoded_message_definition"
         with suppress(sqlite3.Error):  # older databases have none
