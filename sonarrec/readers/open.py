@@ -9,7 +9,7 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -116,17 +116,6 @@ class Source:
         """A file that belongs to the log, such as its sonar.toml; None if there is none."""
         return companion(self.place, name, self.up_to)
 
-    def others(self, name: str, used: Path | None) -> list[Path]:
-        """The files `name` that might belong to the log, too, but for the one that is used.
-
-        FOLDER.name beside a folder is that of the file FOLDER.mcap, or the like, if there is one.
-        """
-        twins = self.place.parent.glob(f"{glob.escape(self.place.name)}.*")
-        is_theirs = self.place.is_dir() and any(t.suffix not in (".toml", ".csv") for t in twins)
-        left_out = (used, self.place.with_name(f"{self.place.name}.{name}") if is_theirs else used)
-        others = companions(self.place, name, self.up_to)
-        return [place for place in others if place not in left_out]
-
     def check_topic(self, topic: str | None, where: str | Path) -> None:
         """Raise UsageError if a topic is given but the log has none. where: the log as given."""
         if topic is not None and not self.reader.has_topics:
@@ -190,14 +179,9 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
 
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
-    """The file `name` that belongs to a log (a file or folder); None if there is none."""
-    return next(companions(log, name, up_to), None)
-
-
-def companions(log: Path, name: str, up_to: Path | None = None) -> Iterator[Path]:
-    """The files that may be the companion, the first of which is. Searched in this order: LOG.name
-    and then name, beside a file or inside a folder; LOG.name beside a folder; both in the folders
-    above, up to and with `up_to`; one of SHARED beside a folder."""
+    """The file `name` that belongs to a log (a file or folder); None if there is none. Searched in
+    this order: LOG.name and then name, beside a file or inside a folder; LOG.name beside a folder;
+    both in the folders above, up to and with `up_to`; one of SHARED beside a folder."""
     own_name = f"{log_name(log)}.{name}"
     folder = log if log.is_dir() else log.parent
     places = [folder / own_name, folder / name]
@@ -209,7 +193,7 @@ def companions(log: Path, name: str, up_to: Path | None = None) -> Iterator[Path
             places += [up_to / above / own_name, up_to / above / name]
     elif folder == log and name in SHARED:
         places.append(parent / name)
-    return filter(os.path.isfile, places)
+    return next(filter(os.path.isfile, places), None)
 
 
 def log_name(path: Path) -> str:
@@ -236,8 +220,12 @@ def is_log_file(path: Path) -> bool:
 
 
 def matches(pattern: str | Path) -> list[Path]:
-    """The paths that a glob matches. ** stands for any folders, a final slash for folders only."""
-    return [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
+    """The paths that a glob matches. ** stands for any folders, a final slash for folders only. A
+    folder that is there is meant as it is named."""
+    there = next((p for p in Path(pattern).parents if os.path.isdir(p)), Path())  # noqa: PTH112
+    rest = f"{Path(pattern).relative_to(there)}{'/' * str(pattern).endswith('/')}"
+    found = glob.glob(rest, root_dir=there, recursive=True)  # noqa: PTH207
+    return [there / match for match in found]
 
 
 def _find(path: Path, up_to: Path | None) -> Source:
