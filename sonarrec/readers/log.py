@@ -9,7 +9,9 @@ from dataclasses import replace
 from itertools import chain, islice
 from typing import Any
 
-from sonarrec.errors import SonarrecError
+import numpy as np
+
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.nouns import Clock, Fan, Frame
 from sonarrec.readers.decode.colour import LUMINANCE
 from sonarrec.readers.decode.frame_maker import FrameMaker
@@ -120,13 +122,14 @@ class Log:
         Raises SonarrecError if no frame can be used, or if the bearings in the sonar geometry do
         not match the images.
         """
-        used = 0
+        used = repeated = at_once = 0
+        before: Frame | None = None
         self._timed = 0, 0
         self.diagnostics.begin_pass()
         self._raw.passed_over = range(0)  # an earlier pass may have set it
         for index, stored in enumerate(self._settled()):
             if span[1] is not None and index >= span[1]:
-                return
+                break
             if (stored.pixels is None and stored.problem is None) or (used and index < span[0]):
                 continue  # outside of the span, or reported with others in the faults
             try:
@@ -140,11 +143,27 @@ class Log:
             used += 1
             if index < span[0]:
                 self._raw.passed_over = range(span[0])
-            else:
-                yield frame
-        self.diagnostics.end_pass()
-        if not used:
-            raise SonarrecError(f"{self.path}: not one frame could be used{self._first_problem()}")
+                continue
+            if before is not None:
+                at_once += frame.timestamp_ns == before.timestamp_ns
+                repeated += np.array_equal(frame.pixels, before.pixels) and frame.shows
+            before = frame
+            yield frame
+        else:
+            self.diagnostics.end_pass()
+            if not used:
+                why = self._first_problem()
+                raise SonarrecError(f"{self.path}: not one frame could be used{why}")
+        if repeated:
+            self.diagnostics.note(
+                f"{number_of(repeated, 'picture')} the same as the one before: each counts as a "
+                "further view, so scores are too high; leave them out"
+            )
+        if at_once:
+            self.diagnostics.note(
+                f"{number_of(at_once, 'frame')} of the {self._time} time of the one before; truth "
+                "and poses by time cannot tell them apart"
+            )
 
     def why_none(self) -> str:
         """The end of a message that no frame lies in a span: why, if frames could not be used."""
@@ -191,7 +210,9 @@ class Log:
         if not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
         step = stamp - before
-        is_back = clock == "log" and step < -CLEARLY_BACK_NS
+        # Recorders of messages may swap some; a sonar's own file has them in order.
+        least = CLEARLY_BACK_NS if self._source.reader.has_topics else 0
+        is_back = clock == "log" and step < -least
         if before > 0 and (step > YEAR_NS or is_back) and not self._jumped:
             self._jumped = True
             how = f"jump ahead by {step / YEAR_NS:.1f} years"

@@ -6,6 +6,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from sonarrec.readers.raw import RawLog, UnusableError, stored
 from sonarrec.tables import natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
+_OF_SONARREC = ("poses.csv", "gt.csv")
 # No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
 LEAST_STEP_NS = 5_000_000
 _GAP = 20  # times the least step, from which on a counter may have reached its limit there
@@ -159,6 +161,20 @@ class ImageFiles(RawLog):
         self._times = times_in_names(stems)
         if (note := self._about_names(stems)) is not None:
             diagnostics.note(note)
+        if self._times is None and (table := self._list_beside()) is not None:
+            diagnostics.note(
+                f"{table.name} has a line for each image and is not used; frames have times if "
+                "the names of the images have them"
+            )
+
+    def _list_beside(self) -> Path | None:
+        """A table or text beside the images with as many lines as images, or one more."""
+        for path in sorted(self.files[0].parent.iterdir()):
+            if path.suffix in (".txt", ".csv") and not path.name.endswith(_OF_SONARREC):
+                with suppress(OSError), path.open("rb") as file:
+                    if sum(1 for _ in file) - len(self.files) in (0, 1):
+                        return path
+        return None
 
     def _about_names(self, stems: Sequence[str]) -> str | None:
         """What a user should know of the frames' times and numbers. stems: names without suffix."""
