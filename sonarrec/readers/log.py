@@ -154,16 +154,13 @@ class Log:
             if not used:
                 why = self._first_problem()
                 raise SonarrecError(f"{self.path}: not one frame could be used{why}")
-        if repeated:
-            self.diagnostics.note(
-                f"{number_of(repeated, 'picture')} the same as the one before: each counts as a "
-                "further view, so scores are too high; leave them out"
-            )
-        if at_once:
-            self.diagnostics.note(
-                f"{number_of(at_once, 'frame')} of the {self._time} time of the one before; truth "
-                "and poses by time cannot tell them apart"
-            )
+        told = {
+            f"{number_of(repeated, 'picture')} the same as the one before: each counts as one "
+            "more view, so scores are too high; leave them out": repeated,
+            f"{number_of(at_once, 'frame')} of the same {self._time} time as the one before; truth "
+            "and poses by time cannot tell them apart": at_once,
+        }
+        self.diagnostics.note(*(text for text, count in told.items() if count))
 
     def why_none(self) -> str:
         """The end of a message that no frame lies in a span: why, if frames could not be used."""
@@ -231,13 +228,10 @@ class Log:
 
 
 def digest_of(log: Source) -> tuple[int, str]:
-    """(size in bytes, SHA-256 in hex) of a log's file.
-
-    For several images, or the files of a bag: the sum of their sizes, and the hash over the name of
-    each file, a zero byte and its contents, in frame order. Of a file that cannot be read only the
-    name counts. Raises SonarrecError if a log of one file
-    cannot be read.
-    """
+    """(size in bytes, SHA-256 in hex) of a log's file. For several images, or the files of a bag:
+    the sum of their sizes, and the hash over the name of each file, a zero byte and its contents,
+    in frame order. Of a file that cannot be read only the name counts. Raises SonarrecError if a
+    log of one file cannot be read."""
     size, digest, block = 0, hashlib.sha256(), memoryview(bytearray(2**20))
     several = log.files != [log.path]
     for path in log.files:

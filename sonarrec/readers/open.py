@@ -14,13 +14,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
-from sonarrec.errors import (
-    Diagnostics,
-    MissingError,
-    SonarrecError,
-    UsageError,
-    name_as_text,
-)
+from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, name_as_text
 from sonarrec.nouns import IMAGE_SUFFIXES, PART
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf import DdfFrames
@@ -54,11 +48,9 @@ def _file(kind: Callable[[Path, Diagnostics], RawLog]) -> Open:
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """One kind of log: how its names end, and what opens it.
-
-    Either open or recording is given. open: takes the list of files. recording: for messages on
-    channels; takes the log's path. Both take what is told of what is wrong.
-    """
+    """One kind of log: how its names end, and what opens it. Either open or recording is given.
+    open: takes the list of files. recording: for messages on channels; takes the log's path. Both
+    take what is told of what is wrong."""
 
     kind: str
     suffixes: frozenset[str]
@@ -93,12 +85,9 @@ _LOG_ENDINGS = tuple(e for e, reader in _ENDINGS.items() if reader is not _IMAGE
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A log that was found but not opened yet.
-
-    name: of its results folder. files: all its files, in order. diagnostics: what is to be told
-    about the log. up_to: the highest folder searched for files that belong to the log; None: only
-    beside it.
-    """
+    """A log that was found but not opened yet. name: of its results folder. files: all its files,
+    in order. diagnostics: what is to be told about the log. up_to: the highest folder searched for
+    files that belong to the log; None: only beside it."""
 
     path: Path
     name: str
@@ -206,9 +195,7 @@ def log_name(path: Path) -> str:
 
 def names_a_log(name: str) -> bool:
     """Whether a file of this name is a log by itself: a known kind other than an image.
-
-    LICENSE.sample.aris is none: it tells of a log that lies beside it.
-    """
+    LICENSE.sample.aris is none: it tells of a log that lies beside it."""
     about = re.match(r"(licen[cs]e|readme|copying|notice)\b", name, re.IGNORECASE)
     return about is None and name.lower().endswith(_LOG_ENDINGS)
 
@@ -273,16 +260,13 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
 def _why_no_log(folder: Path) -> str:
     """Why a folder is no log."""
     entries = list(folder.iterdir())
-    logs = sorted(filter(is_log_file, entries), key=natural_order)
-    why = (
-        f"no log and no image in this folder ({', '.join(sorted(IMAGE_SUFFIXES))}); --recursive "
-        "looks into the folders below"
-    )
-    if not entries:
-        why = "the folder is empty"
-    elif logs:
-        why = f"a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
-    return f"{folder}: {why}"
+    if logs := sorted(filter(is_log_file, entries), key=natural_order):
+        return (
+            f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
+        )
+    endings = ", ".join(sorted(IMAGE_SUFFIXES))
+    why = f"no log and no image in this folder ({endings}); --recursive looks into those below"
+    return f"{folder}: {why if entries else 'the folder is empty'}"
 
 
 def results_name(name: str) -> str:

@@ -122,7 +122,7 @@ def process(
             replaced = writer.finish(problems, told.unusable)
         found = _longest(job.folder, job.recogniser.tracking)
         _tell_notes(job, plausibility)
-        last = [] if any(found[0].values()) or not job.recogniser.tracking else [_to_check(job)]
+        last = [] if any(found[0].values()) or not job.recogniser.tracking else _to_check(job)
         return Summary(
             job.folder,
             writer.frames,
@@ -158,15 +158,16 @@ def _recognise(
         raise
 
 
-def _to_check(job: PreparedRun) -> str:
+def _to_check(job: PreparedRun) -> list[str]:
     """What may be wrong where nothing is recognised, the likeliest first."""
     path, order = job.log.path, "near" if job.log.sonar.layout == "fan" else "far"
     wide = f"{disc_width_px(job.fan, job.landmarks):.0f} px wide here"
-    return (
-        f"{path}: no landmark declared. Check range order (`run --range-order {order}_first`), "
-        f"geometry (`sonarrec info {path} --preview FILE.png`), landmark set and size (`sonarrec "
-        f"landmarks`; a disc of {job.landmarks.name} is {wide}), level (`run --pixel-scale log`)"
-    )
+    return [
+        f"{path}: no landmark declared; check range order (`run --range-order {order}_first`) and "
+        f"geometry (`sonarrec info {path} --preview FILE.png`)",
+        f"{path}: then landmark set and size (`sonarrec landmarks`; a disc of {job.landmarks.name} "
+        f"is {wide}) and level (`run --pixel-scale log`)",
+    ]
 
 
 def _tell_notes(job: PreparedRun, plausibility: Plausibility) -> None:

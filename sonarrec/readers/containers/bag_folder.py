@@ -69,10 +69,8 @@ def _listed(folder: Path, diagnostics: Diagnostics) -> list[Path] | None:
 
 
 class BagFolder(Recording):
-    """A `Recording` of all parts of a bag, of which one is open at a time.
-
-    If a part is cut, damaged or missing, only its own messages are lost.
-    """
+    """A `Recording` of all parts of a bag, of which one is open at a time. If a part is cut,
+    damaged or missing, only its own messages are lost."""
 
     def __init__(self, path: Path, open_part: Open, diagnostics: Diagnostics) -> None:
         """open_part: opens one file. Raises SonarrecError if no part can be read."""

@@ -20,7 +20,6 @@ from sonarrec.readers.raw import RawLog, UnusableError, stored
 from sonarrec.tables import natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
-_OF_SONARREC = ("poses.csv", "gt.csv")
 # No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
 LEAST_STEP_NS = 5_000_000
 _GAP = 20  # times the least step, from which on a counter may have reached its limit there
@@ -100,11 +99,9 @@ def _doubt(ordered: Sequence[str]) -> str | None:
 
 
 def times_in_names(stems: Sequence[str]) -> IntArray | None:
-    """(n,) times in ns that stand in n names without their suffix; None if they hold none.
-
-    Each name holds one time, all in the same form: as ISO 8601 has date and time (in UTC), or since
-    1970 in s, ms, us or ns. They must rise from name to name, mostly by LEAST_STEP_NS or more.
-    """
+    """(n,) times in ns that stand in n names without their suffix; None if they hold none. Each
+    name holds one time, all in the same form: as ISO 8601 has date and time (in UTC), or since 1970
+    in s, ms, us or ns. They must rise from name to name, mostly by LEAST_STEP_NS or more."""
     found = (_rising(form, stems) for form in (_ISO, _SINCE_1970) if stems)
     return next((times for times in found if times is not None), None)
 
@@ -148,10 +145,8 @@ def _not_as_numbered(stems: Sequence[str]) -> int | None:
 
 
 class ImageFiles(RawLog):
-    """One image file a frame, in the order of the names.
-
-    Times in the names, as `times_in_names` finds them, are the frames' times.
-    """
+    """One image file a frame, in the order of the names. Times in the names, as `times_in_names`
+    finds them, are the frames' times."""
 
     def __init__(self, files: Sequence[Path], diagnostics: Diagnostics) -> None:
         super().__init__(diagnostics)
@@ -169,11 +164,11 @@ class ImageFiles(RawLog):
 
     def _list_beside(self) -> Path | None:
         """A table or text beside the images with as many lines as images, or one more."""
-        for path in sorted(self.files[0].parent.iterdir()):
-            if path.suffix in (".txt", ".csv") and not path.name.endswith(_OF_SONARREC):
-                with suppress(OSError), path.open("rb") as file:
-                    if sum(1 for _ in file) - len(self.files) in (0, 1):
-                        return path
+        for path in sorted(self.files[0].parent.glob("*.[tc][xs][tv]")):
+            with suppress(OSError), path.open("rb") as file:
+                more = sum(1 for _ in file) - len(self.files)
+                if more in (0, 1) and not path.name.endswith(("poses.csv", "gt.csv")):
+                    return path
         return None
 
     def _about_names(self, stems: Sequence[str]) -> str | None:

@@ -55,12 +55,10 @@ _NO_SCHEMA = records.Schema(id=0, name="", encoding="", data=b"")
 
 
 class McapRecording(Recording):
-    """A `Recording` of an MCAP file. A damaged or cut file is read as far as possible.
-
-    times, positions: the units to read, one element each: its first log time (ns) and its position
-    in the file. A unit is a chunk, or a run of messages that are in no chunk and whose times do not
-    go back. size: of the file, in bytes.
-    """
+    """A `Recording` of an MCAP file. A damaged or cut file is read as far as possible. times,
+    positions: the units to read, one element each: its first log time (ns) and its position in the
+    file. A unit is a chunk, or a run of messages that are in no chunk and whose times do not go
+    back. size: of the file, in bytes."""
 
     def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if it is no MCAP file, OSError if it cannot be read."""
@@ -242,12 +240,10 @@ class McapRecording(Recording):
 
 @dataclass(frozen=True, slots=True, order=True)
 class _Position:
-    """Where a message is: ordered by log time, then by position in the file.
-
-    log_time, publish_time: ns. unit: position of the message's chunk in the file, or of the message
-    itself if it is in no chunk. contents: what it is read from; None if the message is lost.
-    offset, length: of the message's body in `contents`, bytes.
-    """
+    """Where a message is: ordered by log time, then by position in the file. log_time,
+    publish_time: ns. unit: position of the message's chunk in the file, or of the message itself if
+    it is in no chunk. contents: what it is read from; None if the message is lost. offset, length:
+    of the message's body in `contents`, bytes."""
 
     log_time: int
     unit: int
@@ -259,11 +255,9 @@ class _Position:
 
 
 class _Pass:
-    """One pass over the messages of some channels of a file.
-
-    spans: (position, first log time, last log time) of each unit that was read. back_ns: by how
-    much times go back at most within a chunk.
-    """
+    """One pass over the messages of some channels of a file. spans: (position, first log time, last
+    log time) of each unit that was read. back_ns: by how much times go back at most within a
+    chunk."""
 
     def __init__(self, log: McapRecording, channels: Collection[int]) -> None:
         self._log, self._channels = log, frozenset(channels)

@@ -60,12 +60,9 @@ def strays(pixels: np.ndarray, name: str) -> bool:
 
 def find_map(images: Sequence[np.ndarray]) -> str | None:
     """The colour map of a log's first images; None if it is not one of MAPS. images: (rows,
-    columns, 3 or more) uint8, BGR.
-
-    Their colours must be nearer to the map than to any straight line, such as a ramp of one hue, or
-    to any map with red and blue exchanged. In a reversed map they would be bright as those of no
-    sonar are.
-    """
+    columns, 3 or more) uint8, BGR. Their colours must be nearer to the map than to any straight
+    line, such as a ramp of one hue, or to any map with red and blue exchanged. In a reversed map
+    they would be bright as those of no sonar are."""
     colours = np.concatenate([_sample(image) for image in images])
     if not len(colours):
         return None

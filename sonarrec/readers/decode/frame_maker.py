@@ -95,11 +95,9 @@ class FrameMaker:
 
     def settle(self, first: Sequence[Frame]) -> None:
         """Find out what the pixels hold, and take the fan from the ping that most pings agree with.
-
         It need not be the first ping, since a driver may send one before it has its settings. A
-        height that nobody states is estimated.
-        first: the log's first frames. Raises SonarrecError if the geometry does not fit the log.
-        """
+        height that nobody states is estimated. first: the log's first frames. Raises SonarrecError
+        if the geometry does not fit the log."""
         first = showing(first)
         coloured = [f.pixels for f in first if f.pixels is not None and _in_colour(f.pixels)]
         if coloured and not self._stated.colour_map:
@@ -386,13 +384,11 @@ def _as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, lis
 
 
 def looks_beam_major(image: ByteImage) -> bool:
-    """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead.
-
-    In range-major data the sample `beams` places later is the next range bin of the same beam; in
+    """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead. In
+    range-major data the sample `beams` places later is the next range bin of the same beam; in
     beam-major data the sample `bins` places later is the next beam at the same range. Such a sample
     resembles the first one more than the samples around it do. If this decides nothing, as with
-    equal numbers of bins and beams, the data are taken to be range-major, as most are.
-    """
+    equal numbers of bins and beams, the data are taken to be range-major, as most are."""
     bins, beams = image.shape
     samples = image.ravel()
     if bins == beams:

@@ -89,10 +89,8 @@ def _png_chunks(data: memoryview) -> set[bytes] | None:
 
 
 def _plain_png(data: memoryview) -> np.ndarray | None:
-    """The pixels of an 8-bit grey PNG with all its chunks, in half of OpenCV's time.
-
-    None for any other PNG, and for one that is damaged: OpenCV is the judge of these.
-    """
+    """The pixels of an 8-bit grey PNG with all its chunks, in half of OpenCV's time. None for any
+    other PNG, and for one that is damaged: OpenCV is the judge of these."""
     if len(data) < len(_PNG) + _PNG_CHUNK.size + _PNG_HEADER.size:
         return None
     columns, rows, *kind = _PNG_HEADER.unpack_from(data, len(_PNG) + _PNG_CHUNK.size)
@@ -194,12 +192,10 @@ _RAW_ENCODINGS: dict[str, tuple[str, int, bool]] = {
 def raw_pixels(
     data: memoryview, height: int, width: int, encoding: str, step: int, big_endian: bool
 ) -> np.ndarray:
-    """The pixels of an uncompressed image message, without a copy if they are in BGR order.
-
-    step: bytes from row to row. Some drivers state it wrongly: it is ignored if it does not fit the
-    length of the data but rows without padding do.
-    Raises UnusableError if the numbers do not fit together or the encoding is unknown.
-    """
+    """The pixels of an uncompressed image message, without a copy if they are in BGR order. step:
+    bytes from row to row. Some drivers state it wrongly: it is ignored if it does not fit the
+    length of the data but rows without padding do. Raises UnusableError if the numbers do not fit
+    together or the encoding is unknown."""
     if encoding not in _RAW_ENCODINGS:
         known = ", ".join(_RAW_ENCODINGS)
         raise UnusableError(f"encoding {encoding!r} is not supported (only {known})")

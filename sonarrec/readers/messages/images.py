@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.nouns import Frame
@@ -12,8 +11,7 @@ from sonarrec.readers.messages.fields import DefinitionError
 from sonarrec.readers.messages.types import Decoder, decoder_for
 from sonarrec.readers.raw import RawLog, Recording, frame_of, stored
 
-MOST_NAMED = 5
-"""Channels, in a message that none of them holds images."""
+MOST_NAMED = 5  # channels, or frame_ids, in a message
 
 
 def image_decoders(log: Recording) -> dict[int, Decoder]:
@@ -47,8 +45,6 @@ class ChannelImages(RawLog):
         except BaseException:
             log.close()
             raise
-        self._senders = set[str]()
-        self._decoders = {c: replace(d, senders=self._senders) for c, d in self._decoders.items()}
         self.topic = log.channels[next(iter(self._decoders))].topic
         self.polar = any(decoder.polar for decoder in self._decoders.values())
         self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
@@ -61,12 +57,11 @@ class ChannelImages(RawLog):
             else:
                 decode = self._decoders[message.channel]
                 yield frame_of(name, message.log_time, decode, message.data, message.publish_time)
-                if len(self._senders) == 2:
-                    one, two = sorted(self._senders)
-                    self.diagnostics.note(
-                        f"{self.topic} mixes messages of frame_id {one} and {two}; if these are "
-                        "two sonars, write each to a log or topic of its own"
-                    )
+        if len(senders := {s for d in self._decoders.values() for s in d.senders}) > 1:
+            self.diagnostics.note(
+                f"{self.topic} mixes messages of frame_id {', '.join(sorted(senders)[:MOST_NAMED])}"
+                "; if these are several sonars, write each to a log or topic of its own"
+            )
 
 
 def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:

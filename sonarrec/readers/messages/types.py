@@ -184,7 +184,7 @@ def message_type(schema_name: str) -> str:
 @dataclass(frozen=True, slots=True)
 class Decoder:
     """Turns a message's bytes into a Frame; raises UnusableError if they cannot be used. senders:
-    where the messages so far are from, at most three."""
+    the frame_ids of the messages so far."""
 
     fields: Decode
     read: Read
@@ -194,8 +194,7 @@ class Decoder:
     def __call__(self, message: memoryview) -> Frame:
         with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
             fields = Fields(self.fields(message))
-            if len(self.senders) < 3 and (sender := fields.sender()):
-                self.senders.add(sender)
+            self.senders.update(fields.sender())
             return self.read(fields)
 
 
@@ -215,12 +214,10 @@ def decoder_for(
 def fields_decoder(
     name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
 ) -> Decode | None:
-    """The decoder of a message type (package/Name); None if it cannot be decoded.
-
-    Encodings: CDR, ROS 1, JSON, and for Foxglove's own types protobuf and flatbuffer. A ROS message
-    is decoded by the definition in the file, whose version may differ from ours; if the file has
-    none, by our own. Raises DefinitionError if the only definition cannot be used.
-    """
+    """The decoder of a message type (package/Name); None if it cannot be decoded. Encodings: CDR,
+    ROS 1, JSON, and for Foxglove's own types protobuf and flatbuffer. A ROS message is decoded by
+    the definition in the file, whose version may differ from ours; if the file has none, by our
+    own. Raises DefinitionError if the only definition cannot be used."""
     if message_encoding == "json":
         return decode_json
     if message_encoding in ("cdr", "ros1"):
