@@ -157,6 +157,9 @@ class Sonar:
                 yield window, f"range_min_m = {low:g} must be >= 0 and below range_max_m = {high:g}"
             if high - low < MIN_WINDOW_M:
                 yield window, f"a window of {high - low:g} m is shorter than {MIN_WINDOW_M:g} m"
+        if self.layout == "fan" and self.range_order == "far_first":
+            wrong = "a fan has far range on top unless range_order = near_first turns it"
+            yield ("range_order",), wrong
         view, height = self.field_of_view_deg, self.height_m
         if view is not None and not 0 < view < 180:
             wrong = f"field_of_view_deg = {view:g} must be above 0 and below 180"

@@ -180,7 +180,7 @@ def _whole(info: LogInfo) -> Iterator[str]:
     elif not info.checked or not info.images:
         yield "it has a footer; checksums not compared"
     else:
-        yield "yes: footer and checksums"
+        yield "yes: it has a footer, and its chunks fit the checksums they have"
 
 
 def _recorded(start_ns: int | None, end_ns: int | None) -> list[str]:

@@ -141,7 +141,7 @@ _GEOMETRY = {
     "range_order": _choice(
         "range_order",
         "near_first far_first",
-        "near_first or far_first on top.  [default: near_first]",
+        "near_first or far_first on top.  [default: near_first; of fans far_first]",
         metavar="ORDER",
     ),
     "flip": in_geometry(

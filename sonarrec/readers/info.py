@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -24,11 +23,9 @@ Observe = Callable[[int | None], None]
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file or a bag.
-
-    schema, schema_encoding, message_encoding: as in the file; schema is empty if there is none.
-    images: whether its messages are read as sonar images.
-    """
+    """One channel of an MCAP file or a bag. schema, schema_encoding, message_encoding: as in the
+    file; schema is empty if there is none. images: whether its messages are read as sonar
+    images."""
 
     topic: str
     schema: str
@@ -40,12 +37,9 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What an MCAP file or a bag says about itself.
-
-    footer: whether it was closed: an MCAP has its footer, and a bag all its parts. chunks: number
-    of chunks by compression. start_ns, end_ns: first and last log time of all channels; None
-    without messages.
-    """
+    """What an MCAP file or a bag says about itself. footer: whether it was closed: an MCAP has its
+    footer, and a bag all its parts. chunks: number of chunks by compression. start_ns, end_ns:
+    first and last log time of all channels; None without messages."""
 
     profile: str
     library: str
@@ -97,13 +91,10 @@ class Images:
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """What is in one log.
-
-    kind: "images", or as in `READERS`, such as "MCAP". size_bytes: of all files. container: None
-    outside of MCAP and bags. images: each sequence of sonar images; empty if nothing can be read.
-    checked: whether every frame was read and every checksum compared. faults: lines about what is
-    wrong with the file as a whole.
-    """
+    """What is in one log. kind: "images", or as in `READERS`, such as "MCAP". size_bytes: of all
+    files. container: None outside of MCAP and bags. images: each sequence of sonar images; empty if
+    nothing can be read. checked: whether every frame was read and every checksum compared. faults:
+    lines about what is wrong with the file as a whole."""
 
     path: str
     kind: str
@@ -160,10 +151,7 @@ def describe(
         of_topic = replace(source, diagnostics=Diagnostics(source.path))
         images.append(_images(of_topic, of_topic.open(name), stated, flags, quick, observe))
         faults += [f for f in of_topic.diagnostics.faults if f not in faults]
-    size = 0
-    for file in source.files:
-        with suppress(OSError):  # reported as an unusable frame
-            size += file.stat().st_size
+    size = sum(file.stat().st_size for file in source.files if file.exists())
     kind = "images" if source.reader.kind == "image" else source.reader.kind
     name, files = name_as_text(source.path), len(source.files)
     return LogInfo(name, kind, files, size, not quick, container, images, faults)

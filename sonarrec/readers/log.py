@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import chain, islice
 from typing import Any
 
-from sonarrec.errors import SonarrecError
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.nouns import Clock, Fan, Frame
 from sonarrec.readers.decode.colour import LUMINANCE
 from sonarrec.readers.decode.frame_maker import FrameMaker
@@ -120,13 +120,14 @@ class Log:
         Raises SonarrecError if no frame can be used, or if the bearings in the sonar geometry do
         not match the images.
         """
-        used = 0
+        used = repeated = at_once = 0
+        before: Frame | None = None
         self._timed = 0, 0
         self.diagnostics.begin_pass()
         self._raw.passed_over = range(0)  # an earlier pass may have set it
         for index, stored in enumerate(self._settled()):
             if span[1] is not None and index >= span[1]:
-                return
+                break
             if (stored.pixels is None and stored.problem is None) or (used and index < span[0]):
                 continue  # outside of the span, or reported with others in the faults
             try:
@@ -140,11 +141,24 @@ class Log:
             used += 1
             if index < span[0]:
                 self._raw.passed_over = range(span[0])
-            else:
-                yield frame
-        self.diagnostics.end_pass()
-        if not used:
-            raise SonarrecError(f"{self.path}: not one frame could be used{self._first_problem()}")
+                continue
+            if before is not None:
+                at_once += frame.timestamp_ns == before.timestamp_ns
+                repeated += frame.pixels.data == before.pixels.data and frame.shows  # stops early
+            before = frame
+            yield frame
+        else:
+            self.diagnostics.end_pass()
+            if not used:
+                why = self._first_problem()
+                raise SonarrecError(f"{self.path}: not one frame could be used{why}")
+        told = {
+            f"{number_of(repeated, 'picture')} the same as the one before: each counts as one "
+            "more view, so scores are too high; leave them out": repeated,
+            f"{number_of(at_once, 'frame')} of the same {self._time} time as the one before; truth "
+            "and poses by time cannot tell them apart": at_once,
+        }
+        self.diagnostics.note(*(text for text, count in told.items() if count))
 
     def why_none(self) -> str:
         """The end of a message that no frame lies in a span: why, if frames could not be used."""
@@ -191,7 +205,9 @@ class Log:
         if not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
         step = stamp - before
-        is_back = clock == "log" and step < -CLEARLY_BACK_NS
+        # Recorders of messages may swap some; a sonar's own file has them in order.
+        least = CLEARLY_BACK_NS if self._source.reader.has_topics else 0
+        is_back = clock == "log" and step < -least
         if before > 0 and (step > YEAR_NS or is_back) and not self._jumped:
             self._jumped = True
             how = f"jump ahead by {step / YEAR_NS:.1f} years"
@@ -210,13 +226,10 @@ class Log:
 
 
 def digest_of(log: Source) -> tuple[int, str]:
-    """(size in bytes, SHA-256 in hex) of a log's file.
-
-    For several images, or the files of a bag: the sum of their sizes, and the hash over the name of
-    each file, a zero byte and its contents, in frame order. Of a file that cannot be read only the
-    name counts. Raises SonarrecError if a log of one file
-    cannot be read.
-    """
+    """(size in bytes, SHA-256 in hex) of a log's file. For several images, or the files of a bag:
+    the sum of their sizes, and the hash over the name of each file, a zero byte and its contents,
+    in frame order. Of a file that cannot be read only the name counts. Raises SonarrecError if a
+    log of one file cannot be read."""
     size, digest, block = 0, hashlib.sha256(), memoryview(bytearray(2**20))
     several = log.files != [log.path]
     for path in log.files:

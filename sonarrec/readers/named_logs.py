@@ -21,25 +21,19 @@ RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
 
 @dataclass(frozen=True, slots=True)
 class NamedLog:
-    """One log of a command.
-
-    up_to: the folder that the user named and that holds the log: the highest folder searched for
-    files that belong to it. None if the user named the log itself.
-    """
+    """One log of a command. up_to: the folder that the user named and that holds the log: the
+    highest folder searched for files that belong to it. None if the user named the log itself."""
 
     path: str
     up_to: Path | None = None
 
 
 def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:
-    """The logs that an argument of a command names, in natural order.
-
-    A folder of logs names every file and bag in it; with `recursive` also those in all folders
-    below, and every folder of images there. A glob names each log that matches; if parts of a bag
-    match, it names the bag. Any other argument is one log by itself; if it is none, that is
-    reported when it is opened.
-    Raises UsageError for a folder that holds images and other logs.
-    """
+    """The logs that an argument of a command names, in natural order. A folder of logs names every
+    file and bag in it; with `recursive` also those in all folders below, and every folder of images
+    there. A glob names each log that matches; if parts of a bag match, it names the bag. Any other
+    argument is one log by itself; if it is none, that is reported when it is opened. Raises
+    UsageError for a folder that holds images and other logs."""
     try:
         logs = _logs_below(name, recursive)
     except OSError:  # reported when it is opened

@@ -9,18 +9,12 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
-from sonarrec.errors import (
-    Diagnostics,
-    MissingError,
-    SonarrecError,
-    UsageError,
-    name_as_text,
-)
+from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, name_as_text
 from sonarrec.nouns import IMAGE_SUFFIXES, PART
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf import DdfFrames
@@ -54,11 +48,9 @@ def _file(kind: Callable[[Path, Diagnostics], RawLog]) -> Open:
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """One kind of log: how its names end, and what opens it.
-
-    Either open or recording is given. open: takes the list of files. recording: for messages on
-    channels; takes the log's path. Both take what is told of what is wrong.
-    """
+    """One kind of log: how its names end, and what opens it. Either open or recording is given.
+    open: takes the list of files. recording: for messages on channels; takes the log's path. Both
+    take what is told of what is wrong."""
 
     kind: str
     suffixes: frozenset[str]
@@ -93,12 +85,9 @@ _LOG_ENDINGS = tuple(e for e, reader in _ENDINGS.items() if reader is not _IMAGE
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A log that was found but not opened yet.
-
-    name: of its results folder. files: all its files, in order. diagnostics: what is to be told
-    about the log. up_to: the highest folder searched for files that belong to the log; None: only
-    beside it.
-    """
+    """A log that was found but not opened yet. name: of its results folder. files: all its files,
+    in order. diagnostics: what is to be told about the log. up_to: the highest folder searched for
+    files that belong to the log; None: only beside it."""
 
     path: Path
     name: str
@@ -115,17 +104,6 @@ class Source:
     def beside(self, name: str) -> Path | None:
         """A file that belongs to the log, such as its sonar.toml; None if there is none."""
         return companion(self.place, name, self.up_to)
-
-    def others(self, name: str, used: Path | None) -> list[Path]:
-        """The files `name` that might belong to the log, too, but for the one that is used.
-
-        FOLDER.name beside a folder is that of the file FOLDER.mcap, or the like, if there is one.
-        """
-        twins = self.place.parent.glob(f"{glob.escape(self.place.name)}.*")
-        is_theirs = self.place.is_dir() and any(t.suffix not in (".toml", ".csv") for t in twins)
-        left_out = (used, self.place.with_name(f"{self.place.name}.{name}") if is_theirs else used)
-        others = companions(self.place, name, self.up_to)
-        return [place for place in others if place not in left_out]
 
     def check_topic(self, topic: str | None, where: str | Path) -> None:
         """Raise UsageError if a topic is given but the log has none. where: the log as given."""
@@ -190,14 +168,9 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
 
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
-    """The file `name` that belongs to a log (a file or folder); None if there is none."""
-    return next(companions(log, name, up_to), None)
-
-
-def companions(log: Path, name: str, up_to: Path | None = None) -> Iterator[Path]:
-    """The files that may be the companion, the first of which is. Searched in this order: LOG.name
-    and then name, beside a file or inside a folder; LOG.name beside a folder; both in the folders
-    above, up to and with `up_to`; one of SHARED beside a folder."""
+    """The file `name` that belongs to a log (a file or folder); None if there is none. Searched in
+    this order: LOG.name and then name, beside a file or inside a folder; LOG.name beside a folder;
+    both in the folders above, up to and with `up_to`; one of SHARED beside a folder."""
     own_name = f"{log_name(log)}.{name}"
     folder = log if log.is_dir() else log.parent
     places = [folder / own_name, folder / name]
@@ -209,7 +182,7 @@ def companions(log: Path, name: str, up_to: Path | None = None) -> Iterator[Path
             places += [up_to / above / own_name, up_to / above / name]
     elif folder == log and name in SHARED:
         places.append(parent / name)
-    return filter(os.path.isfile, places)
+    return next(filter(os.path.isfile, places), None)
 
 
 def log_name(path: Path) -> str:
@@ -222,9 +195,7 @@ def log_name(path: Path) -> str:
 
 def names_a_log(name: str) -> bool:
     """Whether a file of this name is a log by itself: a known kind other than an image.
-
-    LICENSE.sample.aris is none: it tells of a log that lies beside it.
-    """
+    LICENSE.sample.aris is none: it tells of a log that lies beside it."""
     about = re.match(r"(licen[cs]e|readme|copying|notice)\b", name, re.IGNORECASE)
     return about is None and name.lower().endswith(_LOG_ENDINGS)
 
@@ -236,8 +207,12 @@ def is_log_file(path: Path) -> bool:
 
 
 def matches(pattern: str | Path) -> list[Path]:
-    """The paths that a glob matches. ** stands for any folders, a final slash for folders only."""
-    return [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
+    """The paths that a glob matches. ** stands for any folders, a final slash for folders only. A
+    folder that is there is meant as it is named."""
+    there = next((p for p in Path(pattern).parents if os.path.isdir(p)), Path())  # noqa: PTH112
+    rest = f"{Path(pattern).relative_to(there)}{'/' * str(pattern).endswith('/')}"
+    found = glob.glob(rest, root_dir=there, recursive=True)  # noqa: PTH207
+    return [there / match for match in found]
 
 
 def _find(path: Path, up_to: Path | None) -> Source:
@@ -285,16 +260,13 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
 def _why_no_log(folder: Path) -> str:
     """Why a folder is no log."""
     entries = list(folder.iterdir())
-    logs = sorted(filter(is_log_file, entries), key=natural_order)
-    why = (
-        f"no log and no image in this folder ({', '.join(sorted(IMAGE_SUFFIXES))}); --recursive "
-        "looks into the folders below"
-    )
-    if not entries:
-        why = "the folder is empty"
-    elif logs:
-        why = f"a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
-    return f"{folder}: {why}"
+    if logs := sorted(filter(is_log_file, entries), key=natural_order):
+        return (
+            f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
+        )
+    endings = ", ".join(sorted(IMAGE_SUFFIXES))
+    why = f"no log and no image in this folder ({endings}); --recursive looks into those below"
+    return f"{folder}: {why if entries else 'the folder is empty'}"
 
 
 def results_name(name: str) -> str:

@@ -47,7 +47,7 @@ class Plausibility:
         if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
             text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
             if _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
-                return [f"{text}, but none if it is turned upside down (far range must be on top)"]
+                return [f"{text}, but none if it is turned upside down: --range-order near_first"]
             if share > _FILLED:
                 return [f"{text} (is it polar, --layout polar?)"]
             keys = "range_min_m, range_max_m, field_of_view_deg, apex_px and metres_per_pixel"

@@ -46,12 +46,10 @@ POSES = {
 
 def read_poses(path: Path) -> PoseTable:
     """Read a CSV table with a header such as HEADER. x and y must both be there, or neither.
-
     timestamp_ns is in nanoseconds. timestamp is in ISO 8601 with its UTC offset, in seconds if the
     median step from row to row is less than SECONDS_BELOW, or in nanoseconds if it is
     NANOSECONDS_FROM or more. Rows may be in any order; of several rows at one time the first
-    counts. Raises SonarrecError if the table cannot be used.
-    """
+    counts. Raises SonarrecError if the table cannot be used."""
     # Not at the top, because it loads pandas, which few runs need.
     from sonarrec.tables.read import Kind, read_header, read_table
 
@@ -106,14 +104,11 @@ def _times_ns(path: Path, table: Table) -> IntArray:
 
 
 def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
-    """Read the poses of one topic.
-
-    time: which of a message's times counts; the same as for the frames. ROS counts angles
-    counter-clockwise; at yaw 0, x points ahead and y to the left (REP 103). Messages that cannot
-    be read leave a gap and add a line to the table's problems.
-    Raises SonarrecError if the file cannot be used or has fewer than two poses, UsageError if it
-    has no such pose topic.
-    """
+    """Read the poses of one topic. time: which of a message's times counts; the same as for the
+    frames. ROS counts angles counter-clockwise; at yaw 0, x points ahead and y to the left (REP
+    103). Messages that cannot be read leave a gap and add a line to the table's problems. Raises
+    SonarrecError if the file cannot be used or has fewer than two poses, UsageError if it has no
+    such pose topic."""
     source = find_log(path)
     if not source.reader.has_topics:
         raise UsageError(

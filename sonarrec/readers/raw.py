@@ -71,12 +71,10 @@ def showing(frames: Sequence[Frame]) -> Sequence[Frame]:
 
 @dataclass(frozen=True, slots=True)
 class HeaderInfo:
-    """What the headers of a sonar's own file say about the log as a whole.
-
-    sonar: the part of the geometry that pings do not state (tilt, frame rate). values: other values
-    worth knowing, by name and unit; None if the sonar did not measure it. sample_db: decibels from
-    one sample value to the next, if samples are decibels.
-    """
+    """What the headers of a sonar's own file say about the log as a whole. sonar: the part of the
+    geometry that pings do not state (tilt, frame rate). values: other values worth knowing, by name
+    and unit; None if the sonar did not measure it. sample_db: decibels from one sample value to the
+    next, if samples are decibels."""
 
     sonar: Sonar = field(default_factory=Sonar)
     values: Mapping[str, str | float | None] = field(default_factory=dict)
@@ -143,11 +141,9 @@ class FileBytes:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message. Times in ns; publish_time is None if the container does not store it.
-
-    data is None if it cannot be read; then `problem` says why. If `problem` is None too, it was
-    lost together with others, which the recording's faults report in one line.
-    """
+    """One message. Times in ns; publish_time is None if the container does not store it. data is
+    None if it cannot be read; then `problem` says why. If `problem` is None too, it was lost
+    together with others, which the recording's faults report in one line."""
 
     channel: int
     log_time: int
@@ -158,11 +154,8 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel, and the type of its messages.
-
-    schema: name of the type; empty if there is none. schema_encoding, definition: as stored in the
-    container ("ros2msg", ...).
-    """
+    """One channel, and the type of its messages. schema: name of the type; empty if there is none.
+    schema_encoding, definition: as stored in the container ("ros2msg", ...)."""
 
     topic: str
     schema: str

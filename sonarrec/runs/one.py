@@ -120,15 +120,17 @@ def process(
             job.recogniser.tell(told)
             problems = [served_as(line) for line in told.problems]
             replaced = writer.finish(problems, told.unusable)
-        _tell_notes(job, writer, plausibility)
+        found = _longest(job.folder, job.recogniser.tracking)
+        _tell_notes(job, plausibility)
+        last = [] if any(found[0].values()) or not job.recogniser.tracking else _to_check(job)
         return Summary(
             job.folder,
             writer.frames,
             told.unusable,
             writer.candidates,
             problems,
-            [served_as(line) for line in (*told.notes, *replaced)],
-            *_longest(job.folder, job.recogniser.tracking),
+            [served_as(line) for line in (*told.notes, *replaced, *last)],
+            *found,
         )
 
 
@@ -156,15 +158,22 @@ def _recognise(
         raise
 
 
-def _tell_notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> None:
+def _to_check(job: PreparedRun) -> list[str]:
+    """What may be wrong where nothing is recognised, the likeliest first."""
+    path, order = job.log.path, "near" if job.log.sonar.layout == "fan" else "far"
+    wide = f"{disc_width_px(job.fan, job.landmarks):.0f} px wide here"
+    return [
+        f"{path}: no landmark declared; check range order (`run --range-order {order}_first`) and "
+        f"geometry (`sonarrec info {path} --preview FILE.png`)",
+        f"{path}: then landmark set and size (`sonarrec landmarks`; a disc of {job.landmarks.name} "
+        f"is {wide}) and level (`run --pixel-scale log`)",
+    ]
+
+
+def _tell_notes(job: PreparedRun, plausibility: Plausibility) -> None:
     """Tell the user what showed at the end of the run."""
     note, (static, saturated) = job.log.diagnostics.note, job.recogniser.restored
     doubts = plausibility.contradictions()
-    if not writer.candidates:
-        doubts.append(
-            f"0 candidates in {number_of(writer.frames, 'frame')}: a disc of {job.landmarks.name} "
-            f"would be {disc_width_px(job.fan, job.landmarks):.0f} px wide here"
-        )
     if doubts:
         look = f"`sonarrec info {job.log.path} --preview FILE.png`, with the same geometry"
         note(f"{'; '.join(doubts)}; look at {look}")

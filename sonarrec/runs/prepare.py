@@ -71,9 +71,7 @@ def prepare(
 ) -> Iterator[PreparedRun]:
     """Open a log and prepare its run into `out`/<name>/; name: default, the log's own.
 
-    served_as: as of `process`.
-
-    Raises SonarrecError for input or settings that cannot be used.
+    served_as: as of `process`. Raises SonarrecError for input or settings that cannot be used.
     """
     earlier = read_run(run_options.earlier_run)
     source = find_log(path, log_options.up_to)
@@ -121,17 +119,16 @@ def prepare(
             end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
             frame_count = max(end - span[0], 0)
         seen = chain([first], frames)
-        line = f"{_geometry(log, fan, source, given, earlier)}; landmarks {landmarks.name}"
-        line += f" ({from_where})"
+        geometry = _geometry(log, fan, source, given, earlier)
+        line = f"{geometry}; landmarks {landmarks.name} ({from_where})"
         yield PreparedRun(
             log, seen, frame_count, fan, landmarks, poses, recogniser, line, table, folder
         )
 
 
 def _results_of(source: Source, out: Path, name: str) -> Path:
-    """The folder of a log's results in `out`.
-
-    Raises UsageError if it would replace the log or lie in it, SonarrecError if it cannot be made.
+    """The folder of a log's results in `out`. Raises UsageError if it would replace the log or lie
+    in it, SonarrecError if it cannot be made there.
     """
     folder = out / name
     try:
@@ -185,16 +182,10 @@ def _poses(source: Source, log_options: LogOptions, earlier: RunFile) -> PoseTab
     earlier.check_poses(log_options)
     topic = log_options.odometry_topic
     if topic is not None:
-        from sonarrec.readers.poses import (
-            read_topic,  # with its decompressors, where needed
-        )
+        from sonarrec.readers.poses import read_topic  # with its decompressors, where needed
 
-        poses = read_topic(source.path, topic, log_options.time or "log")
-    elif log_options.odometry is not None:
-        poses = read_poses(log_options.odometry)
-    else:
-        return None
-    return poses
+        return read_topic(source.path, topic, log_options.time or "log")
+    return None if log_options.odometry is None else read_poses(log_options.odometry)
 
 
 def chosen_landmarks(

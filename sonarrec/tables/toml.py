@@ -60,7 +60,8 @@ def read_text(path: Path, error: type[SonarrecError] = SonarrecError) -> str:
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(MAX_LENGTH + 1)
     except (OSError, UnicodeDecodeError) as fault:
-        raise error(f"{path}: not a readable TOML file, it cannot be read ({fault})") from None
+        how = "; save it as UTF-8" * isinstance(fault, UnicodeDecodeError)
+        raise error(f"{path}: not a readable TOML file, it cannot be read ({fault}){how}") from None
     if len(text) > MAX_LENGTH:
         raise error(f"{path}: not a readable TOML file, it is larger than {MAX_LENGTH >> 20} MiB")
     return text
@@ -71,17 +72,16 @@ def parse_toml(text: str, where: str, error: type[SonarrecError] = SonarrecError
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as fault:  # also of Python's own limit on digits
-        raise error(f"{where}: not a readable TOML file ({fault})") from None
+        comma = "; decimals have a point" if re.search(r"=\s*[-+]?[0-9]+,[0-9]", text) else ""
+        raise error(f"{where}: not a readable TOML file ({fault}){comma}") from None
     if why := _beyond_toml(table):
         raise error(f"{where}: not a readable TOML file ({why})")
     return table
 
 
 def _beyond_toml(value: Any, depth: int = 0) -> str:
-    """What is beyond the limits of TOML; "" if nothing is.
-
-    Without such values a table is safe to print, to convert to floats and to traverse.
-    """
+    """What is beyond the limits of TOML; "" if nothing is. Without such values a table is safe to
+    print, to convert to floats and to traverse."""
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
         return "a whole number of more than 64 bits"
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()

@@ -127,7 +127,8 @@ def test_metadata_that_says_nothing(
     monkeypatch.chdir(tmp_path)
     split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS))
     (tmp_path / "dive" / "metadata.yaml").write_text(text)
-    found, problems = read(tmp_path / "dive")
+    name = "dive" if text else "renamed"  # with an empty one it is a bag under any name
+    found, problems = read((tmp_path / "dive").rename(tmp_path / name))
     assert len(found) == 10
     assert all("metadata.yaml" in line and "\n" not in line for line in problems)
     assert not (tmp_path / "ran").exists()
@@ -159,6 +160,20 @@ def test_messages_that_inflate_to_more_than_is_read(
     assert len(found) == 2
     assert "inflates to more than" in problems[0]
     assert "does not inflate" in problems[1]
+
+
+def test_a_view_in_place_of_a_table_is_refused(tmp_path: Path) -> None:
+    """It may have no end."""
+    file = bag(tmp_path / "dive", messages(IMAGES)) / "dive.db3"
+    with sqlite3.connect(file) as database:
+        database.execute("ALTER TABLE messages RENAME TO others")
+        endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
+        database.execute(
+            f"CREATE VIEW messages AS {endless} SELECT i AS rowid, 1 AS topic_id, i AS timestamp, "
+            "x'00' AS data FROM n"
+        )
+    with pytest.raises(SonarrecError, match="view"):
+        read(file)
 
 
 def test_rows_of_a_database_that_are_left_unread_are_told(tmp_path: Path) -> None:

@@ -121,6 +121,18 @@ def test_a_log_that_begins_in_grey(tmp_path: Path) -> None:
     ]
 
 
+def test_a_map_that_changes_midway_is_told(tmp_path: Path) -> None:
+    log = in_colour(tmp_path, cv2.COLORMAP_JET)
+    paths = sorted(log.glob("*.png"))
+    for path in paths[12:]:
+        grey = cv2.imread(str(SAMPLE / path.name), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), cv2.applyColorMap(grey, cv2.COLORMAP_INFERNO))
+    with open_log(log) as drawn:
+        list(drawn)
+    assert paths[12].name in drawn.diagnostics.notes[-1]
+    assert len(drawn.diagnostics.notes) == 2
+
+
 def test_grey_pictures_and_strange_colours_have_no_map() -> None:
     grey = cv2.cvtColor(picture(), cv2.COLOR_GRAY2BGR)
     assert not is_coloured(grey)

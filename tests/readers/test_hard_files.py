@@ -127,6 +127,67 @@ def test_a_tiff_of_several_images() -> None:
             np.testing.assert_array_equal(decode_image(file.getvalue()), np.asarray(pages[0]))
 
 
+@pytest.mark.parametrize(
+    ("shape", "dtype", "tag", "value"),
+    [
+        *(((20, 30), dtype, 262, 0) for dtype in ("u2", "f4")),  # white is zero
+        ((20, 30, 3), "u2", 284, 2),  # colours in planes
+        ((20, 30), "i2", 0, 0),
+        ((20, 30), "i1", 0, 0),
+    ],
+)
+def test_a_tiff_that_would_be_misread_is_refused(
+    shape: tuple[int, ...], dtype: str, tag: int, value: int
+) -> None:
+    image = np.random.default_rng(0).integers(-99, 99, shape).astype(dtype)
+    plain = [cv2.IMWRITE_TIFF_COMPRESSION, 1]
+    data = cv2.imencode(".tiff", np.abs(image) if dtype[0] != "i" else image, plain)[1].tobytes()
+    if tag:
+        right = struct.pack("<HHIH", tag, 3, 1, 1)
+        assert right in data
+        decode_image(data)
+        data = data.replace(right, struct.pack("<HHIH", tag, 3, 1, value))
+    with pytest.raises(UnusableError, match="a TIFF of"):
+        decode_image(data)
+
+
+@pytest.mark.parametrize("kind", ["GIF", "PNG"])
+def test_an_animation_is_refused(kind: str) -> None:
+    pages = [Image.fromarray(image) for image in frames(3)]
+    pages[0].save(file := io.BytesIO(), kind, save_all=True, append_images=pages[1:])
+    with pytest.raises(UnusableError, match=kind):
+        decode_image(file.getvalue())
+
+
+def test_pictures_and_times_that_repeat_are_counted(tmp_path: Path) -> None:
+    twice = [IMAGES[0], IMAGES[1], IMAGES[1], IMAGES[2], IMAGES[2]]
+    log = image_folder(tmp_path / "log", twice)
+    with open_log(log) as opened:
+        list(opened)
+    (note,) = opened.diagnostics.notes
+    assert "2 pictures" in note
+    timed = [("/a", k // 2 * PERIOD_NS, cdr_image(image)) for k, image in enumerate(IMAGES)]
+    with open_log(mcap_file(tmp_path / "log.mcap", timed)) as opened:
+        list(opened)
+    (note,) = opened.diagnostics.notes
+    assert "3 frames" in note
+    with open_log(tmp_path / "log.mcap", time="header") as opened:  # that never changes
+        list(opened)
+    assert "5 frames" in opened.diagnostics.notes[-1]
+
+
+def test_a_table_beside_images_is_told_to_be_unused(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", IMAGES)
+    (log / "notes.txt").write_text("calm sea\n")
+    (log / "poses.csv").write_text("timestamp,yaw\n" + "1,2\n" * len(IMAGES))
+    with open_log(log) as opened:
+        assert not opened.diagnostics.notes
+    (log / "data.csv").write_text("time\n" + "1\n" * len(IMAGES))
+    with open_log(log) as opened:
+        (note,) = opened.diagnostics.notes
+    assert "data.csv" in note
+
+
 def png_of_size(rows: int, columns: int) -> bytes:
     data = bytearray(cv2.imencode(".png", IMAGES[0])[1].tobytes())
     data[16:24] = struct.pack(">II", columns, rows)

@@ -17,7 +17,7 @@ from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Frame
 from sonarrec.readers.containers import mcap as recording
 from sonarrec.readers.containers import mcap_chunks as chunks
-from tests.support.hard_logs import HardLog, peak_of_reading, record, shapes
+from tests.support.hard_logs import HardLog, message, peak_of_reading, record, shapes
 from tests.support.logs import PERIOD_NS, cdr_image, frames, read
 from tests.support.slow import but_first
 
@@ -122,6 +122,26 @@ def test_damage_costs_its_own_chunk_and_is_told(
     assert f"byte {chunk} " in problems[0] or GOES_ON in problems[0]
     for text in told:
         assert any(text in line for line in problems), text
+
+
+def test_a_chunk_that_states_a_later_start_than_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path) as log:
+        for first in range(0, 12, 3):
+            log.chunk(TIMED[first : first + 3], start=10**12 if first == 3 else None)
+    found, problems = read(path)
+    assert by_times(found) == [*WITHOUT_SECOND, 3, 4, 5]
+    assert ["3 frames out of order" in line for line in problems] == [True]
+
+
+def test_messages_of_a_channel_that_is_not_defined_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path, finished=False) as log:
+        log.loose(TIMED[:10])
+    path.write_bytes(path.read_bytes() + b"".join(message(*t, channel=7) for t in TIMED[10:]))
+    found, problems = read(path)
+    assert len(found) == 10
+    assert "2 messages of channels" in problems[-1]
 
 
 def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(tmp_path: Path) -> None:

@@ -15,12 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.geometry import bin_ranges
+from sonarrec.readers import open_log
 from sonarrec.readers.messages.fields import Fields
 from sonarrec.readers.messages.types import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.sonar import Sonar
 from tests.support import messages
-from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder
+from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 from tests.support.messages import (
     BEAMS,
     BEARINGS_DEG,
@@ -65,6 +66,18 @@ def test_every_message_gives_the_frames_of_the_folder(i: int, writer: str, tmp_p
         assert frame.stamps.header == stamp_ns(k)
         np.testing.assert_array_equal(frame.image, same.image)
         assert dataclasses.astuple(frame.fan) == pytest.approx(dataclasses.astuple(same.fan))
+
+
+def test_two_sonars_on_one_topic_are_named(tmp_path: Path) -> None:
+    timed = [
+        ("/a", k * PERIOD_NS, cdr_image(image, frame_id=(b"port\0", b"starboard\0")[k % 2]))
+        for k, image in enumerate(frames(6))
+    ]
+    with open_log(mcap_file(tmp_path / "log.mcap", timed)) as log:
+        assert len(list(log)) == 6
+    (note,) = log.diagnostics.notes
+    assert "port" in note
+    assert "starboard" in note
 
 
 # One message

@@ -149,8 +149,8 @@ def test_the_number_of_even_bins_may_change(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_stated_wins_and_is_told(stated: Sonar, says: str | None, tmp_path: Path) -> None:
-    image = polar_frames(1)[0]
-    path = log_of(tmp_path / "log.mcap", [messages.projected_fields(k, image) for k in range(3)])
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(3))]
+    path = log_of(tmp_path / "log.mcap", pings)
     found, problems, notes = read(path, sonar=stated.updated(TILT))
     assert not problems
     assert notes == ([] if says is None else [f"{path}: stated against the messages: {says}"])

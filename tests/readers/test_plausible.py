@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from sonarrec.errors import SonarrecError
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.plausible import FRAMES, Plausibility
@@ -101,6 +102,16 @@ def test_a_background_of_one_colour_and_a_few_marks_are_no_echoes(background: in
     assert of_picture(image, fan) == []
 
 
+def test_a_fan_upside_down_is_turned(tmp_path: Path) -> None:
+    turned = upside_down(SAMPLE / "pan", tmp_path / "turned")
+    near = {"range_order": "near_first"}
+    with open_log(SAMPLE / "pan") as right, open_log(turned, sonar=near) as log:
+        for one, other in zip(log, right, strict=False):
+            np.testing.assert_array_equal(one.image, other.image)
+    with pytest.raises(SonarrecError, match="near_first"):
+        open_log(turned, sonar={"range_order": "far_first"})
+
+
 def test_a_picture_without_a_fan_is_asked_for_polar() -> None:
     fan = make_fan(rows=200)
     speckle = speckled(np.zeros((fan.rows, fan.columns)), np.ones((fan.rows, fan.columns)), RNG)
@@ -121,17 +132,19 @@ def test_run_tells_it_in_one_note_and_is_done(tmp_path: Path) -> None:
     assert f"`sonarrec info {log} --preview FILE.png`" in line
 
 
-def test_no_candidate_in_a_picture_that_contradicts_nothing_is_told(tmp_path: Path) -> None:
+def test_what_to_check_where_nothing_is_recognised_is_told_last(tmp_path: Path) -> None:
     log = sample_log(tmp_path / "log", 0)
     fan = make_fan(rows=256)
     for n in range(3):
         blank = np.zeros((fan.rows, fan.columns), np.uint8)
         assert cv2.imwrite(str(log / f"{n}.png"), blank)
     result = sonarrec("run", log, "-o", tmp_path / "out")
-    (line,) = [line for line in result.stderr.splitlines() if "note: " in line]
+    line = " ".join(result.stderr.splitlines()[-2:])
+    words = ("range order", "near_first", "geometry", "--preview", "landmark set", "level")
+    assert [*words] == sorted(words, key=line.index)
     # At 2.5 m of slant range and 0.68 m of height: 0.3 m across is 0.3 x 2.5 / 2.406 m of arc.
     pixels = 0.3 * 2.5 / np.sqrt(2.5**2 - 0.68**2) / (2.5 / 256)
-    assert f"0 candidates in 3 frames: a disc of basin would be {pixels:.0f} px wide here; " in line
+    assert f"{pixels:.0f} px wide here" in line
     millimetres = ("--range-min-m", "1250", "--range-max-m", "3750", "--overwrite")
     told = sonarrec("run", log, "-o", tmp_path / "out", *millimetres).stderr
-    assert "a disc of basin would be 0 px wide here; " in told
+    assert " 0 px wide here" in told

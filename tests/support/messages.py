@@ -93,7 +93,7 @@ def _clock(k: int) -> dict[str, int]:
 
 
 def header(k: int) -> dict[str, Any]:
-    return {"seq": k, "stamp": _clock(k), "frame_id": "sonar"[: k % 5]}
+    return {"seq": k, "stamp": _clock(k), "frame_id": "sonar"[: k % 2 * 5]}
 
 
 def png(image: np.ndarray) -> np.ndarray:

@@ -91,7 +91,8 @@ def test_what_cannot_be_meant(reader: str, tmp_path: Path) -> None:
         text = one_line(lambda: read(path), path)
         assert any(says in text for says in ("unknown key", "or unknown: ", "nested too deep"))
     for data, says in (
-        (b"\xff\xfe", "utf-8"),
+        (b"# 20 \xb0", "UTF-8"),
+        (b"a = 1,5\n", "decimals have a point"),
         (b"a = 1\nb =\n", "line 2"),
         (b"#" * (2**24 + 1), "larger than 16 MiB"),
     ):

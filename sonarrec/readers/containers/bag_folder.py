@@ -26,8 +26,9 @@ def is_bag_folder(folder: Path) -> bool:
     Raises OSError."""
     if (folder / METADATA).is_file():
         with (folder / METADATA).open("rb") as file:
-            if b"rosbag2_bagfile_information" in file.read(2**12):
-                return True
+            head = file.read(2**12)
+        if b"rosbag2_bagfile_information" in head or (not head and _stored(folder)):
+            return True
     stems = {match[1] if (match := _numbered(p)) else "" for p in _stored(folder)}
     stem = stems.pop() if len(stems) == 1 else ""
     return bool(stem) and (stem == folder.resolve().name or stem.startswith("rosbag2_"))
@@ -68,10 +69,8 @@ def _listed(folder: Path, diagnostics: Diagnostics) -> list[Path] | None:
 
 
 class BagFolder(Recording):
-    """A `Recording` of all parts of a bag, of which one is open at a time.
-
-    If a part is cut, damaged or missing, only its own messages are lost.
-    """
+    """A `Recording` of all parts of a bag, of which one is open at a time. If a part is cut,
+    damaged or missing, only its own messages are lost."""
 
     def __init__(self, path: Path, open_part: Open, diagnostics: Diagnostics) -> None:
         """open_part: opens one file. Raises SonarrecError if no part can be read."""

@@ -18,10 +18,8 @@ from sonarrec.readers.raw import MAX_FRAME_BYTES, Channel, Message, Recording
 
 
 class Db3Recording(Recording):
-    """A `Recording` of one database. Of one that is cut, the messages before the cut are read.
-
-    Not by rosbags, which counts all rows first: SQLite refuses that for a cut file.
-    """
+    """A `Recording` of one database. Of one that is cut, the messages before the cut are read. Not
+    by rosbags, which counts all rows first: SQLite refuses that for a cut file."""
 
     def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if it is no such database, or nothing in it can be read."""
@@ -54,6 +52,9 @@ class Db3Recording(Recording):
                 )
 
     def _read_channels(self) -> None:
+        select = "SELECT name FROM sqlite_master WHERE type = 'view'"  # may have no end
+        if {"messages", "topics"} & {name for (name,) in self._db.execute(select)}:
+            raise ValueError("a view stands in place of a table")
         definitions: dict[str, tuple[str, bytes]] = {}
         columns = "topic_type, encoding, encoded_message_definition"
         with suppress(sqlite3.Error):  # older databases have none

@@ -85,10 +85,12 @@ class DdfFrames(RawLog):
                 )
                 return
             next_at = end if self._in_step(end) else self._next_frame(at + 1)
-            if next_at == end or (next_at is None and header is not None):
+            # Of two recordings in one file the second begins with a header of the file.
+            joined = next_at == end + self._start and self._file.at(end, 4) == self._mark
+            if next_at == end or joined or (next_at is None and header is not None):
                 skip = number in self.passed_over
                 yield stored(name, None, None) if skip else self._frame(name, at, header)
-                at, number = end, number + 1
+                at, number = next_at or end, number + 1
                 continue
             if next_at is None:
                 self._fault(f"no frame begins in the last {room} bytes")

@@ -325,12 +325,10 @@ def _stated(tilt_deg: float | None, rate_hz: float | None) -> Sonar:
 
 
 def _tilt(frames: Sequence[np.void], rotator: str | None, diagnostics: Diagnostics) -> float | None:
-    """The tilt by a file's headers in deg, downward; None if not stated.
-
-    frames: headers of frames from all over the file. rotator: name of the field with the rotator's
-    tilt. It is the median of the compass's pitch or, without a compass, of the rotator's tilt; both
-    are taken to be positive upward.
-    """
+    """The tilt by a file's headers in deg, downward; None if not stated. frames: headers of frames
+    from all over the file. rotator: name of the field with the rotator's tilt. It is the median of
+    the compass's pitch or, without a compass, of the rotator's tilt; both are taken to be positive
+    upward."""
     readings = {"compass pitch": [_compass(frame)["pitch"] for frame in frames]}
     if rotator is not None:  # zeros if there is no rotator
         readings["rotator tilt"] = [_measured(frame[rotator]) or None for frame in frames]

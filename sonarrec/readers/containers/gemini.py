@@ -163,12 +163,10 @@ _ENCRYPTED = 1  # of an entry's flags
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
-    """The `.dat` of a file, in pieces, for it may be of any length.
-
-    Python's zipfile is not used, because it does not open a file whose end is missing, and returns
-    nothing of contents with a wrong checksum. Raises SonarrecError if the file is no such log; if
-    it is cut or damaged, raises UnusableError after all that can be read.
-    """
+    """The `.dat` of a file, in pieces, for it may be of any length. Python's zipfile is not used,
+    because it does not open a file whose end is missing, and returns nothing of contents with a
+    wrong checksum. Raises SonarrecError if the file is no such log; if it is cut or damaged, raises
+    UnusableError after all that can be read."""
     file = FileBytes(path)
     try:
         found = _find_dat(file, path, 0)

@@ -6,6 +6,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -98,11 +99,9 @@ def _doubt(ordered: Sequence[str]) -> str | None:
 
 
 def times_in_names(stems: Sequence[str]) -> IntArray | None:
-    """(n,) times in ns that stand in n names without their suffix; None if they hold none.
-
-    Each name holds one time, all in the same form: as ISO 8601 has date and time (in UTC), or since
-    1970 in s, ms, us or ns. They must rise from name to name, mostly by LEAST_STEP_NS or more.
-    """
+    """(n,) times in ns that stand in n names without their suffix; None if they hold none. Each
+    name holds one time, all in the same form: as ISO 8601 has date and time (in UTC), or since 1970
+    in s, ms, us or ns. They must rise from name to name, mostly by LEAST_STEP_NS or more."""
     found = (_rising(form, stems) for form in (_ISO, _SINCE_1970) if stems)
     return next((times for times in found if times is not None), None)
 
@@ -146,10 +145,8 @@ def _not_as_numbered(stems: Sequence[str]) -> int | None:
 
 
 class ImageFiles(RawLog):
-    """One image file a frame, in the order of the names.
-
-    Times in the names, as `times_in_names` finds them, are the frames' times.
-    """
+    """One image file a frame, in the order of the names. Times in the names, as `times_in_names`
+    finds them, are the frames' times."""
 
     def __init__(self, files: Sequence[Path], diagnostics: Diagnostics) -> None:
         super().__init__(diagnostics)
@@ -159,6 +156,20 @@ class ImageFiles(RawLog):
         self._times = times_in_names(stems)
         if (note := self._about_names(stems)) is not None:
             diagnostics.note(note)
+        if self._times is None and (table := self._list_beside()) is not None:
+            diagnostics.note(
+                f"{table.name} has a line for each image and is not used; frames have times if "
+                "the names of the images have them"
+            )
+
+    def _list_beside(self) -> Path | None:
+        """A table or text beside the images with as many lines as images, or one more."""
+        for path in sorted(self.files[0].parent.glob("*.[tc][xs][tv]")):
+            with suppress(OSError), path.open("rb") as file:
+                more = sum(1 for _ in file) - len(self.files)
+                if more in (0, 1) and not path.name.endswith(("poses.csv", "gt.csv")):
+                    return path
+        return None
 
     def _about_names(self, stems: Sequence[str]) -> str | None:
         """What a user should know of the frames' times and numbers. stems: names without suffix."""

@@ -55,12 +55,10 @@ _NO_SCHEMA = records.Schema(id=0, name="", encoding="", data=b"")
 
 
 class McapRecording(Recording):
-    """A `Recording` of an MCAP file. A damaged or cut file is read as far as possible.
-
-    times, positions: the units to read, one element each: its first log time (ns) and its position
-    in the file. A unit is a chunk, or a run of messages that are in no chunk and whose times do not
-    go back. size: of the file, in bytes.
-    """
+    """A `Recording` of an MCAP file. A damaged or cut file is read as far as possible. times,
+    positions: the units to read, one element each: its first log time (ns) and its position in the
+    file. A unit is a chunk, or a run of messages that are in no chunk and whose times do not go
+    back. size: of the file, in bytes."""
 
     def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if it is no MCAP file, OSError if it cannot be read."""
@@ -117,6 +115,10 @@ class McapRecording(Recording):
                 self._look_into(position)
         if self._summary_is_complete():
             self.counts = Counter(self._statistics.channel_message_counts)
+        if unlisted := sum(n for c, n in self.counts.items() if c not in self._listed):
+            self.fault(
+                f"{number_of(unlisted, 'message')} of channels that it does not define, not read"
+            )
         if self._damaged:
             self.fault(f"not read: {number_of(self._damaged, 'damaged definition')}")
 
@@ -238,12 +240,10 @@ class McapRecording(Recording):
 
 @dataclass(frozen=True, slots=True, order=True)
 class _Position:
-    """Where a message is: ordered by log time, then by position in the file.
-
-    log_time, publish_time: ns. unit: position of the message's chunk in the file, or of the message
-    itself if it is in no chunk. contents: what it is read from; None if the message is lost.
-    offset, length: of the message's body in `contents`, bytes.
-    """
+    """Where a message is: ordered by log time, then by position in the file. log_time,
+    publish_time: ns. unit: position of the message's chunk in the file, or of the message itself if
+    it is in no chunk. contents: what it is read from; None if the message is lost. offset, length:
+    of the message's body in `contents`, bytes."""
 
     log_time: int
     unit: int
@@ -255,18 +255,17 @@ class _Position:
 
 
 class _Pass:
-    """One pass over the messages of some channels of a file.
-
-    spans: (position, first log time, last log time) of each unit that was read. back_ns: by how
-    much times go back at most within a chunk.
-    """
+    """One pass over the messages of some channels of a file. spans: (position, first log time, last
+    log time) of each unit that was read. back_ns: by how much times go back at most within a
+    chunk."""
 
     def __init__(self, log: McapRecording, channels: Collection[int]) -> None:
         self._log, self._channels = log, frozenset(channels)
         # A heap, sorted by the next message of each run: (next message, the others, contents). A
         # chunk is one run, or none; its contents are released after its last message.
         self._runs: list[tuple[_Position, Iterator[_Position], Contents | None]] = []
-        self._passed_count = self._lost_count = 0
+        self._passed_count = self._lost_count = self._late_count = 0
+        self._latest = 0  # log time
         self.spans: list[tuple[int, int, int]] = []
         self.back_ns = 0
 
@@ -287,6 +286,11 @@ class _Pass:
                 yield self._next()
             if log.file.seek(0, 2) < log.size:
                 log.fault("the file became shorter while it was read")
+            if self._late_count:
+                log.fault(
+                    "a chunk states a later start than its messages have: "
+                    f"{number_of(self._late_count, 'frame')} out of order"
+                )
             count = sum(log.counts[c] for c in self._channels)
             if self._passed_count < count:
                 gone = count - self._passed_count + self._lost_count
@@ -299,6 +303,8 @@ class _Pass:
         message, run, contents = heapq.heappop(self._runs)
         data, problem = None, None
         self._passed_count += 1
+        self._late_count += message.log_time < self._latest
+        self._latest = max(self._latest, message.log_time)
         if message.contents is None:
             self._lost_count += 1
         elif message.length > MAX_FRAME_BYTES:

@@ -48,12 +48,10 @@ def records_in(file: IO[bytes], at: int, end: int) -> Iterator[tuple[int, int, i
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """The head of a chunk record, and where its data are in the file.
-
-    position, end: bytes at which the record begins and ends. start_time: first log time, ns. size:
-    bytes after inflation. stored: bytes in the file, as declared, from data_start on. present: how
-    many of those the file really has; fewer if it is cut.
-    """
+    """The head of a chunk record, and where its data are in the file. position, end: bytes at which
+    the record begins and ends. start_time: first log time, ns. size: bytes after inflation. stored:
+    bytes in the file, as declared, from data_start on. present: how many of those the file really
+    has; fewer if it is cut."""
 
     position: int
     end: int
@@ -96,10 +94,8 @@ def read_chunk_head(file: IO[bytes], position: int, file_size: int) -> Chunk | N
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """A stretch of a file that holds records: the bytes of `file` from `start` to `end`.
-
-    inflated: whether the file is one of its own, which holds what was compressed.
-    """
+    """A stretch of a file that holds records: the bytes of `file` from `start` to `end`. inflated:
+    whether the file is one of its own, which holds what was compressed."""
 
     file: IO[bytes]
     start: int

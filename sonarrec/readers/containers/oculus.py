@@ -50,12 +50,10 @@ def oculus_geometry(
 def oculus_samples(
     data: bytes | memoryview, bins: int, beams: int, size: int, *, gains: bool, step: int = 0
 ) -> np.ndarray:
-    """The (bins, beams) samples of a ping, unsigned integers of `size` bytes.
-
-    step: bytes from row to row; those beyond a row's own are skipped. gains: whether each row
-    begins with its gain, 4 bytes; then its samples are divided by the gain's root, as float32.
-    Raises UnusableError if the numbers do not fit the data.
-    """
+    """The (bins, beams) samples of a ping, unsigned integers of `size` bytes. step: bytes from row
+    to row; those beyond a row's own are skipped. gains: whether each row begins with its gain, 4
+    bytes; then its samples are divided by the gain's root, as float32. Raises UnusableError if the
+    numbers do not fit the data."""
     if size not in (1, 2, 4):
         raise UnusableError(f"samples of {size} bytes")
     head = 4 if gains else 0

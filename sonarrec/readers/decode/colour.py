@@ -51,14 +51,18 @@ def is_coloured(pixels: np.ndarray) -> bool:
     return bool(len(some) and np.mean(np.ptp(some, axis=1) > _COLOURED) > _LEAST_COLOURED)
 
 
+def strays(pixels: np.ndarray, name: str) -> bool:
+    """Whether colours lie far from a map by which they are read."""
+    some = _sample(pixels)[::10]
+    nearest = np.sqrt(_squared(_colours(name), some).min(axis=1), dtype=float)
+    return bool(len(some) and nearest.mean() > 1.5 * _NEAR_IF_MIXED)
+
+
 def find_map(images: Sequence[np.ndarray]) -> str | None:
     """The colour map of a log's first images; None if it is not one of MAPS. images: (rows,
-    columns, 3 or more) uint8, BGR.
-
-    Their colours must be nearer to the map than to any straight line, such as a ramp of one hue, or
-    to any map with red and blue exchanged. In a reversed map they would be bright as those of no
-    sonar are.
-    """
+    columns, 3 or more) uint8, BGR. Their colours must be nearer to the map than to any straight
+    line, such as a ramp of one hue, or to any map with red and blue exchanged. In a reversed map
+    they would be bright as those of no sonar are."""
     colours = np.concatenate([_sample(image) for image in images])
     if not len(colours):
         return None

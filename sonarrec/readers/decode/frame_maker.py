@@ -15,7 +15,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.nouns import BeamOrder, Fan, Frame, PingGeometry
-from sonarrec.readers.decode.colour import LUMINANCE, find_map, is_coloured
+from sonarrec.readers.decode.colour import LUMINANCE, find_map, is_coloured, strays
 from sonarrec.readers.decode.grey import (
     GreyScale,
     dim_level,
@@ -61,7 +61,8 @@ class FrameMaker:
         self._note, self._where, self._origin = diagnostics.note, where, origin
         self._scales: dict[np.dtype[Any], GreyScale] = {}  # one for each type of pixel
         self._amplitudes = set[np.dtype[Any]]()  # types of integers that hold them
-        self._in_colour = False  # whether a frame was
+        self._in_colour = False  # whether a frame was, and its map was looked for
+        self._strayed = False  # whether it was told that colours are of another map
         self._shape: tuple[int, ...] | None = None  # of images that do not state their geometry
         # Geometry and shape of the pings for which _to_fan was made.
         self._to_fan_of: tuple[PingGeometry, tuple[int, int]] | None = None
@@ -94,11 +95,9 @@ class FrameMaker:
 
     def settle(self, first: Sequence[Frame]) -> None:
         """Find out what the pixels hold, and take the fan from the ping that most pings agree with.
-
         It need not be the first ping, since a driver may send one before it has its settings. A
-        height that nobody states is estimated.
-        first: the log's first frames. Raises SonarrecError if the geometry does not fit the log.
-        """
+        height that nobody states is estimated. first: the log's first frames. Raises SonarrecError
+        if the geometry does not fit the log."""
         first = showing(first)
         coloured = [f.pixels for f in first if f.pixels is not None and _in_colour(f.pixels)]
         if coloured and not self._stated.colour_map:
@@ -136,6 +135,13 @@ class FrameMaker:
         it."""
         if not self._stated.colour_map and not self._in_colour and _in_colour(frame.pixels):
             self._find_map([frame.pixels], f"begin at {frame.name} after grey frames, and are ")
+        elif self._in_colour and not self._strayed and self.colour_map != LUMINANCE:
+            self._strayed = strays(frame.pixels, self.colour_map)
+            if self._strayed:
+                self._note(
+                    f"from {frame.name} on colours are not of the map {self.colour_map}, by which "
+                    "they are read; if the map was changed, run each part as a log of its own"
+                )
         return self.colour_map
 
     def _find_amplitudes(self, first: Sequence[Frame]) -> None:
@@ -175,6 +181,8 @@ class FrameMaker:
             if self.sonar.beam_order == "beam-major":
                 image = np.ascontiguousarray(image.T)
             image = self._near_first(image)
+        elif self._stated.range_order == "near_first":  # upside down
+            image = np.ascontiguousarray(image[::-1])
         if self._shape is None:
             self._begin(image.shape)
             self._shape = image.shape
@@ -376,13 +384,11 @@ def _as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, lis
 
 
 def looks_beam_major(image: ByteImage) -> bool:
-    """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead.
-
-    In range-major data the sample `beams` places later is the next range bin of the same beam; in
+    """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead. In
+    range-major data the sample `beams` places later is the next range bin of the same beam; in
     beam-major data the sample `bins` places later is the next beam at the same range. Such a sample
     resembles the first one more than the samples around it do. If this decides nothing, as with
-    equal numbers of bins and beams, the data are taken to be range-major, as most are.
-    """
+    equal numbers of bins and beams, the data are taken to be range-major, as most are."""
     bins, beams = image.shape
     samples = image.ravel()
     if bins == beams:

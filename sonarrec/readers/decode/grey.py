@@ -54,10 +54,8 @@ Scale = Literal["linear", "log", "db"]
 
 @dataclass(frozen=True, slots=True)
 class GreyScale:
-    """How the pixels of one log become grey; see the module.
-
-    bounded: whether finite pixels below 0 or above full_scale are a fault, not black or white.
-    """
+    """How the pixels of one log become grey; see the module. bounded: whether finite pixels below 0
+    or above full_scale are a fault, not black or white."""
 
     pixel_scale: Scale
     full_scale: float
@@ -71,13 +69,10 @@ class GreyScale:
 
 
 def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarray:
-    """(rows, columns) in this machine's byte order, from pixels as in a Ping.
-
-    8-bit colours become the levels of the colour map. Other colours, and all with LUMINANCE, become
-    grey by OpenCV's weights (.299 R + .587 G + .114 B, without alpha). Floating-point pixels of
-    NO_DATA and below become NaN.
-    Raises UnusableError for other pixels.
-    """
+    """(rows, columns) in this machine's byte order, from pixels as in a Ping. 8-bit colours become
+    the levels of the colour map. Other colours, and all with LUMINANCE, become grey by OpenCV's
+    weights (.299 R + .587 G + .114 B, without alpha). Floating-point pixels of NO_DATA and below
+    become NaN. Raises UnusableError for other pixels."""
     if pixels.dtype.kind not in "uif" or pixels.dtype == np.float16:
         raise UnusableError(f"{pixels.dtype} pixels are not supported")
     pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
@@ -103,12 +98,10 @@ def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarra
 def grey_scale(
     sonar: Sonar, pixels: np.ndarray, amplitudes: bool, white: int | None = None
 ) -> GreyScale | None:
-    """The scale of a log by its first frame, as far as `sonar` does not state it.
-
-    pixels: from single_channel. amplitudes: whether they are known to be echo amplitudes; then
-    floating-point values within 0 to 1 are too. white: as in a RawFrame. Returns None if the frame
-    is blank, since it is black on any scale. Raises SonarrecError for an invalid full scale.
-    """
+    """The scale of a log by its first frame, as far as `sonar` does not state it. pixels: from
+    single_channel. amplitudes: whether they are known to be echo amplitudes; then floating-point
+    values within 0 to 1 are too. white: as in a RawFrame. Returns None if the frame is blank, since
+    it is black on any scale. Raises SonarrecError for an invalid full scale."""
     values = pixels[np.isfinite(pixels)]
     if not values.any():
         return None

@@ -28,12 +28,10 @@ _RINGS, _BEAMS = 96, 64  # of a polar picture of the fan
 
 
 def height_from_images(images: Sequence[ByteImage], fan: Fan) -> float | None:
-    """The height (m), or None if the images do not show where the floor begins.
-
-    images: the first few of a log, (fan.rows, fan.columns). fan: without a height. The result is
-    between LEAST and 1 of the height that `geometry.floor_depth` assumes without images: what is
-    bright near the sonar may be noise, and a window may begin beyond the nearest floor.
-    """
+    """The height (m), or None if the images do not show where the floor begins. images: the first
+    few of a log, (fan.rows, fan.columns). fan: without a height. The result is between LEAST and 1
+    of the height that `geometry.floor_depth` assumes without images: what is bright near the sonar
+    may be noise, and a window may begin beyond the nearest floor."""
     assert fan.height_m is None
     range_m, levels = _levels_by_range(images, fan)
     bright = float(quantile(levels, 0.9)) if levels.size else 0.0

@@ -89,10 +89,8 @@ def _png_chunks(data: memoryview) -> set[bytes] | None:
 
 
 def _plain_png(data: memoryview) -> np.ndarray | None:
-    """The pixels of an 8-bit grey PNG with all its chunks, in half of OpenCV's time.
-
-    None for any other PNG, and for one that is damaged: OpenCV is the judge of these.
-    """
+    """The pixels of an 8-bit grey PNG with all its chunks, in half of OpenCV's time. None for any
+    other PNG, and for one that is damaged: OpenCV is the judge of these."""
     if len(data) < len(_PNG) + _PNG_CHUNK.size + _PNG_HEADER.size:
         return None
     columns, rows, *kind = _PNG_HEADER.unpack_from(data, len(_PNG) + _PNG_CHUNK.size)
@@ -116,16 +114,28 @@ def pgm_maxval(data: np.ndarray) -> int | None:
     return int(header[1]) if header and int(header[1]) not in (0, 255, 65535) else None
 
 
+_ONE = "one image a file is read"
 _TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Of any type, and turned by EXIF data as viewers and annotation tools show it. A TIFF is turned in
 # any case, and one of four channels of floats can only be read unchanged.
 _AS_SHOWN = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
 
+def _is_misread_tiff(data: bytes, image: np.ndarray) -> bool:
+    """Whether OpenCV does not read a TIFF of other than 8 bits right, by the tags in it."""
+    order, count = "<" if data[:1] == b"I" else ">", "Q" if b"+" in data[2:4] else "I"
+    white_is_zero, in_planes = (
+        struct.pack(f"{order}HH{count}H", tag, 3, 1, value) in data
+        for tag, value in ((262, 0), (284, 2))
+    )
+    is_negative = image.dtype.kind == "i" and image.min() < 0
+    return bool(white_is_zero or is_negative or (in_planes and image.ndim > 2))
+
+
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as viewers show it.
-    Raises UnusableError if OpenCV cannot read it whole, if its header states too many pixels, or if
-    it is a TIFF of several images."""
+    Raises UnusableError if OpenCV cannot read it whole and right, if its header states too many
+    pixels, or if it holds several images."""
     buffer = np.frombuffer(data, np.uint8)
     if not buffer.size:
         raise UnusableError("empty image")
@@ -133,8 +143,12 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         chunks = _png_chunks(buffer.data)
         if chunks is None:
             raise UnusableError("unreadable image")
+        if b"acTL" in chunks:
+            raise UnusableError(f"an animated PNG; {_ONE}")
         if not chunks & _TURNED_OR_TRANSPARENT and (plain := _plain_png(buffer.data)) is not None:
             return plain
+    if buffer[:4].tobytes() == b"GIF8":  # OpenCV would take the first of its images
+        raise UnusableError("a GIF, which is not read; convert it, as to PNG")
     is_tiff, several = buffer[:4].tobytes() in _TIFFS, False
     flags = cv2.IMREAD_UNCHANGED if is_tiff else _AS_SHOWN
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -150,7 +164,12 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     if image is None:
         raise UnusableError("unreadable image")
     if several:
-        raise UnusableError("a TIFF of several images; one image a file is read")
+        raise UnusableError(f"a TIFF of several images; {_ONE}")
+    if is_tiff and image.dtype != np.uint8 and _is_misread_tiff(buffer.tobytes(), image):
+        raise UnusableError(
+            f"a TIFF of {image.dtype} with negative pixels, white as zero or colours in planes, "
+            "which is not read; convert it, as to PNG"
+        )
     if told.tell():
         told.seek(0)
         warning = told.read(4096)
@@ -173,12 +192,10 @@ _RAW_ENCODINGS: dict[str, tuple[str, int, bool]] = {
 def raw_pixels(
     data: memoryview, height: int, width: int, encoding: str, step: int, big_endian: bool
 ) -> np.ndarray:
-    """The pixels of an uncompressed image message, without a copy if they are in BGR order.
-
-    step: bytes from row to row. Some drivers state it wrongly: it is ignored if it does not fit the
-    length of the data but rows without padding do.
-    Raises UnusableError if the numbers do not fit together or the encoding is unknown.
-    """
+    """The pixels of an uncompressed image message, without a copy if they are in BGR order. step:
+    bytes from row to row. Some drivers state it wrongly: it is ignored if it does not fit the
+    length of the data but rows without padding do. Raises UnusableError if the numbers do not fit
+    together or the encoding is unknown."""
     if encoding not in _RAW_ENCODINGS:
         known = ", ".join(_RAW_ENCODINGS)
         raise UnusableError(f"encoding {encoding!r} is not supported (only {known})")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,8 @@ class DefinitionError(Exception):
 
 
 class Fields:
-    """The decoded fields of a message. In JSON, bytes are base64 or a list of numbers.
-
-    Every method raises UnusableError if the field is missing or has another type.
-    """
+    """The decoded fields of a message. In JSON, bytes are base64 or a list of numbers. Every method
+    raises UnusableError if the field is missing or has another type."""
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         self._values = values
@@ -98,6 +97,13 @@ class Fields:
         if len({len(column) for column in columns}) > 1:
             raise self._wrong(name, "list of vectors")
         return np.column_stack(columns)
+
+    def sender(self) -> Iterator[str]:
+        """The frame_id of the header, or Foxglove's, unless it is missing or empty."""
+        header = self._values.get("header", self._values)
+        if isinstance(header, Mapping) and "frame_id" in header:
+            with suppress(UnusableError):
+                yield from filter(None, [Fields(header).text("frame_id")])
 
     def stamp_ns(self) -> int | None:
         """The stamp of the header, or Foxglove's timestamp, ns; None if there is neither."""

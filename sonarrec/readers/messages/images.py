@@ -11,8 +11,7 @@ from sonarrec.readers.messages.fields import DefinitionError
 from sonarrec.readers.messages.types import Decoder, decoder_for
 from sonarrec.readers.raw import RawLog, Recording, frame_of, stored
 
-MOST_NAMED = 5
-"""Channels, in a message that none of them holds images."""
+MOST_NAMED = 5  # channels, or frame_ids, in a message
 
 
 def image_decoders(log: Recording) -> dict[int, Decoder]:
@@ -58,6 +57,11 @@ class ChannelImages(RawLog):
             else:
                 decode = self._decoders[message.channel]
                 yield frame_of(name, message.log_time, decode, message.data, message.publish_time)
+        if len(senders := {s for d in self._decoders.values() for s in d.senders}) > 1:
+            self.diagnostics.note(
+                f"{self.topic} mixes messages of frame_id {', '.join(sorted(senders)[:MOST_NAMED])}"
+                "; if these are several sonars, write each to a log or topic of its own"
+            )
 
 
 def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:

@@ -183,15 +183,19 @@ def message_type(schema_name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """Turns a message's bytes into a Frame; raises UnusableError if they cannot be used."""
+    """Turns a message's bytes into a Frame; raises UnusableError if they cannot be used. senders:
+    the frame_ids of the messages so far."""
 
     fields: Decode
     read: Read
     polar: bool
+    senders: set[str]
 
     def __call__(self, message: memoryview) -> Frame:
         with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
-            return self.read(Fields(self.fields(message)))
+            fields = Fields(self.fields(message))
+            self.senders.update(fields.sender())
+            return self.read(fields)
 
 
 def decoder_for(
@@ -204,18 +208,16 @@ def decoder_for(
     if name not in MESSAGES:
         return None
     fields = fields_decoder(name, schema_encoding, schema_data, message_encoding)
-    return None if fields is None else Decoder(fields, MESSAGES[name], name in PINGS)
+    return None if fields is None else Decoder(fields, MESSAGES[name], name in PINGS, set())
 
 
 def fields_decoder(
     name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
 ) -> Decode | None:
-    """The decoder of a message type (package/Name); None if it cannot be decoded.
-
-    Encodings: CDR, ROS 1, JSON, and for Foxglove's own types protobuf and flatbuffer. A ROS message
-    is decoded by the definition in the file, whose version may differ from ours; if the file has
-    none, by our own. Raises DefinitionError if the only definition cannot be used.
-    """
+    """The decoder of a message type (package/Name); None if it cannot be decoded. Encodings: CDR,
+    ROS 1, JSON, and for Foxglove's own types protobuf and flatbuffer. A ROS message is decoded by
+    the definition in the file, whose version may differ from ours; if the file has none, by our
+    own. Raises DefinitionError if the only definition cannot be used."""
     if message_encoding == "json":
         return decode_json
     if message_encoding in ("cdr", "ros1"):
