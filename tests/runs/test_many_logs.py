@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -99,7 +100,9 @@ def test_a_call_that_is_stopped_goes_on(
         until(lambda: part.is_file() and len(part.read_text().splitlines()) > 2, running)
         running.send_signal(sent)
         assert running.wait(300) == code, running.stderr.read().decode()
-    until(lambda: ended(tmp_path / "slow"))  # of SIGKILL: as nobody waits for it any more
+    time.sleep(2 * many._REPORT_EVERY_S)
+    (tmp_path / "slow.go").touch()  # SIGKILL is noticed at the next report
+    until(lambda: ended(tmp_path / "slow"))
     kept = part.read_text().splitlines()
     assert 2 < len(kept) < 60
     if code > 0:
