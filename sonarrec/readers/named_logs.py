@@ -43,11 +43,14 @@ def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:
 
 def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:
     """The arguments of a command and the lines of a list, without empty lines and # comments.
-    Raises UsageError if no log is named."""
+    Raises UsageError if no log is named, or each image of a folder by itself."""
     lines = (line.strip() for line in listed)
     logs = [*names, *(line for line in lines if line and not line.startswith("#"))]
     if not logs:
         raise UsageError("--from-file: the list names no log")
+    if len(images := [log for log in logs if is_image(Path(log))]) > 1:
+        each = f"{len(images)} images, each as a log of its own, {images[0]} the first"
+        raise UsageError(f"{each}; give their folder, or put the pattern in quotes")
     return logs
 
 

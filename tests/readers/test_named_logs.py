@@ -79,6 +79,8 @@ def test_folders_globs_and_lists() -> None:
     ]  # fmt: skip
     with pytest.raises(UsageError, match="--from-file"):
         log_arguments([], ["# nothing"])
+    with pytest.raises(UsageError, match="2 images, each as a log of its own"):
+        log_arguments([str(SAMPLE / "pan" / f"00000{n}.png") for n in (0, 1)], [])
     assert "--from-file LIST" in sonarrec("run", code=2).stderr
 
 
