@@ -83,7 +83,7 @@ def local(place: Place) -> Place:
     if is_url(place):
         raise UsageError(
             f"{place}: only `sonarrec run` takes URLs; copy it to this machine, or mount "
-            "the server: sonarrec help remote"
+            "the server: sonarrec help run"
         )
     return place
 

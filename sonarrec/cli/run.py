@@ -98,7 +98,7 @@ class _FolderOrUrl(click.Path):
 @in_batch(
     "--dry-run", is_flag=True, help="Print what would be done with each log and why; write nothing."
 )
-@in_batch("--shard", metavar="I/N", help="Run only every N-th log, from the I-th: see help remote.")
+@in_batch("--shard", metavar="I/N", help="Run only every N-th log, from the I-th: see help run.")
 @in_batch(
     "--scheduler",
     metavar="ADDRESS",
@@ -133,7 +133,7 @@ def run(
     geometry comes from sonar.toml beside LOG (NAME.sonar.toml for one file), from --sonar, or from
     the flags below; polar messages and sonars' own files state theirs, mostly without tilt and
     height. Several logs are processed in parallel; one that cannot be used does not stop the
-    others. LOG and OUT may be on a server (`sonarrec help remote`).
+    others. LOG and OUT may be on a server (`sonarrec help run`).
 
     Logs whose results are up to date are skipped; other results are replaced when the new ones are
     finished. A run that is stopped leaves its results so far in OUT/<log name>.part.

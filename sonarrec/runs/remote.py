@@ -146,4 +146,4 @@ def _told(url: str) -> Iterator[None]:
         raise MissingError(f"{url}: not there, or no answer from its server") from None
     except Exception as error:  # s3fs, gcsfs, aiohttp and asyncssh have no common class
         text = " ".join(hidden(error).split())[:200] or type(error).__name__
-        raise SonarrecError(f"{url}: {text}; see `sonarrec help remote`") from None
+        raise SonarrecError(f"{url}: {text}; see `sonarrec help run`") from None

@@ -1,4 +1,4 @@
-"""The Slurm array of help/remote.md, run as it stands there; srun runs its words here."""
+"""The Slurm array of help/run.md, run as it stands there; srun runs its words here."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOGS = ("a", "b", "c", "d")
 
 def recipe(beginning: str) -> str:
     """The block of the page that has a line beginning so, as it would be in a file."""
-    text = "\n".join(code_lines(PAGES["remote"]))
+    text = "\n".join(code_lines(PAGES["run"]))
     (found,) = [b for b in re.split(r"\n\n+", text) if re.search(f"(?m)^{beginning}", b)]
     return found + "\n"
 
