@@ -10,7 +10,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.endings import finish
 from sonarrec.cli.groups import ANY, NEW_FILE, command, in_input
-from sonarrec.errors import UsageError, number_of
+from sonarrec.errors import number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.match import ScoringOptions
@@ -18,23 +18,21 @@ if TYPE_CHECKING:
 
 @command(short_help="Write results as one HTML page.")
 @click.argument("results", type=ANY, required=False)
-@options.ground_truth("gt.csv; without it nothing is scored.")
-@options.pairs
+@options.ground_truth("gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.")
 @in_input(
     "--log recordings",
     type=ANY,
     multiple=True,
-    help="The log that RESULTS came from, or a folder of logs, to show frames on the page; "
+    help="The log that RESULTS came from, or a folder of logs, where it is no longer in its place; "
     "repeatable.",
 )
 @options.topic
 @options.scoring
-@options.out(NEW_FILE, "The page.  [default: report.html in RESULTS or beside PAIRS]")
+@options.out(NEW_FILE, "The page.  [default: report.html in RESULTS]")
 @options.quiet
 def report(
     results: Path | None,
     ground_truth: Path | None,
-    pairs: Path | None,
     recordings: tuple[Path, ...],
     topic: str | None,
     scoring: ScoringOptions,
@@ -45,26 +43,22 @@ def report(
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The page
     shows which landmarks were seen, when and with what score, and the probabilities along each
-    track. With ground truth it also shows the paper's tables, the ROC and the worst mistakes; with
-    the log also its frames, on a click on a bar, a track or a mistake. The geometry is needed only
-    if run.toml does not state it.
+    track; with ground truth also the paper's tables, the ROC and the worst mistakes; with the log
+    also its frames, on a click on a bar, a track or a mistake. Both are found as by `evaluate`. The
+    geometry is needed only if run.toml does not state it.
 
     \b
     Examples:
       sonarrec report
-      sonarrec report sonarrec_out/pan --log sample_data/pan.mcap
+      sonarrec report sonarrec_out/pan
       sonarrec report --ground-truth gt.csv --log pings/ -o report.html
-      sonarrec report --pairs pairs.csv --log recordings/
     """
-    if pairs is not None and (ground_truth or results):
-        raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
     from sonarrec.reports import build
 
     page = build.report(
         results or "sonarrec_out",
         out,
         ground_truth=ground_truth,
-        pairs=pairs,
         logs=recordings,
         topic=topic,
         options=scoring,

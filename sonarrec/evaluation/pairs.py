@@ -58,11 +58,8 @@ def usable_pairs(pairs: Iterable[Pair], told: Diagnostics) -> list[Pair]:
     usable, faults = [], []
     for pair in pairs:
         try:
-            folders = find_logs(pair.results)
-            if folders != [pair.results]:
-                raise SonarrecError(
-                    f"{pair.results}: holds {len(folders)} logs; give each log its own row"
-                )
+            if (logs := find_logs(pair.results)) != [pair.results]:
+                raise SonarrecError(f"{pair.results}: holds {len(logs)} logs; give each its row")
             if not pair.ground_truth.exists():
                 raise SonarrecError(f"{pair.ground_truth}: no such file")
         except SonarrecError as fault:
@@ -116,26 +113,29 @@ def find_truths_beside(folders: Iterable[Path], told: Diagnostics) -> list[Pair]
 
 
 def _truth_beside(folder: Path, source: Input) -> Path:
-    """NAME.gt.csv, else gt.csv, beside the log that results were made from.
+    """NAME.gt.csv, else gt.csv, beside the log that results were made from; for a folder, of images
+    or a bag, those in it, else NAME.gt.csv beside it. Raises SonarrecError if there is none."""
+    found = recorded_at(folder, source)
+    truth = found.beside(TRUTH_FILE)
+    if truth is None:
+        name = f"{log_name(found.place)}.{TRUTH_FILE}"
+        raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")
+    return truth
 
-    For a folder, of images or a bag, those in it, else NAME.gt.csv beside it. Raises SonarrecError
-    if there is none, or if the log was replaced by another one.
-    """
+
+def recorded_at(folder: Path, source: Input) -> Source:
+    """The log that results were made from. Raises SonarrecError if it is not there, or replaced."""
     if source.path is None:
         raise SonarrecError("run.toml does not say where the log is")
     if is_url(source.path):
         raise SonarrecError(f"its log is on a server, {source.path}")
     found = _log_at(source.path, folder, source.place)
-    truth, size = found.beside(TRUTH_FILE), _size(found)
-    if truth is None:
-        name = f"{log_name(found.place)}.{TRUTH_FILE}"
-        raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")
-    if source.bytes not in (None, size):
+    if source.bytes not in (None, size := _size(found)):
         raise SonarrecError(
             f"{found.path} has changed since the run (it had {source.bytes} bytes and has {size}), "
-            f"so {truth} may not be its truth"
+            "so what lies beside it may not be its truth"
         )
-    return truth
+    return found
 
 
 def _log_at(path: str, folder: Path, place: str | None) -> Source:

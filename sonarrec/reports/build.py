@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import local, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, local, number_of
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.match import ScoringOptions, scoring_options
-from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.evaluation.pairs import Pair, find_truths_beside, recorded_at
 from sonarrec.evaluation.screen import protocols
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
@@ -29,31 +30,25 @@ from sonarrec.reports.logs import (
 )
 from sonarrec.reports.page import MOST_MISTAKES, render
 from sonarrec.results.read import find_logs, not_whole
+from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
 from sonarrec.tables.outputs import check_output, write_page
 from sonarrec.truth.table import read_truth
 
 AnyPath = str | Path
-MOST_SEEN = 6
-MOST_MISTAKEN = 6
+MOST_SEEN = MOST_MISTAKEN = 6
 """Pictures of sightings, and of each method's mistakes: each adds some 60 kB to the page."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Report:
-    """What was written.
-
-    pictures: drawn frames on the page. held: frames that a click shows. unused: one line for each
-    part of the input that could not be used.
-    """
+    """What was written. pictures: drawn frames on the page. held: frames that a click shows.
+    unused: one line for each part of the input that could not be used."""
 
     path: Path
     pictures: int
     held: int
     unused: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return f"<{self.path}: {number_of(self.pictures, 'picture')}>"
 
 
 def report(
@@ -61,7 +56,6 @@ def report(
     out: AnyPath | None = None,
     *,
     ground_truth: AnyPath | None = None,
-    pairs: AnyPath | None = None,
     logs: AnyPath | Sequence[AnyPath] = (),
     topic: str | None = None,
     options: ScoringOptions | None = None,
@@ -69,59 +63,63 @@ def report(
 ) -> Report:
     """Write results, of one log or of several, as one HTML page; returns what was written.
 
-    out: default: report.html in `results`, or beside `pairs`: a table that names results and truth
-    of each log, in place of results and ground_truth. Without either nothing is scored. logs: the
-    recordings that the results came from, or folders with such; without them the page shows no
-    frames. topic: the image channel of an MCAP recording, if run.toml does not name it. scoring: as
-    `evaluate` takes it, `method` to `sonar`, or options made of them; the sightings and tracks of
-    the first method are shown.
+    out: default: report.html in `results`. ground_truth: one table; default: that beside each log,
+    if all have one. logs: the recordings that the results came from, or folders with such; default:
+    where they were. topic: the image channel of an MCAP recording, if run.toml does not name it.
+    scoring: as `evaluate` takes it, `method` to `sonar`, or options made of them; the sightings and
+    tracks of the first method are shown.
     Raises SonarrecError where files cannot be used, read or written.
     """
     options = options or scoring_options(**scoring)
-    beside = Path(results) if pairs is None else Path(pairs).parent
-    path = Path(local(out or beside / "report.html"))
+    path, folders = Path(local(out or Path(results) / "report.html")), find_logs(Path(results))
     truth_file = None if ground_truth is None else Path(local(ground_truth))
     recordings = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
-    check_output(path, "report", [truth_file, pairs and Path(pairs), *recordings])
-    rows = None if pairs is None else read_pairs(Path(pairs))
-    evaluation: Evaluation | None = None
-    if rows is None and truth_file is None:
-        to_show = [LogToShow(folder) for folder in find_logs(Path(results))]
-        in_all = len(to_show)
-    else:
+    recordings = recordings or [*_recorded(folders)]
+    check_output(path, "report", [truth_file, *recordings])
+    rows: list[Pair] = []
+    with suppress(SonarrecError):  # there is none, or not one for each
+        rows = find_truths_beside(folders, Diagnostics()) if truth_file is None else []
+    evaluation, to_show = None, [LogToShow(folder) for folder in folders]
+    if truth_file is not None or len(rows) == len(folders):
         evaluation = evaluate_logs(rows or results, truth_file, options)
-        to_show, in_all = _scored_logs(evaluation, rows, truth_file), len(evaluation.folders)
+        to_show = _scored_logs(evaluation, rows, truth_file)
     reported, unread = read_logs(to_show, options)
     mistakes = {} if evaluation is None else _mistakes(reported, evaluation)
     sonar = options.sonar or Sonar()
     pictures, shown, missing = _draw_all(reported, mistakes, recordings, sonar, topic)
     incomplete = (line for log in reported for line in not_whole(log.results, "shown"))
     unused = (*(incomplete if evaluation is None else evaluation.unused), *unread, *missing)
-    truth = Path(pairs) if pairs else truth_file
+    truth = truth_file or (rows[0].ground_truth if evaluation else None)
+    in_all = len(evaluation.folders if evaluation else folders)
     write_page(path, render(reported, evaluation, mistakes, truth, pictures, shown, unused, in_all))
     return Report(path, len(pictures), sum(len(log["frames"]) for log in shown), unused)
 
 
+def _recorded(folders: Iterable[Path]) -> Iterator[Path]:
+    """The logs that results were made from, those that are there."""
+    for folder in folders:
+        with suppress(SonarrecError):
+            yield Path(recorded_at(folder, read_run(folder / "run.toml").input).path)
+
+
 def _scored_logs(
-    evaluation: Evaluation, rows: Sequence[Pair] | None, truth_file: Path | None
+    evaluation: Evaluation, rows: Sequence[Pair], truth_file: Path | None
 ) -> list[LogToShow]:
     """The first logs of an evaluation, which has distinct names, each recording once, and no log
     that cannot be read. rows: its pairs, or truth_file: the truth of all logs."""
     truth, to_show = cache(read_truth), list[LogToShow]()
-    pair_of = {row.results: row for row in reversed(rows or ())}  # a log may be named twice
-    for folder, name in zip(evaluation.folders, evaluation.counts.logs, strict=True):
-        if len(to_show) < MOST_LOGS:
-            pair = pair_of.get(folder) or Pair(folder, truth_file or folder)
-            to_show.append(LogToShow(folder, truth(pair.ground_truth), pair.log, name))
+    pair_of = {row.results: row for row in rows}
+    for folder, name in [*zip(evaluation.folders, evaluation.counts.logs, strict=True)][:MOST_LOGS]:
+        pair = pair_of.get(folder) or Pair(folder, truth_file or folder)
+        to_show.append(LogToShow(folder, truth(pair.ground_truth), pair.log, name))
     return to_show
 
 
 def _mistakes(logs: Sequence[ReportedLog], evaluation: Evaluation) -> dict[str, list[Episode]]:
     """The mistakes in some logs by each method that any of them has."""
     matched = [log.matched for log in logs if log.matched is not None]
-    protocol = protocols(evaluation.counts)[0]
     return {
-        method: episodes(matched, method, protocol)
+        method: episodes(matched, method, protocols(evaluation.counts)[0])
         for method in evaluation.counts.methods
         if any(method in log.methods for log in matched)
     }

@@ -15,6 +15,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.reports import frames
 from tests.support.browser import chromium
 from tests.support.command import SAMPLE, sonarrec
+from tests.support.pages import without_log
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -43,11 +44,12 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def pages(results: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The sample log's report with everything, and with nothing but the results."""
+    """The sample log's report with everything, and with nothing but the results, whose log is
+    gone."""
     folder = tmp_path_factory.mktemp("pages")
-    scored = ("--ground-truth", SAMPLE / "gt.csv", "--log", SAMPLE)
-    sonarrec("report", results, *scored, "-o", folder / "full.html")
-    sonarrec("report", results, "-o", folder / "bare.html")
+    sonarrec("report", results, "-o", folder / "full.html")
+    without_log(results, folder / "pan")
+    sonarrec("report", folder / "pan", "-o", folder / "bare.html")
     return {name: folder / f"{name}.html" for name in ("full", "bare")}
 
 

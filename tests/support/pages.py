@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
@@ -79,3 +80,11 @@ def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
         [LogToShow(folder, read_truth(truth or folder / "gt.csv"))], ScoringOptions(sonar=Sonar())
     )
     return log
+
+
+def without_log(results: Path, to: Path) -> None:
+    """Results as they are on another machine."""
+    shutil.copytree(results, to)
+    run = (to / "run.toml").read_text(encoding="utf-8")
+    run = re.sub(r"^(path|place) = .*", r'\1 = "gone"', run, flags=re.MULTILINE)
+    (to / "run.toml").write_text(run, encoding="utf-8")
