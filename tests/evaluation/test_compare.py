@@ -306,8 +306,7 @@ def test_pairs_are_pooled(tmp_path: Path) -> None:
     assert unnamed.counts.logs == tuple(str(p.results) for p in pairs)
 
 
-@pytest.mark.parametrize("also", ["evaluate", "report"])
-def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: str) -> None:
+def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path) -> None:
     """And told; its truth is not read. Results are of one log."""
     for name in ("a", "b"):
         write_case(tmp_path / name, FRAMES, claims({5}), TRUTH)
@@ -318,16 +317,16 @@ def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: 
     (tmp_path / "both").mkdir()
     for name in ("a", "b"):
         (tmp_path / "both" / name).symlink_to(tmp_path / name / "out")
-    done = sonarrec(also, "--pairs", pairs, "-q", code=3)
+    done = command("--pairs", pairs, "-q", code=3)
     told = [line for line in done.stderr.splitlines() if ": note: " not in line]
     assert told == [
         f"sonarrec: {tmp_path / 'c' / 'out'}: no such results folder; "
         "`sonarrec run LOG` writes one; not scored",
-        f"sonarrec: {tmp_path / 'both'}: holds 2 logs; give each log its own row; not scored",
+        f"sonarrec: {tmp_path / 'both'}: holds 2 logs; give each its row; not scored",
         f"sonarrec: {tmp_path / 'no.csv'}: no such file; not scored",
     ]
     write_csv(pairs, ("results", "ground_truth"), rows[:1])
-    done = sonarrec(also, "--pairs", pairs, code=2)
+    done = command("--pairs", pairs, code=2)
     assert done.output.startswith(f"sonarrec: {tmp_path / 'c' / 'out'}: no such")
     assert done.output.count("\n") == 1
 
