@@ -274,9 +274,8 @@ def _geometry_lines(images: Images) -> Iterator[str]:
         flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
         or_height = " (or --height-m)" if "tilt_deg" in images.lacks else ""
         yield f"lacks {', '.join(images.lacks)}"
-        where = "beside the log, or into it if a folder"
-        yield f"give {flags}{or_height}, or put a sonar.toml {where}:"
-        yield "`sonarrec help geometry` has one to copy"
+        yield f"give {flags}{or_height}, or a sonar.toml beside the log, or in it if a folder:"
+        yield "--write-sonar FILE begins one"
 
 
 # A sonar.toml to complete

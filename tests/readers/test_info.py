@@ -137,7 +137,7 @@ def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -
         "give --range-min-m --tilt-deg --field-of-view-deg (or --height-m), or put a sonar.toml"
         in text
     )
-    assert "`sonarrec help geometry` has one to copy" in text
+    assert "--write-sonar FILE begins one" in text
 
 
 def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
