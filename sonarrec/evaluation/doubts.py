@@ -32,12 +32,13 @@ def doubts(table: TruthTable, log: LogResults, truth: Truth, matched: Matched) -
     rows = np.flatnonzero(matched.truth_positive)
     if min(len(claims), len(rows)) < FEWEST:
         return
-    other = _other_reading(matched, claims, rows) if matched.placed else ""
-    if other and log.timestamp_ns is not None and "frame" in other:
+    ends_m = log.fan.range_min_m + log.fan.range_max_m if log.fan else np.nan
+    other = _other_reading(matched, claims, rows, ends_m) if matched.placed else ""
+    if other and log.timestamp_ns is not None and other[0].isdigit():
         step_s = np.median(np.diff(np.sort(log.timestamp_ns))) / 1e9
-        other += f" ({int(other.split()[0]) * step_s:.3g} s); do both count from 0, by one clock"
+        other += f" ({int(other.split()[0]) * step_s:.3g} s)"
     if other:
-        yield f"{path}: its rows fit the claims in {name} better {other}?"
+        yield f"{path}: its rows fit the claims in {name} clearly better {other}; which is right?"
     elif not len(judge(matched, matched.methods[0], PROTOCOLS[matched.placed]).right):
         yield (
             f"{path}: none of the {len(claims)} claims of {matched.methods[0]} in {name} is right; "
@@ -46,13 +47,15 @@ def doubts(table: TruthTable, log: LogResults, truth: Truth, matched: Matched) -
     yield from _without_rows(f"{path}: its rows for {name}", matched, claims)
 
 
-def _other_reading(log: Matched, claims: IntArray, rows: IntArray) -> str:
-    """How the rows fit the claims clearly better than as given; empty if they do not."""
+def _other_reading(log: Matched, claims: IntArray, rows: IntArray, ends_m: float) -> str:
+    """How the rows fit the claims clearly better than as given; empty if they do not. ends_m: the
+    sum of the log's least and largest range."""
     rows = rows[:: max(len(rows) // MOST_ROWS, 1)]
     frame, position = log.truth_frame_index[rows], log.truth_position[rows]
     range_m, bearing_deg = polar_from_plane(position)
     readings = {
         "with the sign of their bearings turned": (frame, position * (-1, 1)),
+        "with ranges from the far end": (frame, plane_from_polar(ends_m - range_m, bearing_deg)),
         "with bearings in radians": (frame, plane_from_polar(range_m, np.degrees(bearing_deg))),
     }
     for shift in range(1, MOST_SHIFT + 1):

@@ -76,10 +76,6 @@ class LogScore:
     counts: list[LogCounts]
     """Of each of its results; empty if the truth does not fit, or once they are added up."""
 
-    @property
-    def folder(self) -> Path:
-        return self.log.results[-1]
-
 
 def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) -> LogScore:
     """Read, match and count one log, old and new results on their common frames.
@@ -199,7 +195,7 @@ def score_logs(
             unread.append((log.name, error))
             continue
         read.append(score)
-        if once.add(score.folder, score.recording):
+        if once.add(score.log.results[-1], score.recording):
             kept.append(score)
             for counts, of_log in zip(sides, score.counts, strict=False):
                 counts.add(of_log)
@@ -226,7 +222,9 @@ def score_logs(
     told.problem(*copies.problems)
     told.note(*copies.notes, *(note for score in scored for note in score.notes))
     for counts in sides:
-        counts.finish([score.folder for score in scored], options.methods if not sides[1:] else ())
+        counts.finish(
+            [score.log.results[-1] for score in scored], options.methods if not sides[1:] else ()
+        )
     for score, name in zip(scored, sides[0].logs, strict=True):
         tell_rows(told, name, score.rows[1], score.rows[3])
     return scored, sides, names
@@ -301,7 +299,7 @@ def evaluate_logs(
         counts=counts,
         summary=summary,
         min_visible=options.min_visible,
-        folders=tuple(score.folder for score in scored),
+        folders=tuple(score.log.results[-1] for score in scored),
         notes=(*map(printable, told.notes), *summary.notes),
         unused=tuple(map(printable, told.problems)),
     )

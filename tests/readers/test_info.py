@@ -134,8 +134,7 @@ def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -
     text = info(path, "--range-max-m", "9").output
     assert "20 of 20 can be used, once the geometry is complete" in text
     assert (
-        "give --range-min-m --tilt-deg --field-of-view-deg (or --height-m), or a sonar.toml"
-        in text
+        "give --range-min-m --tilt-deg --field-of-view-deg (or --height-m), or a sonar.toml" in text
     )
     assert "--write-sonar FILE begins one" in text
 

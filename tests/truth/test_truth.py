@@ -17,8 +17,9 @@ from sonarrec.results.read import read_log
 from sonarrec.truth.check import tell_fit
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
-from tests.support.command import sonarrec
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import make_fan
+from tests.support.rows import read_rows
 
 FRAMES = "frame,timestamp_ns\n0,1000000000\n1,1250000000\n3,1750000000\n"
 ESTIMATES = (
@@ -226,6 +227,19 @@ def test_what_makes_figures_mean_something_else_comes_first(
     (case / "gt.csv").write_text(f"{TRUTH.split()[0]}\n{rows}")
     said = run(case, code=3 if doubt else 0).stderr.partition("\n")[0]
     assert doubt in said if doubt else not said
+
+
+@pytest.mark.slow
+def test_a_log_read_from_the_wrong_end_is_told(tmp_path: Path) -> None:
+    sonarrec("run", "-q", SAMPLE, "-o", tmp_path)
+    rows = read_rows(SAMPLE / "gt.csv")
+    truth = ["frame,landmark,range_m,bearing_deg"]
+    for row in rows:  # the log shows 1.25 to 3.75 m
+        range_m = 5 - float(row["range_m"])
+        truth.append(f"{row['frame']},{row['landmark']},{range_m},{row['bearing_deg']}")
+    (tmp_path / "gt.csv").write_text("\n".join(truth))
+    call = "evaluate", tmp_path / "pan", "--ground-truth", tmp_path / "gt.csv"
+    assert "better with ranges from the far end" in sonarrec(*call, code=3).stderr
 
 
 def test_rows_of_other_logs_are_told_where_one_log_is_scored(case: Path) -> None:
