@@ -33,21 +33,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2586,
+    "cli": 2579,
     "drawing": 670,
     "evaluation": 3463,
     "geometry": 415,
     "learning": 546,
     "mapping": 1190,
-    "overlays": 414,
+    "overlays": 410,
     "readers": 5780,
     "recogniser": 6414,
-    "reports": 1523,
-    "results": 1703,
+    "reports": 1521,
+    "results": 1701,
     "runs": 1506,
-    "simulation": 2471,
+    "simulation": 2468,
     "tables": 804,
-    "truth": 1062,
+    "truth": 1060,
 }
 """Of a room; set to what stands after an issue, and it only falls."""
 SMALL = 400  # lines of a room of one module
