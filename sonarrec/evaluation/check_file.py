@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,12 +15,11 @@ from sonarrec.readers.open import find_log
 from sonarrec.results.run_file import LogOptions
 from sonarrec.results.write import write_run
 from sonarrec.runs.one import result_names
-from sonarrec.tables.outputs import writing
+from sonarrec.tables.outputs import replaced, writing
 from sonarrec.tables.toml import Share, checked, from_table, read_toml
 from sonarrec.truth.table import TRUTH_FILE
 
 FILES = ("frames.csv", "estimates.csv", "run.toml")
-PART = ".part"  # the ending of a file that is being written
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,20 +170,16 @@ def save(results: Path, record: Path, logs: Sequence[LogToRun]) -> list[str]:
 
     Nothing on record is replaced before all is written, or SonarrecError raised. Other files stay.
     """
-    parts: list[Path] = []
-    with writing(record):
+    with writing(record), ExitStack() as stack:
         for log in logs:
-            (record / log.name).mkdir(parents=True, exist_ok=True)
-            parts += (part := [record / log.name / f"{name}{PART}" for name in FILES])
-            for path in part[:-1]:
-                shutil.copyfile(results / log.name / path.stem, path)
+            new = [stack.enter_context(replaced(record / log.name / name)) for name in FILES]
+            for name, path in zip(FILES[:-1], new, strict=False):
+                shutil.copyfile(results / log.name / name, path)
             run = read_toml(results / log.name / "run.toml")
             # What is committed must not change with the folder it was made in.
             run["input"] = {k: v for k, v in run["input"].items() if k != "place"}
             run["input"]["path"] = log.stated
-            write_run(part[-1], run)
-        for path in parts:
-            path.replace(path.with_suffix(""))
+            write_run(new[-1], run)
     names = {log.name for log in logs}
     left = (
         f for f in sorted(record.iterdir()) if f.name not in names and is_recorded(record, f.name)
