@@ -27,12 +27,7 @@ class SonarrecError(Exception):
 
     def __str__(self) -> str:
         # The message may quote the contents of files.
-        return "\n".join(map(printable, super().__str__().split("\n")))
-
-    @property
-    def line(self) -> str:
-        """The first line, without the example of a sonar.toml that may follow."""
-        return str(self).partition("\n")[0].removesuffix("; like this:")
+        return printable(super().__str__())
 
 
 class UsageError(SonarrecError):

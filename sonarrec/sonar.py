@@ -16,17 +16,6 @@ from sonarrec.tables.toml import Finite, from_table, read_toml
 
 MIN_WINDOW_M = 0.01
 STEEPEST_TILT_DEG = 89.0  # of tilts that are assumed; at 90 every disc would be a line (Eq. 1)
-EXAMPLE_SONAR_TOML = """\
-[sonar]
-layout = "fan"              # or "polar": rows = range bins (row 0 nearest), columns = beams
-range_min_m = 1.25
-range_max_m = 3.75
-field_of_view_deg = 28.8
-tilt_deg = 20.0             # downward; optional if height_m is given
-height_m = 0.68             # above the floor; optional if tilt_deg is given
-frame_rate_hz = 4.0         # where frames carry no time; optional
-"""
-
 RangeOrder = Literal["near_first", "far_first"]
 
 
@@ -111,14 +100,14 @@ class Sonar:
             missing = self.missing()
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}; write a sonar.toml beside "
-                f"the log, or give `run` options such as --{missing[0].replace('_', '-')}; "
-                f"`sonarrec info` shows what is known; like this:\n{EXAMPLE_SONAR_TOML}"
+                "the log (`sonarrec info LOG --write-sonar FILE` begins it), or give `run` options "
+                f"such as --{missing[0].replace('_', '-')}"
             )
         wrong = self.contradiction()
         if wrong is not None:
             raise SonarrecError(
-                f"{where}: sonar geometry contradicts itself: {wrong}; "
-                f"correct it in sonar.toml or by flag; like this:\n{EXAMPLE_SONAR_TOML}"
+                f"{where}: sonar geometry contradicts itself: {wrong}; correct it in sonar.toml or "
+                "by flag"
             )
         flip = bool(self.flip)
         least, most = (-view / 2, view / 2) if beams is None else _edges(beams, flip)
@@ -207,7 +196,7 @@ def load_sonar(path: Path) -> Sonar:
     """
     document = read_toml(path)
     if set(document) != {"sonar"}:
-        raise SonarrecError(f"{path}: expected one table [sonar]; like this:\n{EXAMPLE_SONAR_TOML}")
+        raise SonarrecError(f"{path}: expected one table [sonar]; see `sonarrec help geometry`")
     return sonar_from_table(document["sonar"], str(path))
 
 

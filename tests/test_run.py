@@ -180,10 +180,7 @@ def test_no_geometry(pings: Path) -> None:
     (pings / "sonar.toml").unlink()
     message = one_line_fault("run", pings)
     assert "range_min_m" in message
-    example = message[message.index("[sonar]") :]
-    assert tomllib.loads(example)["sonar"]["layout"] == "fan"
-    (pings / "sonar.toml").write_text(example)  # what the message shows can be used as it is
-    sonarrec("run", pings)
+    assert message.count("\n") == 1
 
 
 def test_geometry_by_flags_alone(pings: Path) -> None:
@@ -213,7 +210,6 @@ def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) 
     (pings / "sonar.toml").write_text(tomli_w.dumps({"sonar": stated}))
     message = one_line_fault("run", pings)
     assert message.startswith(f"sonarrec: {pings / 'sonar.toml'}: ")
-    assert "[sonar]" in message
 
 
 # The least it must show

@@ -41,9 +41,7 @@ def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
     different = [*dict.fromkeys(notes)]
     with suppress(OSError):
         for problem in dict.fromkeys(problems):
-            # A problem may end with an example of several lines.
-            lines = "\n".join(map(printable, problem.split("\n")))
-            click.echo(f"{styled('sonarrec:', fg='red')} {lines}", err=True)
+            click.echo(f"{styled('sonarrec:', fg='red')} {printable(problem)}", err=True)
         for note in different[:MOST_NOTES]:
             click.echo(f"{styled('sonarrec: note:', fg='yellow')} {printable(note)}", err=True)
     if more := len(different[MOST_NOTES:]):

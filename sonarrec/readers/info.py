@@ -224,7 +224,7 @@ def _images(
                 usable += 1
                 plausibility.look(frame)
         except SonarrecError as error:
-            found.problems = [] if log.diagnostics.problems else [error.line]
+            found.problems = [] if log.diagnostics.problems else [str(error)]
     found.problems = log.diagnostics.skipped or found.problems
     found.frames = raw.frame_count if quick else count
     found.usable = None if quick else usable

@@ -17,7 +17,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec.drawing.pen import landmark_colours
-from sonarrec.errors import number_of
+from sonarrec.errors import number_of, printable
 from sonarrec.evaluation import screen
 from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.figures import BY_NAME, over_units, units_text
@@ -114,7 +114,7 @@ def render(
         line_styles=charts.STYLES,
         logs=[_log_view(log, most_tracks) for log in logs],
         tracker=logs[0].tracker,
-        truth=None if truth is None else truth.name,
+        truth=None if truth is None else printable(truth.name),
         evaluation=evaluation,
         scores=scores,
         unused=_first(unused),

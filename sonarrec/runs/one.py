@@ -240,7 +240,7 @@ class Outcome:
     def message(self) -> str:
         """One line on what could not be used; empty if all could."""
         if self.error is not None:
-            return self.error.line
+            return str(self.error)
         problems = self.summary.problems if self.summary else []
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return problems[0] + more if problems else ""

@@ -77,7 +77,7 @@ def read(path: Path) -> tuple[list[Frame], list[str]]:
         with open_log(path) as log:
             found, told = list(log), log.diagnostics
     except SonarrecError as error:
-        return [], [error.line]
+        return [], [str(error)]
     return found, [*told.problems, *(note for note in told.notes if " read: " in note)]
 
 
