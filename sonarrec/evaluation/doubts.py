@@ -77,7 +77,7 @@ def _fit(
     row, claim = equal_pairs(cell, claimed)
     offset_m = np.linalg.norm(log.claim_position[claims[claim]] - position[row], axis=1)
     nearness = np.zeros(len(rows))
-    np.maximum.at(nearness, row, 1 - np.minimum(offset_m / log.gate_m, 1))
+    np.fmax.at(nearness, row, 1 - np.minimum(offset_m / log.gate_m, 1))  # NaN: unknown
     return float(nearness.mean())
 
 
