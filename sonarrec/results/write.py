@@ -99,6 +99,7 @@ class ResultsWriter:
         Raises SonarrecError if the folder cannot be written or another run writes there.
         """
         self.frames = self.candidates = 0
+        self.last = -1  # index of the last frame given to `write`
         self.full = False  # whether the disk is full
         self._gathered = sightings or Sightings(landmarks)
         self._folder = folder
@@ -119,7 +120,7 @@ class ResultsWriter:
                 (self._part / "sightings.csv").unlink(missing_ok=True)
                 shutil.rmtree(self._part)
             self._part.mkdir()
-            self._write_run(finished=False)
+            write_run(self._part / "run.toml", {"finished": False, **self._run})
             self._estimates = _Table(self._part / "estimates.csv", columns)
             self._frames = _Table(self._part / "frames.csv", FRAME_COLUMNS)
             self._sightings = _Table(self._part / "sightings.csv", SIGHTING_COLUMNS)
@@ -133,7 +134,8 @@ class ResultsWriter:
 
     def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
         """Append a frame. stamps: its times in the log. Raises SonarrecError: the disk is full."""
-        self._waiting.append((result, stamps))
+        # At Ctrl-C both are set, or none.
+        self._waiting, self.last = [*self._waiting, (result, stamps)], result.index
         if len(self._waiting) >= AT_ONCE or monotonic() > self._written_s + WAIT_S:
             self._flush()
 
@@ -192,7 +194,7 @@ class ResultsWriter:
             self._estimates.close(sync=True)
             self._frames.close(sync=True)
             self._run["input"] |= rows_written(self._part)
-            self._write_run(finished=True)
+            write_run(self._part / "run.toml", {"finished": True, **self._run})
             return exchange(self._folder)
         except OSError as error:
             raise self._fault(error) from None
@@ -203,9 +205,6 @@ class ResultsWriter:
             f"{name_as_text(self._part)}: cannot write results ({error.strerror}); it holds the "
             f"{number_of(self.frames, 'frame')} before"
         )
-
-    def _write_run(self, finished: bool) -> None:
-        write_run(self._part / "run.toml", {"finished": finished, **self._run})
 
     def __enter__(self) -> Self:
         return self

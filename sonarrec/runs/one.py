@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -100,16 +100,9 @@ def process(
         if not overwrite:
             existing = existing_results(job.folder, job.table)
             if existing.up_to_date:
-                return Summary(
-                    job.folder,
-                    existing.frames,
-                    existing.unusable,
-                    existing.candidates,
-                    existing.problems,
-                    [],
-                    *_longest(job.folder, job.recogniser.tracking),
-                    up_to_date=True,
-                )
+                counts = existing.frames, existing.unusable, existing.candidates
+                found = _longest(job.folder, job.recogniser.tracking)
+                return Summary(job.folder, *counts, existing.problems, [], *found, up_to_date=True)
             if existing.reason:
                 told.note(f"earlier results are replaced ({existing.reason})", about=job.folder)
         begun(served_as(job.basis))
@@ -123,38 +116,35 @@ def process(
         found = _longest(job.folder, job.recogniser.tracking)
         _tell_notes(job, plausibility)
         last = [] if any(found[0].values()) or not job.recogniser.tracking else _to_check(job)
-        return Summary(
-            job.folder,
-            writer.frames,
-            told.unusable,
-            writer.candidates,
-            problems,
-            [served_as(line) for line in (*told.notes, *replaced, *last)],
-            *found,
-        )
+        notes = [served_as(line) for line in (*told.notes, *replaced, *last)]
+        counts = writer.frames, told.unusable, writer.candidates
+        return Summary(job.folder, *counts, problems, notes, *found)
 
 
 def _recognise(
     job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility, observe: Observe | None
 ) -> None:
     """Recognise every frame and write the results, also those waiting when the run is stopped."""
-    stamps = deque[Stamps]()  # of frames that have no result yet
+    stamps = dict[int, Stamps]()  # of frames that are not written yet, in their order
 
     def looked_at() -> Iterator[Frame]:
         for frame in job.frames:
-            stamps.append(frame.stamps)
+            stamps[frame.index] = frame.stamps
             plausibility.look(frame)
             yield frame
 
     try:
         for result in job.recogniser.recognise(looked_at()):
-            writer.write(result, stamps.popleft())
+            writer.write(result, stamps[result.index])
+            del stamps[result.index]
             if observe is not None:
                 observe(result, job.frame_count)
     except BaseException:  # Ctrl-C as well: keep what is there
         if not writer.full:
+            stamps.pop(writer.last, None)
             for result in job.recogniser.waiting():
-                writer.write(result, stamps.popleft())
+                if result.index == next(iter(stamps), None):  # none twice, none after a gap
+                    writer.write(result, stamps.pop(result.index))
         raise
 
 

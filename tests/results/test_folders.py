@@ -8,8 +8,13 @@ import resource
 import shutil
 import signal
 import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -204,6 +209,43 @@ def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) ->
     parts, finished_runs = stop_at_random(log, tmp_path / "out", 12)
     assert parts
     assert finished_runs < 12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["default", "offline"])
+def test_ctrl_c_at_any_line_leaves_the_first_frames(log: Path, tmp_path: Path, preset: str) -> None:
+    modules = ("side_by_side.py", "hindsight.py", "second_look.py", "write.py", "one.py")
+    lines = 0
+
+    def trace(frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:
+        nonlocal lines
+        if not frame.f_code.co_filename.endswith(modules):
+            return None
+        lines += event == "line"
+        if lines == at:
+            lines += 1
+            raise KeyboardInterrupt
+        return trace
+
+    def stopped_at(folder: Path) -> None:
+        sys.settrace(trace)
+        try:
+            run(log, out=folder, preset=preset)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.settrace(None)
+
+    at = -1
+    stopped_at(tmp_path / "whole")
+    kept = []
+    for at in np.random.default_rng(0).integers(1, lines, 60).tolist():
+        lines, out = 0, tmp_path / str(at)
+        stopped_at(out)
+        if (part_of(out / "dive") / "sightings.csv").is_file():  # made last
+            kept.append(frames(part_of(out / "dive")))
+            assert kept[-1] == list(range(len(kept[-1]))), at
+    assert len(kept) > 30
 
 
 @pytest.mark.parametrize("size", but_first([15_000, 100, 6_000]))

@@ -22,7 +22,6 @@ RIVALS = 64  # random drawings of the set's kind of cells
 FINE, COARSE = 28, 10  # samples along a picture's side
 # Standard deviations of softened pictures, and how far a picture is shifted, in samples.
 SOFTENED, LAGS = (1, 2), (1, 2)
-COMPARISONS = 1 + len(SOFTENED) + 2 * len(LAGS)
 LEAST_BLUR = 0.04  # halves of a plate's side: about a sample of a fine picture
 BLUR_STEP = 0.03  # halves; smears that differ by less count as one
 KEPT = 4  # smears whose drawings are kept
@@ -70,7 +69,7 @@ def levelled(pictures: FloatImage, light: FloatImage) -> FloatImage:
 def comparisons(
     pictures: FloatImage, drawings: FloatImage, light: FloatImage, range_ward: FloatArray
 ) -> FloatImage:
-    """(n, COMPARISONS) of n fine pictures, each with its drawing: their correlation as they are and
+    """(n, 7) of n fine pictures, each with its drawing: their correlation as they are and
     softened, then what the rest is like, its correlations with itself one and two samples further,
     across the range and along it. A wrong drawing leaves patches, the right one fine noise.
 

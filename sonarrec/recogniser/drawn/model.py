@@ -40,7 +40,7 @@ def built_in_model() -> PlateModel:
 
 
 def of_one(compared: FloatImage) -> FloatArray:
-    """(n, 1 + COMPARISONS) features of n pictures: 1, and the comparisons, of which the matches as
+    """(n, 8) features of n pictures: 1, and the comparisons, of which the matches as
     Fisher's z."""
     matches, rest = np.split(compared.astype(float), [1 + len(SOFTENED)], axis=1)
     return np.concatenate(

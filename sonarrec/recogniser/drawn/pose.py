@@ -52,7 +52,7 @@ class Fit:
     pose: FloatArray
     """(6,)"""
     compared: FloatImage
-    """(COMPARISONS,) of the picture with the drawing."""
+    """(7,) of the picture with the drawing."""
     row: int
     way: int
     """The drawing's, as in Drawings."""

@@ -351,10 +351,7 @@ class SecondLook:
     def _join(
         self, estimates: list[Estimate], both: Sequence[tuple[int, _Disc]], pose: FloatArray
     ) -> None:
-        """Give tracks' estimates the joint belief of the track and the look.
-
-        both: the index of each estimate, and its disc.
-        """
+        """Give tracks' estimates, here by index, the joint belief of the track and its look."""
         of_tracks = np.stack([estimates[i].probabilities for i, _ in both])
         of_look = np.stack([disc.probabilities for _, disc in both])
         pool = np.maximum(of_tracks, LEAST_BELIEF) ** TRACK_EXPONENT

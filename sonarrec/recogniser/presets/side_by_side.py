@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import cv2
@@ -63,9 +63,7 @@ class SideBySide:
         ]
         self._recogniser_of = [stages.index(config) for config in stages]
         self._recognisers = {
-            i: ThreeStages(
-                configs[i], fan, landmarks, model, self.tracking[i], single[i], poses=poses
-            )
+            i: ThreeStages(configs[i], fan, landmarks, model, self.tracking[i], single[i], poses)
             for i in dict.fromkeys(self._recogniser_of)
         }
         self._hindsight: dict[int, Hindsight] = {}
@@ -77,8 +75,10 @@ class SideBySide:
                 self._hindsight[i] = Hindsight(method, config, landmarks, look)
         self._lag = max(config.features.lag_frames for config in configs)
         self._tracked: list[list[Tracked]] = []  # frames that wait for stage 3
-        self._found: deque[list[FrameResult]] = deque()  # that came out of it
-        self._pending: deque[list[FrameResult]] = deque()  # that wait for their lag
+        # Ctrl-C may come at any moment; `waiting` goes on from there.
+        self._pending: deque[list[FrameResult]] = deque()  # out of stage 3, but not yet used
+        self._unlearned = 0  # so many of them, the last ones, are new to the hindsights
+        self._unrevised = {i: deque[list[FrameResult]]() for i in self._hindsight}
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
 
@@ -86,7 +86,7 @@ class SideBySide:
         """Yield the results in the log's order, each when it is final.
 
         An exception of `frames`, also Ctrl-C, is raised after the results of all frames before it.
-        After one in the stages, `waiting` yields the results that still wait.
+        After one in the stages, `waiting` yields what waits, and what was yielded last once more.
         """
         cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
         broken: list[BaseException] = []
@@ -117,23 +117,28 @@ class SideBySide:
         if tracked:
             of_each = zip(self._recognisers.values(), zip(*tracked, strict=True), strict=True)
             found = [recogniser.stage3(frames) for recogniser, frames in of_each]
-            for of_frame in zip(*found, strict=True):
-                by_recogniser = dict(zip(self._recognisers, of_frame, strict=True))
-                self._found.append(self._of_each(by_recogniser))
-        while self._found:
-            self._pending.append(self._found.popleft())
+            new = [self._of_each(of_frame) for of_frame in zip(*found, strict=True)]
+            self._pending.extend(new)
+            self._unlearned += len(new)
+        while self._unlearned:
+            results = self._pending[-self._unlearned]
+            self._unlearned -= 1
             for i, hindsight in self._hindsight.items():
-                hindsight.learn(self._pending[-1][i])
+                hindsight.learn(results[i])
+                self._unrevised[i].append(results)
                 # Each at its own lag, so that a preset's results do not depend on the others.
-                if len(self._pending) > hindsight.lag:
-                    results = self._pending[-1 - hindsight.lag]
-                    results[i] = hindsight.revised(results[i])
-            if len(self._pending) > self._lag:
-                yield self._final()
+                self._revise(i, hindsight.lag)
+            yield from self._out(self._lag + self._unlearned)
 
-    def _of_each(self, found: Mapping[int, FrameResult]) -> list[FrameResult]:
-        """One frame's results, one for each configuration. found: by the recogniser's index."""
-        results = []
+    def _revise(self, i: int, most: int) -> None:
+        """Revise the oldest results by a hindsight until at most so many wait for it."""
+        while len(self._unrevised[i]) > most:
+            results = self._unrevised[i].popleft()
+            results[i] = self._hindsight[i].revised(results[i])
+
+    def _of_each(self, of_recognisers: Sequence[FrameResult]) -> list[FrameResult]:
+        """One frame's results, one for each configuration."""
+        found, results = dict(zip(self._recognisers, of_recognisers, strict=True)), []
         for i, recogniser in enumerate(self._recogniser_of):
             result = found[recogniser]
             if i != recogniser:
@@ -149,10 +154,8 @@ class SideBySide:
         for i, hindsight in self._hindsight.items():
             if hindsight.look is not None:
                 hindsight.look.finish()
-            for results in [*self._pending][-hindsight.lag :]:
-                results[i] = hindsight.revised(results[i])
-        while self._pending:
-            yield self._final()
+            self._revise(i, 0)
+        yield from self._out(0)
 
     def tell(self, diagnostics: Diagnostics) -> None:
         """Report what is wrong with the poses of the frames so far."""
@@ -161,19 +164,19 @@ class SideBySide:
 
     @property
     def restored(self) -> tuple[float, float]:
-        """Shares of the fan's pixels that are static, and of the frames so far that are saturated;
-        these were restored before stage 1."""
+        """Shares of static pixels, and of saturated frames so far; restored before stage 1."""
         return self._unchanging.share, self._levels.saturated / max(self._levels.seen, 1)
 
-    def _final(self) -> FrameResult:
-        """The results of the oldest frame that waits, as one result."""
-        results = self._pending[0]
-        self._pending.popleft()  # a statement of its own: Ctrl-C must not lose the results
-        return replace(
-            results[0],
-            estimates=tuple(e for r in results for e in r.estimates),
-            motion=next((r.motion for r in results if r.motion is not None), None),
-        )
+    def _out(self, most: int) -> Iterator[FrameResult]:
+        """Yield the results of the oldest frames, each as one, until at most so many wait."""
+        while len(self._pending) > most:
+            results = self._pending[0]
+            yield replace(
+                results[0],
+                estimates=tuple(e for r in results for e in r.estimates),
+                motion=next((r.motion for r in results if r.motion is not None), None),
+            )
+            self._pending.popleft()  # now it has arrived
 
 
 def _until_broken(frames: Iterable[Frame], broken: list[BaseException]) -> Iterator[Frame]:
