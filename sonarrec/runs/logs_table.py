@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
+from threading import Timer
 from time import monotonic
 from typing import Any
 
@@ -42,8 +43,9 @@ COLUMNS = tuple(f.name for f in fields(Row))
 class LogsTable:
     """The rows of one call's logs, kept in OUT/logs.csv with those of other calls.
 
-    The file is replaced as a whole, at most every WRITE_EVERY_S. Calls that write into one OUT at
-    the same time, such as those of --shard, take turns and keep each other's rows.
+    The file is replaced as a whole, at most every WRITE_EVERY_S, and so long after a log's end at
+    the latest. Calls that write into one OUT at the same time, such as those of --shard, take turns
+    and keep each other's rows.
     """
 
     def __init__(self, out: Path, tasks: Sequence[Task], *, alone: bool = False) -> None:
@@ -57,6 +59,7 @@ class LogsTable:
             self._seconds = {row.log: row.seconds for row in before if row.status in USABLE}
         self._run_elsewhere: set[str] = set()  # logs that another call is running
         self._written_at_s = -math.inf
+        self._later = Timer(WRITE_EVERY_S, self.write)
         self.fault: str | None = None  # why the file could not be written
 
     @property
@@ -82,6 +85,10 @@ class LogsTable:
             self._rows[i] = replace(self._rows[i], status="running", frames=event[0])
         if monotonic() >= self._written_at_s + WRITE_EVERY_S:
             self.write()
+        elif isinstance(event, Outcome):  # the next event may be hours away
+            self._later.cancel()
+            self._later = Timer(WRITE_EVERY_S, self.write)
+            self._later.start()
 
     def stopped(self) -> None:
         """The call was stopped: running logs become waiting, with their frames so far."""
@@ -95,6 +102,7 @@ class LogsTable:
 
     def write(self) -> None:
         """Write the rows as they are now; `fault` says if that failed."""
+        self._later.cancel()
         self.fault, self._written_at_s = None, monotonic()
         if self._alone and not (self._rows[0].frames or self._rows[0].status == "done"):
             return

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, suppress
 from functools import partial
-from itertools import count
 from pathlib import Path
 from tempfile import TemporaryFile
 from threading import Lock, Timer
@@ -24,7 +23,7 @@ from typing import IO
 
 from sonarrec.errors import SonarrecError
 from sonarrec.nouns import FrameResult
-from sonarrec.runs.one import GRACE_S, Event, Outcome, Task, run_task
+from sonarrec.runs.one import GRACE_S, Event, Observe, Outcome, Task, run_task
 
 # The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the
 # cores, and OpenCV's threads would only compete.
@@ -41,13 +40,9 @@ Watch = Callable[[int | None, Event], object]
 def run_here(tasks: Sequence[Task], watch: Watch) -> None:
     """Run tasks one after the other in this process."""
     for i, task in enumerate(tasks):
-        done = count(1)
-
-        def observe(_: FrameResult, total: int | None, i: int = i, done: count[int] = done) -> None:
-            watch(i, (next(done), total))
-
-        watch(i, (0, None))
-        watch(i, run_task(task, observe, partial(watch, i)))
+        tell = partial(watch, i)
+        tell((0, None))
+        tell(run_task(task, _progress(tell), tell))
 
 
 def run_apart(tasks: Sequence[Task], jobs: int, watch: Watch) -> None:
@@ -77,6 +72,20 @@ def run_apart(tasks: Sequence[Task], jobs: int, watch: Watch) -> None:
             threads.shutdown(wait=False, cancel_futures=True)
             processes.stop()
             raise
+
+
+def _progress(tell: Callable[[Event], object]) -> Observe:
+    """Tells at times how many frames of a log are done, and of how many."""
+    frames, told_s = 0, 0.0
+
+    def observe(_: FrameResult, total: int | None) -> None:
+        nonlocal frames, told_s
+        frames += 1
+        if monotonic() > told_s + _REPORT_EVERY_S:
+            told_s = monotonic()
+            tell((frames, total))
+
+    return observe
 
 
 class Processes:
@@ -183,24 +192,15 @@ def main() -> None:
     os.dup2(2, 1)  # what a library prints must not mix with the pickles
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C on the terminal; the parent sends SIGTERM
     signal.signal(signal.SIGTERM, _stop)
-    frames, last = 0, 0.0  # of this task; when they were sent
 
     def send(event: Event) -> None:
         pickle.dump(event, pipe)
         pipe.flush()
 
-    def observe(_: FrameResult, total: int | None) -> None:
-        nonlocal frames, last
-        frames += 1
-        if monotonic() > last + _REPORT_EVERY_S:
-            last = monotonic()
-            send((frames, total))
-
     try:
         while (task := _next_task()) is not None:
-            frames = 0
             try:
-                outcome = run_task(task, observe, begun=send)
+                outcome = run_task(task, _progress(send), send)
             except MemoryError:
                 outcome = Outcome("failed", error=SonarrecError(f"{task.path}: not enough memory"))
             send(outcome)

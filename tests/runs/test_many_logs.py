@@ -171,6 +171,13 @@ def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Pat
     assert rows(tmp_path)["a"]["status"] == "done"
 
 
+def test_a_log_that_ended_is_told_though_nothing_happens_after(tmp_path: Path) -> None:
+    table = LogsTable(tmp_path, [Task(n, n, "out", LogOptions(), RunOptions([])) for n in "ab"])
+    table.write()
+    table.add(0, Outcome("done"))  # within the second in which the file is not written again
+    until(lambda: rows(tmp_path)["a"]["status"] == "done")
+
+
 def test_a_log_that_cannot_be_found_has_a_row_of_its_own(tmp_path: Path) -> None:
     """Under the name that its results will have: they are the others' names, too."""
     (log,) = made(tmp_path, "day1/dive", frames=1)
