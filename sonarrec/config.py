@@ -342,11 +342,6 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
     return config
 
 
-def setting_names() -> list[str]:
-    """Every setting as --set names it: "features.declare"."""
-    return [f"{section}.{f.name}" for section, kind in SECTIONS.items() for f in fields(kind)]
-
-
 def _plain(value: str) -> float | str:
     """The value of a text that is not TOML: a number such as .5, or a name without quotes."""
     try:

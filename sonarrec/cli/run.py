@@ -102,8 +102,7 @@ class _FolderOrUrl(click.Path):
 @in_batch(
     "--scheduler",
     metavar="ADDRESS",
-    help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help "
-    "cluster.",
+    help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help run.",
 )
 @options.quiet
 # Long by its options and its help.

@@ -69,11 +69,14 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def until(true: Callable[[], bool], running: subprocess.Popen[bytes] | None = None) -> None:
-    """Wait for what must come true, while a process runs if one is given."""
+    """Wait for what must come true, while a process runs if one is given; else that is killed."""
     limit = time.monotonic() + 300
     while not true():
-        assert time.monotonic() < limit, "never came true"
-        assert running is None or running.poll() is None, "ended before it came true"
+        ended, late = running is not None and running.poll() is not None, time.monotonic() > limit
+        if running is not None and late:
+            running.kill()
+        assert not late, "never came true"
+        assert not ended, "ended before it came true"
         time.sleep(0.02)
 
 
