@@ -19,7 +19,17 @@ from sonarrec.runs import cluster as cluster_module
 from sonarrec.runs.cluster import run_on_cluster
 from sonarrec.runs.one import Outcome, Task
 from sonarrec.runs.prepare import RunOptions
-from tests.support.batch import SAMPLE, answers, command, environment, made, rows, tables, until
+from tests.support.batch import (
+    SAMPLE,
+    answers,
+    command,
+    ended,
+    environment,
+    made,
+    rows,
+    tables,
+    until,
+)
 from tests.support.command import sonarrec
 
 
@@ -91,7 +101,8 @@ def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
         until(lambda: (out / "logs.csv").is_file() and rows(out)["a"]["status"] == "done", running)
         os.killpg(scheduler.pid, signal.SIGKILL)
         said = running.communicate(timeout=300)[1].decode().splitlines()
-    (tmp_path / "slow.go").touch()  # else its process stays
+    (tmp_path / "slow.go").touch()  # its process ends, too
+    until(lambda: ended(tmp_path / "slow"))
     assert running.returncode == 3
     *lost, count = [line for line in said if ": note: " not in line]
     assert f"sonarrec: {logs[1]}: the scheduler gave up on it (cancelled)" in lost
