@@ -97,6 +97,7 @@ def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
     out = tmp_path / "out"
     call = command("run", *logs, "--scheduler", address, "-o", out, "-q")
     with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
+        until((tmp_path / "slow.waits").is_file, running)
         # The table is written though no other log ends after this one.
         until(lambda: (out / "logs.csv").is_file() and rows(out)["a"]["status"] == "done", running)
         os.killpg(scheduler.pid, signal.SIGKILL)
