@@ -99,9 +99,9 @@ class Sonar:
         if low is None or high is None or tilt is None or view is None:
             missing = self.missing()
             raise SonarrecError(
-                f"{where}: sonar geometry lacks {', '.join(missing)}; write a sonar.toml beside "
-                "the log (`sonarrec info LOG --write-sonar FILE` begins it), or give `run` options "
-                f"such as --{missing[0].replace('_', '-')}"
+                f"{where}: sonar geometry lacks {', '.join(missing)}; complete the log's "
+                "sonar.toml (`sonarrec info LOG --write-sonar FILE` begins one), or give `run` "
+                f"options such as --{missing[0].replace('_', '-')}"
             )
         wrong = self.contradiction()
         if wrong is not None:

@@ -207,9 +207,12 @@ def test_an_unknown_page_names_the_known_ones() -> None:
 
 
 def test_pages_named_in_the_documentation_exist() -> None:
-    for document in DOCUMENTS:
-        for page in re.findall(r"sonarrec help ([a-z]+)", document.read_text(encoding="utf-8")):
-            assert page in PAGES, f"{document.name}: {page}"
+    texts = {document.name: document.read_text(encoding="utf-8") for document in DOCUMENTS}
+    for name in COMMANDS:
+        texts[name] = CliRunner().invoke(main, [*name.split(), "--help"]).stdout
+    for name, text in texts.items():
+        for page in re.findall(r"(?:sonarrec|see) help\s+([a-z]+)", text):
+            assert page in PAGES, f"{name}: {page}"
 
 
 def test_files_named_in_the_readme_exist() -> None:

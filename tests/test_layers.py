@@ -44,7 +44,7 @@ MOST_LINES = {
     "recogniser": 6413,
     "reports": 1521,
     "results": 1700,
-    "runs": 1504,
+    "runs": 1506,
     "simulation": 2468,
     "tables": 804,
     "truth": 1060,

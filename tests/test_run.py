@@ -72,8 +72,8 @@ def test_the_readme_commands(work: Path) -> None:
     told = sonarrec("run", "pan.mcap")
     assert "128 frames" in told.stdout
     assert told.stderr == (
-        "sonarrec: pan: geometry 1.25 to 3.75 m, 28.8 deg wide, tilt 20 deg, height 0.68 m "
-        "(pan.sonar.toml); landmarks basin (built in)\n"
+        "sonarrec: pan: geometry 1.25 to 3.75 m, 28.8 deg wide, far range on top, tilt 20 deg, "
+        "height 0.68 m (topic /sonar/image, pan.sonar.toml); landmarks basin (built in)\n"
     )
     results = work / "sonarrec_out" / "pan"
     assert len(table(results / "frames.csv")) == 128

@@ -307,5 +307,8 @@ def _sonar_lines(images: Images) -> Iterator[str]:
         by_log = images.origins.get(key) in ("message", "header")
         yield f"# {key}: the log states it" if by_log else f"{key} = {json.dumps(value)}"
     for key in images.lacks:
-        or_height = " (or height_m)" if key == "tilt_deg" else ""
-        yield f"# {key} =  # missing{or_height}: {options.GEOMETRY_TEXTS[key]}"
+        yield f"# {key} =  # missing: {options.GEOMETRY_TEXTS[key]}"
+    if "tilt_deg" in images.lacks:
+        yield f"# height_m =  # in place of tilt_deg, or both: {options.GEOMETRY_TEXTS['height_m']}"
+    if images.usable and images.start_ns is None and "frame_rate_hz" not in stated:
+        yield "# frame_rate_hz =  # frames carry no time; without it 1 Hz is assumed"

@@ -55,7 +55,7 @@ def _other_reading(log: Matched, claims: IntArray, rows: IntArray, ends_m: float
     range_m, bearing_deg = polar_from_plane(position)
     readings = {
         "with the sign of their bearings turned": (frame, position * (-1, 1)),
-        "with ranges from the far end": (frame, plane_from_polar(ends_m - range_m, bearing_deg)),
+        "with the other --range-order": (frame, plane_from_polar(ends_m - range_m, bearing_deg)),
         "with bearings in radians": (frame, plane_from_polar(range_m, np.degrees(bearing_deg))),
     }
     for shift in range(1, MOST_SHIFT + 1):

@@ -74,14 +74,14 @@ def run_apart(tasks: Sequence[Task], jobs: int, watch: Watch) -> None:
             raise
 
 
-def _progress(tell: Callable[[Event], object]) -> Observe:
-    """Tells at times how many frames of a log are done, and of how many."""
+def _progress(tell: Callable[[Event], object], every_s: float = 0.0) -> Observe:
+    """Tells how many frames of a log are done, and of how many."""
     frames, told_s = 0, 0.0
 
     def observe(_: FrameResult, total: int | None) -> None:
         nonlocal frames, told_s
         frames += 1
-        if monotonic() > told_s + _REPORT_EVERY_S:
+        if monotonic() >= told_s + every_s:
             told_s = monotonic()
             tell((frames, total))
 
@@ -200,7 +200,7 @@ def main() -> None:
     try:
         while (task := _next_task()) is not None:
             try:
-                outcome = run_task(task, _progress(send), send)
+                outcome = run_task(task, _progress(send, _REPORT_EVERY_S), send)
             except MemoryError:
                 outcome = Outcome("failed", error=SonarrecError(f"{task.path}: not enough memory"))
             send(outcome)

@@ -152,11 +152,12 @@ def _to_check(job: PreparedRun) -> list[str]:
     """What may be wrong where nothing is recognised, the likeliest first."""
     path, order = job.log.path, "near" if job.log.sonar.layout == "fan" else "far"
     wide = f"{disc_width_px(job.fan, job.landmarks):.0f} px wide here"
+    topic = f"topic (`sonarrec info {path}` has all), " * ("topic" in job.log.reading())
     return [
-        f"{path}: no landmark declared; check range order (`run --range-order {order}_first`) and "
-        f"geometry (`sonarrec info {path} --preview FILE.png`)",
-        f"{path}: then landmark set and size (`sonarrec landmarks`; a disc of {job.landmarks.name} "
-        f"is {wide}) and level (`run --pixel-scale log`)",
+        f"{path}: no landmark declared; check {topic}range order (`run --range-order "
+        f"{order}_first`) and geometry (`sonarrec info {path} --preview FILE.png`)",
+        f"{path}: then landmark set and size (`sonarrec landmarks`; one of {job.landmarks.name} is "
+        f"{wide}) and level (`run --pixel-scale log`)",
     ]
 
 

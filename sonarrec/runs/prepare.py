@@ -203,15 +203,16 @@ def chosen_landmarks(
 
 def _geometry(log: Log, fan: Fan, source: Source, given: LogOptions, earlier: RunFile) -> str:
     """The geometry that a run goes by, in words. given: the options of the command alone."""
-    again, file = earlier.sonar(), given.sonar_file or source.beside(SONAR_FILE)
-    origins = ["options"] if given.sonar != Sonar() else []
-    if not given.sonar_file and again != Sonar():
-        origins.append(str(earlier.path))
-    elif file is not None:
-        origins.append(str(file))
+    topic, file = log.reading().get("topic"), given.sonar_file or source.beside(SONAR_FILE)
+    if not given.sonar_file and earlier.sonar() != Sonar():
+        file = earlier.path
+    origins = [f"topic {topic}"] * (topic is not None) + ["options"] * (given.sonar != Sonar())
+    origins += [str(file)] * (file is not None)
+    top = log.sonar.range_order or ("near_first" if log.sonar.layout == "polar" else "far_first")
     parts = (
         f"geometry {fan.range_min_m:.4g} to {fan.range_max_m:.4g} m",
         f"{fan.bearing_max_deg - fan.bearing_min_deg:.4g} deg wide",
+        f"{top.removesuffix('_first')} range on top",
         f"tilt {fan.tilt_deg:.4g} deg" + " assumed" * (log.sonar.tilt_deg is None),
         f"height {floor_depth(fan):.3g} m" + " assumed" * (fan.height_m is None),
     )

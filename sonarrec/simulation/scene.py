@@ -369,13 +369,13 @@ def load_scene(source: str | Path) -> AnyScene:
 
 def scene_from_table(table: Mapping[str, Any], where: str) -> AnyScene:
     """A scene from the keys of its TOML. Raises SonarrecError, which begins with `where`."""
-    plates, values = table.get("kind") == "plates", dict(table)
-    if plates:
-        del values["kind"]
+    plates = table.get("kind") == "plates"
+    values = {key: value for key, value in table.items() if key != "kind" or not plates}
     for key in {"landmark_set", "others"} & set(values):
         values[key] = chosen = _landmark_set(values[key], where)
         if isinstance(chosen, DrawnSet) != plates:
-            raise SonarrecError(f'{where}: {key}: drawn plates and kind = "plates" go together')
+            needed = "[[landmark]] and no kind" if plates else 'kind = "plates" and [[plate]]'
+            raise SonarrecError(f"{where}: {key} {chosen.name}: a scene of it has {needed}")
     kind: type[Any] = PlateScene if plates else Scene
     scene: AnyScene = from_table(kind, values, where)
     fault = _fault(scene)

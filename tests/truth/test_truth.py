@@ -239,7 +239,7 @@ def test_a_log_read_from_the_wrong_end_is_told(tmp_path: Path) -> None:
         truth.append(f"{row['frame']},{row['landmark']},{range_m},{row['bearing_deg']}")
     (tmp_path / "gt.csv").write_text("\n".join(truth))
     call = "evaluate", tmp_path / "pan", "--ground-truth", tmp_path / "gt.csv"
-    assert "better with ranges from the far end" in sonarrec(*call, code=3).stderr
+    assert "better with the other --range-order" in sonarrec(*call, code=3).stderr
 
 
 def test_rows_of_other_logs_are_told_where_one_log_is_scored(case: Path) -> None:

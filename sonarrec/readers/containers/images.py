@@ -167,7 +167,7 @@ class ImageFiles(RawLog):
         for path in sorted(self.files[0].parent.glob("*.[tc][xs][tv]")):
             with suppress(OSError), path.open("rb") as file:
                 more = sum(1 for _ in file) - len(self.files)
-                if more in (0, 1) and not path.name.endswith(("poses.csv", "gt.csv")):
+                if more in (0, 1) and not path.stem.endswith(("poses", "gt", "corners")):
                     return path
         return None
 

@@ -93,5 +93,5 @@ def _held(log: Recording) -> str:
     faults = [fault.removeprefix(f"{log.path.name}: ") for fault in log.diagnostics.faults]
     more = f" and {len(held) - MOST_NAMED} more" if len(held) > MOST_NAMED else ""
     holds = f"it holds {', '.join(held[:MOST_NAMED]) or 'no channel'}{more}"
-    help_ = "; `sonarrec help formats` lists the types of messages that are read" if held else ""
-    return f"{'; '.join([*faults[:1], holds])}{help_}"
+    help_ = "; `sonarrec help formats` has the types that are read, and what to do with others"
+    return f"{'; '.join([*faults[:1], holds])}{help_ if held else ''}"
