@@ -211,8 +211,8 @@ def test_pages_named_in_the_documentation_exist() -> None:
     for name in COMMANDS:
         texts[name] = CliRunner().invoke(main, [*name.split(), "--help"]).stdout
     for name, text in texts.items():
-        for page in re.findall(r"(?:sonarrec|see) help\s+([a-z]+)", text):
-            assert page in PAGES, f"{name}: {page}"
+        for page in re.findall(r"sonarrec help ([a-z]+)|see help\s+([a-z]+)", text):
+            assert "".join(page) in PAGES, f"{name}: {page}"
 
 
 def test_files_named_in_the_readme_exist() -> None:
