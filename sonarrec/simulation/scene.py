@@ -168,8 +168,7 @@ class FadingSection:
     specular_db: Spread = 2.5  # how much brighter ring edges that face the sonar are
     frame_probability: Share = 0.01  # of a frame that fades alone
     burst_probability: Share = 0.0  # of a burst of fading frames to begin
-    # Mean length of a burst, beside its first frame; at least 1.
-    burst_frames: Annotated[float, bounds(0, 1e9)] = 6.0
+    burst_frames: Annotated[float, bounds(0, 1e9)] = 6.0  # mean length, beside its first frame
     depth_db: Spread = 8.0  # mean loss of a fading frame
     ghost_db: Level = -16.0  # an object's blurred afterglow, below its own brightness
     ghost_shift_m: Finite = 0.10  # in range
@@ -398,13 +397,14 @@ def _landmark_set(listed: Any, where: str) -> LandmarkSet:
 def _fault(scene: AnyScene) -> str | None:
     """How values of a scene contradict each other; None if they do not."""
     if isinstance(scene, PlateScene):
-        for plate in scene.plate:
-            family = scene.landmark_set if plate.known else scene.others
-            if family is None or plate.landmark not in family.ids:
-                of = "landmark_set" if plate.known else "others"
-                return f"there is no ID {plate.landmark} in {of}"
         if scene.range_min_m >= scene.range_max_m or not (scene.beams and scene.bins):
             return "range_min_m must be below range_max_m, beams and bins be some"
+        for plate in scene.plate:
+            of = "landmark_set" if plate.known else "others"
+            if plate.landmark not in getattr(getattr(scene, of), "ids", ()):
+                return f"there is no ID {plate.landmark} in {of}"
+            if not scene.range_min_m < plate.range_m < scene.range_max_m:
+                return f"ID {plate.landmark}: range_m = {plate.range_m:g} is outside of the window"
         return None
     sonar, motion, discs = scene.sonar, scene.motion, scene.landmark_set
     wrong = scene_sonar(scene).contradiction()

@@ -96,6 +96,7 @@ def test_a_recording_is_written_with_its_truth(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ('landmark_set = "basin"', "no kind"),
+        ("[[plate]]\nlandmark = 0\nrange_m = 2.0", "outside of the window"),
         ("[[plate]]\nlandmark = 9", "no ID 9 in landmark_set"),
         ("[[plate]]\nlandmark = 0\nknown = false", "no ID 0 in others"),
         ("range_min_m = 3.0", "range_min_m"),
