@@ -54,10 +54,11 @@ def test_the_page_s_code_runs_in_order(
     for name in ("pan.mcap", "pan.sonar.toml", "pan.gt.csv"):
         (tmp_path / "sample_data").mkdir(exist_ok=True)
         shutil.copy(SAMPLE.parent / name, tmp_path / "sample_data" / name)
+    shutil.copytree(SAMPLE.parent / "polar", tmp_path / "sample_data" / "polar")
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "sonarrec" / "help" / "python.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     names: dict[str, Any] = {}
     for block in blocks:
         exec(compile(block, "python.md", "exec"), names)

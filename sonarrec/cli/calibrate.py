@@ -45,7 +45,9 @@ def calibrate(
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """
     from sonarrec.learning.calibrate import learn
+    from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import LogOptions, read_run
+    from sonarrec.runs.prepare import chosen_landmarks
     from sonarrec.tables.outputs import check_output, write_text, writing
 
     check_output(out, "model", [*log, ground_truth])
@@ -53,15 +55,9 @@ def calibrate(
     # As in `run`, a run.toml also gives the landmark set and the geometry.
     earlier = read_run(settings.config_file)
     log_options = earlier.complete(LogOptions(**reading), same_log=False)
+    chosen, _ = chosen_landmarks(find_log(log[0]), landmarks, earlier)
     with progress(quiet) as step:
-        report = learn(
-            log,
-            ground_truth,
-            config,
-            earlier.landmark_set(landmarks),
-            log_options,
-            observe=step,
-        )
+        report = learn(log, ground_truth, config, chosen, log_options, observe=step)
     with writing(out):
         write_text(out, report.as_toml())
     lines = [*report.summary, f"{out}: model, for `sonarrec run --model`"]

@@ -27,7 +27,7 @@ from sonarrec.errors import UsageError, number_of
     metavar="DEG",
     type=FiniteRange(0, 30),
     default=0.6,
-    help="Width of a beam between half-power points, deg; `sonarrec run` tells that of a log.",
+    help="Width of a beam between half-power points, deg; run.toml has that of a log.",
 )
 @options.out(
     NEW_FILE,

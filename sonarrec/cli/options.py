@@ -335,7 +335,7 @@ _SETTINGS = {
         "--preset",
         metavar="NAME[,NAME]",
         help="default (frame by frame), offline (results are revised by what the log shows later) "
-        "or paper (every rule as published). `sonarrec run` takes several.",
+        "or paper (every rule as published). `run` and `check` take several.",
     ),
     "config_file": in_settings(
         "--config config_file",

@@ -134,8 +134,8 @@ def run(
     height. Several logs are processed in parallel; one that cannot be used does not stop the
     others. LOG and OUT may be on a server (`sonarrec help run`).
 
-    Logs whose results are up to date are skipped; other results are replaced when the new ones are
-    finished. A run that is stopped leaves its results so far in OUT/<log name>.part.
+    Logs whose results are up to date are skipped; results of other settings are replaced when the
+    new ones are finished. A run that is stopped leaves its results so far in OUT/<log name>.part.
 
     \b
     Examples:

@@ -236,7 +236,7 @@ def _find(path: Path, up_to: Path | None) -> Source:
         raise SonarrecError(f"{path}: a link to a file that is not there")
     else:
         server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
-        only = "; from servers only run, info, evaluate and report read" if server else ""
+        only = "; only `run` reads from servers" if server else ""
         raise MissingError(f"{path}: no such file or folder{only}")
     return Source(path, results_name(name), files, reader, Diagnostics(path), up_to)
 

@@ -77,7 +77,7 @@ def count(seed: int) -> np.ndarray:
     are whole in view and claimed, whole in view, claimed falsely, not there."""
     scene = random_scene(seed, sixteen(), LEAST_DB, FRAMES, TILT_DEG)
     counted = np.zeros(4, int)
-    stages, frames = stages_of(scene)
+    stages, _, frames = stages_of(scene)
     for shot, frame in frames:
         claims = [e for e in stages.step(frame).estimates if e.declared]
         for number in scene.landmark_set.ids:

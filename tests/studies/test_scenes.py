@@ -13,7 +13,7 @@ from sonarrec.evaluation.curves import Count
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
-from tests.studies import baseline, scenes
+from tests.studies import baseline, plates, scenes
 from tests.support.command import sonarrec
 from tests.support.rows import read_rows
 from tests.support.simulated import METHODS, PRESETS, Job, recognise
@@ -85,3 +85,11 @@ def test_intervals_over_recordings_are_those_of_all_that_may_be_drawn() -> None:
     tpr, fpr = scenes.intervals([none, none], "default")
     assert np.isnan(tpr).all()
     assert fpr == (0.1, 0.1)
+
+
+def test_the_study_of_plates_counts_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plates, "FRAMES", 8)
+    claimed, whole, wrong, absent = plates.count(plates.REPORTED[0])
+    assert 0 <= claimed <= whole
+    assert 0 <= wrong <= absent
+    assert 0 < whole < absent <= 8 * plates.IDS
