@@ -199,7 +199,7 @@ def test_a_second_call_does_what_failed_or_was_partly_read(tmp_path: Path) -> No
     logs = made(tmp_path, "a", "cut", "dies", frames=3)
     (logs[1] / "000001.png").write_bytes(b"not an image")
     out = tmp_path / "out"
-    call = ["run", *logs, "-o", out]
+    call = ["run", *logs, "-o", out, "-j", "2"]  # on one core, too
     first = subprocess.run(
         command(*call), env=environment(tmp_path), capture_output=True, text=True
     )
