@@ -33,7 +33,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2575,
+    "cli": 2576,
     "drawing": 670,
     "evaluation": 3459,
     "geometry": 415,

@@ -105,13 +105,14 @@ def check(
             if not update:
                 again = f"`sonarrec check {file} --update` records the results anew"
                 raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
-            _compare(one, logs, folder, folder)  # raises if the truth cannot be used
+            unused = _compare(one, logs, folder, folder).unused  # raises if no truth can be used
+            tell(unused)
+            partial = partial or bool(unused)
         else:
             judged = _judge(one, compared, limits)
             _print(judged, compared, out, quiet)
-            if not update:
-                partial = partial or bool(new or compared.unused)
-                worse = judged.faults
+            partial = partial or bool(compared.unused or (new and not update))
+            worse = () if update else judged.faults
         if update:
             _update(one, logs, folder, quiet)
     if code := WORSE if worse else PARTLY if partial else 0:

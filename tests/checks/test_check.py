@@ -92,6 +92,13 @@ def test_the_record_is_the_same_wherever_it_is_made(
 
 
 @pytest.mark.slow
+def test_a_truth_in_doubt_is_told_as_it_is_recorded_too() -> None:
+    shutil.copy(SAMPLES / "pan.gt.csv", "faint/gt.csv")
+    for _ in range(2):  # the first and a later record
+        told = sonarrec("check", "--update", "-q", code=3).stderr
+        assert "faint/gt.csv: none of the" in told
+
+
 def test_limits_replace_those_of_the_file() -> None:
     FILE.write_text("least_tpr = { framework = 0.9, smi = 0.01 }\n" + FILE.read_text())
     sonarrec("check", "--update", "-q")

@@ -225,3 +225,13 @@ def test_a_marked_png_is_the_same_picture() -> None:
     data = with_mark(cv2.imencode(".png", picture)[1].tobytes())
     read = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(read, picture)
+
+
+def test_a_folder_that_cannot_be_written_to_is_a_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("ro").mkdir()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    done = sonarrec("landmarks basin -o ro/x.png")
+    assert (done.exit_code, "nothing can be written in ro" in done.stderr) == (1, True)
