@@ -99,6 +99,7 @@ def test_a_truth_in_doubt_is_told_as_it_is_recorded_too() -> None:
         assert "faint/gt.csv: none of the" in told
 
 
+@pytest.mark.slow
 def test_limits_replace_those_of_the_file() -> None:
     FILE.write_text("least_tpr = { framework = 0.9, smi = 0.01 }\n" + FILE.read_text())
     sonarrec("check", "--update", "-q")
