@@ -404,7 +404,7 @@ def _sentence(
         parts.append(f"worse on {len(names)} of {len(logs)} logs: {few}{more}")
     test = _larger(head.tpr, head.fpr)
     if head in totals and test.sign(None):
-        chance = "" if test.p <= SIGNIFICANT else ", so others may not show it"
+        chance = "" if test.p <= SIGNIFICANT else ": other recordings may not show it"
         tested = f"p = {test.p:.2g} over {units_text(found.after.units)}{chance}"
         parts.append(test.note if math.isnan(test.p) else tested)
     return "; ".join([*parts, *broken])

@@ -43,9 +43,9 @@ COLUMNS = tuple(f.name for f in fields(Row))
 class LogsTable:
     """The rows of one call's logs, kept in OUT/logs.csv with those of other calls.
 
-    The file is replaced as a whole, at most every WRITE_EVERY_S, and so long after a log's end at
-    the latest. Calls that write into one OUT at the same time, such as those of --shard, take turns
-    and keep each other's rows.
+    The file is replaced as a whole, at most every WRITE_EVERY_S; the end of a log is in it after
+    that time at the latest. Calls that write into one OUT at the same time, such as those of
+    --shard, take turns and keep each other's rows.
     """
 
     def __init__(self, out: Path, tasks: Sequence[Task], *, alone: bool = False) -> None:

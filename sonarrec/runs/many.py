@@ -75,7 +75,7 @@ def run_apart(tasks: Sequence[Task], jobs: int, watch: Watch) -> None:
 
 
 def _progress(tell: Callable[[Event], object], every_s: float = 0.0) -> Observe:
-    """Tells how many frames of a log are done, and of how many."""
+    """Tells how many frames of a log are done, and of how many, at most every so many seconds."""
     frames, told_s = 0, 0.0
 
     def observe(_: FrameResult, total: int | None) -> None:

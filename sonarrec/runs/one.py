@@ -156,8 +156,8 @@ def _to_check(job: PreparedRun) -> list[str]:
     return [
         f"{path}: no landmark declared; check {topic}range order (`run --range-order "
         f"{order}_first`) and geometry (`sonarrec info {path} --preview FILE.png`)",
-        f"{path}: then landmark set and size (`sonarrec landmarks`; one of {job.landmarks.name} is "
-        f"{wide}) and level (`run --pixel-scale log`)",
+        f"{path}: then landmark set and size (`sonarrec landmarks`; a landmark of "
+        f"{job.landmarks.name} is {wide}) and level (`run --pixel-scale log`)",
     ]
 
 

@@ -326,5 +326,5 @@ def _outdated(out: Path, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         return ()
     older = [name for name in PAGES if (out / name).exists()]
     older += [name for name, made in MADE.items() if (out / name / made[-1]).is_file()]
-    text = f"{out}: of the earlier results are {', '.join(older)}; make them again"
+    text = f"{out}: older than the results: {', '.join(older)}; make them again"
     return (text,) if older else ()

@@ -168,7 +168,7 @@ class FadingSection:
     specular_db: Spread = 2.5  # how much brighter ring edges that face the sonar are
     frame_probability: Share = 0.01  # of a frame that fades alone
     burst_probability: Share = 0.0  # of a burst of fading frames to begin
-    burst_frames: Annotated[float, bounds(0, 1e9)] = 6.0  # mean length, beside its first frame
+    burst_frames: Annotated[float, bounds(0, 1e9)] = 6.0  # mean, without its first; at least 1
     depth_db: Spread = 8.0  # mean loss of a fading frame
     ghost_db: Level = -16.0  # an object's blurred afterglow, below its own brightness
     ghost_shift_m: Finite = 0.10  # in range
@@ -375,8 +375,7 @@ def scene_from_table(table: Mapping[str, Any], where: str) -> AnyScene:
         if isinstance(chosen, DrawnSet) != plates:
             needed = "[[landmark]] and no kind" if plates else 'kind = "plates" and [[plate]]'
             raise SonarrecError(f"{where}: {key} {chosen.name}: a scene of it has {needed}")
-    kind: type[Any] = PlateScene if plates else Scene
-    scene: AnyScene = from_table(kind, values, where)
+    scene: AnyScene = from_table(cast(Any, PlateScene if plates else Scene), values, where)
     fault = _fault(scene)
     if fault is not None:
         raise SonarrecError(f"{where}: {fault}")
@@ -401,7 +400,8 @@ def _fault(scene: AnyScene) -> str | None:
             return "range_min_m must be below range_max_m, beams and bins be some"
         for plate in scene.plate:
             of = "landmark_set" if plate.known else "others"
-            if plate.landmark not in getattr(getattr(scene, of), "ids", ()):
+            family: DrawnSet | None = getattr(scene, of)
+            if family is None or plate.landmark not in family.ids:
                 return f"there is no ID {plate.landmark} in {of}"
             if not scene.range_min_m < plate.range_m < scene.range_max_m:
                 return f"ID {plate.landmark}: range_m = {plate.range_m:g} is outside of the window"

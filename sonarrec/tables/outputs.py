@@ -67,7 +67,7 @@ def check_output(
         if not above.is_dir():
             raise UsageError(f"{path}: {above} is not a folder")
         if not os.access(above, os.W_OK | os.X_OK):
-            raise SonarrecError(f"{path}: nothing can be written in {above}")
+            raise SonarrecError(f"{path}: {above} may not be written to; write somewhere else")
         return
     if not path.is_dir() and not path.is_file():
         return  # a device, such as /dev/null

@@ -80,7 +80,7 @@ def test_a_verdict_tells_whether_it_may_be_chance(tmp_path: Path) -> None:
         return compare(old, new, gt).verdict
 
     rates = "TPR 1.0000 -> 0.3750 (m, strict) in out"
-    assert told(5) == (f"worse: {rates}; p = 0.062 over 8 passes, so others may not show it")
+    assert told(5) == (f"worse: {rates}; p = 0.062 over 8 passes: other recordings may not show it")
     assert told(6).endswith("; p = 0.031 over 8 passes")
     assert told(0) == "unchanged: TPR 1.0000, FPR 0.0000 (m, strict) in out"
 

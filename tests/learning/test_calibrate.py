@@ -140,6 +140,9 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkey
     stated = ("--sonar", geometry, "--landmarks", "mine.toml")
     sonarrec(*learning, *stated, "-o", "stated.toml", "-q")
     assert Path("by_run.toml").read_bytes() == Path("stated.toml").read_bytes()
+    Path("mine.toml").rename("pan/landmarks.toml")
+    sonarrec(*learning, "--sonar", geometry, "-o", "beside.toml", "-q")
+    assert Path("beside.toml").read_bytes() == Path("stated.toml").read_bytes()
 
 
 def test_rows_that_teach_nothing_are_told(tmp_path):

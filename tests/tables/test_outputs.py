@@ -234,4 +234,4 @@ def test_a_folder_that_cannot_be_written_to_is_a_failure(
     Path("ro").mkdir()
     monkeypatch.setattr(os, "access", lambda *_: False)
     done = sonarrec("landmarks basin -o ro/x.png")
-    assert (done.exit_code, "nothing can be written in ro" in done.stderr) == (1, True)
+    assert (done.exit_code, "ro may not be written to" in done.stderr) == (1, True)

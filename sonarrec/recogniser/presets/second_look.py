@@ -351,7 +351,7 @@ class SecondLook:
     def _join(
         self, estimates: list[Estimate], both: Sequence[tuple[int, _Disc]], pose: FloatArray
     ) -> None:
-        """Give tracks' estimates, here by index, the joint belief of the track and its look."""
+        """Give tracks the joint belief of track and look. both: index of an estimate, its disc."""
         of_tracks = np.stack([estimates[i].probabilities for i, _ in both])
         of_look = np.stack([disc.probabilities for _, disc in both])
         pool = np.maximum(of_tracks, LEAST_BELIEF) ** TRACK_EXPONENT

@@ -128,7 +128,7 @@ class SideBySide:
                 self._unrevised[i].append(results)
                 # Each at its own lag, so that a preset's results do not depend on the others.
                 self._revise(i, hindsight.lag)
-            yield from self._out(self._lag + self._unlearned)
+            yield from self._final(self._lag + self._unlearned)
 
     def _revise(self, i: int, most: int) -> None:
         """Revise the oldest results by a hindsight until at most so many wait for it."""
@@ -155,7 +155,7 @@ class SideBySide:
             if hindsight.look is not None:
                 hindsight.look.finish()
             self._revise(i, 0)
-        yield from self._out(0)
+        yield from self._final(0)
 
     def tell(self, diagnostics: Diagnostics) -> None:
         """Report what is wrong with the poses of the frames so far."""
@@ -167,7 +167,7 @@ class SideBySide:
         """Shares of static pixels, and of saturated frames so far; restored before stage 1."""
         return self._unchanging.share, self._levels.saturated / max(self._levels.seen, 1)
 
-    def _out(self, most: int) -> Iterator[FrameResult]:
+    def _final(self, most: int) -> Iterator[FrameResult]:
         """Yield the results of the oldest frames, each as one, until at most so many wait."""
         while len(self._pending) > most:
             results = self._pending[0]
