@@ -24,7 +24,7 @@ from sonarrec.errors import SonarrecError, UsageError, number_of
 if TYPE_CHECKING:
     from sonarrec.evaluation.check_file import Check, LogToRun
     from sonarrec.evaluation.compare import Comparison, Judgement, Limits
-    from sonarrec.runs.one import Task
+    from sonarrec.runs.job import Job
 
 
 @command(short_help="Run logs anew and compare with their results on record (for CI).")
@@ -97,7 +97,7 @@ def check(
         new_place, old_place = folder.resolve(), one.record.resolve()
         if new_place.is_relative_to(old_place) or old_place.is_relative_to(new_place):
             raise UsageError(f"{folder}: {one.record} has the results on record; write elsewhere")
-        logs, partial = _run(_tasks(one, logs, settings, folder), logs, jobs, quiet, update)
+        logs, partial = _run(_jobs(one, logs, settings, folder), logs, jobs, quiet, update)
         worse: Sequence[str] = ()
         try:
             compared = _compare(one, logs, one.record, folder)
@@ -119,12 +119,11 @@ def check(
         leave(code)
 
 
-def _tasks(
+def _jobs(
     one: Check, logs: Sequence[LogToRun], settings: options.SettingsChoice, out: Path
-) -> list[Task]:
-    """A task for each log. Settings of the command line change those of the file."""
-    from sonarrec.runs.one import Task
-    from sonarrec.runs.prepare import RunOptions
+) -> list[Job]:
+    """A job for each log. Settings of the command line change those of the file."""
+    from sonarrec.runs.job import Job, RunOptions
 
     file = one.file
     chosen = options.SettingsChoice(
@@ -137,12 +136,12 @@ def _tasks(
     run_options.check()
     # Anew in any case: it is the program that may have changed, not the settings.
     return [
-        Task(log.path, log.name, str(out), log.options, run_options, overwrite=True) for log in logs
+        Job(log.path, log.name, str(out), log.options, run_options, overwrite=True) for log in logs
     ]
 
 
 def _run(
-    tasks: list[Task], logs: Sequence[LogToRun], jobs: int | None, quiet: bool, all_needed: bool
+    to_run: list[Job], logs: Sequence[LogToRun], at_once: int | None, quiet: bool, all_needed: bool
 ) -> tuple[list[LogToRun], bool]:
     """Run the logs: those that have results now, and whether part of the input was not usable.
 
@@ -150,8 +149,8 @@ def _run(
     """
     from sonarrec.cli.run import exit_code, run_and_print
 
-    found = run_and_print(tasks, tasks[0].out, quiet=quiet, briefly=True, jobs=jobs)
-    done = [log for log, one in zip(logs, found.outcomes, strict=True) if one.summary is not None]
+    found = run_and_print(to_run, to_run[0].out, quiet=quiet, briefly=True, at_once=at_once)
+    done = [log for log, one in zip(logs, found.outcomes, strict=True) if one.error is None]
     code = exit_code(found.outcomes)
     if not done:
         leave(code)

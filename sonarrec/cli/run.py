@@ -46,7 +46,7 @@ from sonarrec.errors import (
 from sonarrec.nouns import date_text, is_date
 
 if TYPE_CHECKING:
-    from sonarrec.runs.one import Event, Outcome, Summary, Task
+    from sonarrec.runs.job import Event, Job, Outcome
     from sonarrec.runs.run import Runs
 
 MOST_FAILED = 10
@@ -150,8 +150,8 @@ def run(
     """
     from sonarrec.readers.poses import read_poses
     from sonarrec.results.run_file import LogOptions
-    from sonarrec.runs.prepare import RunOptions
-    from sonarrec.runs.run import tasks_of
+    from sonarrec.runs.job import RunOptions
+    from sonarrec.runs.run import jobs_of
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
@@ -163,22 +163,22 @@ def run(
     logs = options.named_logs(log, from_file, recursive)
     if odometry is not None and len(logs) > 1:
         read_poses(odometry)  # so that a fault is reported once, not for each log
-    tasks = tasks_of(logs, out, log_options, run_options, overwrite)
+    to_run = jobs_of(logs, out, log_options, run_options, overwrite)
     if shard is not None:
         i, _, n = shard.partition("/")
         if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
             raise UsageError(f"--shard {shard}: expected I/N with I from 1 to N, such as 2/8")
-        tasks = tasks[int(i) - 1 :: int(n)]
-    if not tasks:
+        to_run = to_run[int(i) - 1 :: int(n)]
+    if not to_run:
         inform("nothing to do")
         return
     if dry_run:
-        leave(_plan(tasks))
+        leave(_plan(to_run))
     done = run_and_print(
-        tasks,
+        to_run,
         out,
         quiet=quiet,
-        jobs=jobs,
+        at_once=jobs,
         scheduler=scheduler,
         alone=len(logs) == 1,
     )
@@ -186,19 +186,19 @@ def run(
 
 
 def run_and_print(
-    tasks: Sequence[Task], out: str | Path, *, quiet: bool, briefly: bool = False, **calling: Any
+    jobs: Sequence[Job], out: str | Path, *, quiet: bool, briefly: bool = False, **calling: Any
 ) -> Runs:
-    """Run the tasks, as `run_tasks` does, and print what becomes of them; leave if stopped.
+    """Run the jobs, as `run_jobs` does, and print what becomes of them; leave if stopped.
 
     quiet: only what is wrong, and notes. briefly: only what is wrong. Raises SonarrecError if a
     single log failed.
     """
-    from sonarrec.runs.run import run_tasks
+    from sonarrec.runs.run import run_jobs
 
-    several, frames = len(tasks) > 1, 0
-    folders = [] if is_url(out) else [Path(out, task.name) for task in tasks]
+    several, frames = len(jobs) > 1, 0
+    folders = [] if is_url(out) else [Path(out, job.name) for job in jobs]
     # A bar over the logs, or over the frames of the only one.
-    bar = (len(tasks), None, "log") if several else (None, tasks[0].name, "frame")
+    bar = (len(jobs), None, "log") if several else (None, jobs[0].name, "frame")
 
     with stoppable(folders), progress(quiet, *bar) as step:
 
@@ -213,13 +213,13 @@ def run_and_print(
                 step()
             with above_the_bar():
                 if not isinstance(event, str):
-                    _print_faults(event, tasks[i or 0], several)
+                    _print_faults(event, jobs[i or 0], several)
                 elif not (quiet or briefly):
-                    inform(event if i is None else f"{tasks[i].name}: {event}")
+                    inform(event if i is None else f"{jobs[i].name}: {event}")
 
-        done = run_tasks(tasks, out, watch, **calling)
+        done = run_jobs(jobs, out, watch, **calling)
     (error, *others) = (outcome.error for outcome in done.outcomes)
-    failed = [t.path for t, o in zip(tasks, done.outcomes, strict=True) if o.status == "failed"]
+    failed = [j.path for j, o in zip(jobs, done.outcomes, strict=True) if o.status == "failed"]
     if done.fault and not failed:
         tell([done.fault])  # else the disk is full, which was reported
     if error is not None and not others:
@@ -227,48 +227,46 @@ def run_and_print(
     if briefly:
         return done
     if not several and not quiet:
-        summary = done.outcomes[0].summary
-        assert summary is not None
-        say(*found_in(summary, done.outcomes[0].folder))
+        say(*found_in(done.outcomes[0], jobs[0].results))
     elif not quiet:
-        say(*_table(tasks, done.outcomes))
+        say(*_table(jobs, done.outcomes))
     if several and (failed or not quiet):
         counts = Counter(_in_words(outcome) for outcome in done.outcomes)
         line = ", ".join(f"{counts[how]} {how}" for how in HOW if counts[how])
         if failed:
             more = "; logs.csv lists them" if len(failed) > MOST_FAILED else ""
             line += more or f": {', '.join(failed)}"
-        elif (folder := done.outcomes[0].folder) and "/" in folder:
+        elif "/" in (folder := jobs[0].results):
             line += f", in {folder.rpartition('/')[0]}"
         click.echo(printable(line), err=bool(failed))
-    tell((), [*_notes(tasks, done.outcomes), *done.notes])
+    tell((), [*_notes(jobs, done.outcomes), *done.notes])
     return done
 
 
-def _print_faults(outcome: Outcome, task: Task, several: bool) -> None:
+def _print_faults(outcome: Outcome, job: Job, several: bool) -> None:
     """Print what is wrong with a log, as it ends."""
-    if outcome.fault:
-        click.echo(outcome.fault.rstrip(), err=True)
-    if outcome.summary is not None:
-        lines = outcome.summary.problems
-        tell([x if task.path in x or not several else f"{task.name}: {x}" for x in lines])
+    if outcome.traceback:
+        click.echo(outcome.traceback.rstrip(), err=True)
+    if outcome.error is None:
+        lines = outcome.problems
+        tell([x if job.path in x or not several else f"{job.name}: {x}" for x in lines])
     elif several:  # else it is raised
         tell([outcome.message])
 
 
-def _plan(tasks: Sequence[Task]) -> int:
+def _plan(jobs: Sequence[Job]) -> int:
     """Print what would be done with each log: --dry-run. The exit code."""
-    from sonarrec.runs.one import plan_task
+    from sonarrec.runs.one import plan_job
 
     faults = 0
-    for task in tasks:
+    for job in jobs:
         try:
-            plan = plan_task(task)
+            plan = plan_job(job)
         except SonarrecError as error:
             faults += 1
             plan = f"fails ({error})"
-        say(f"{task.path}: {plan}")
-    return 0 if not faults else FAILED if faults == len(tasks) else PARTLY
+        say(f"{job.path}: {plan}")
+    return 0 if not faults else FAILED if faults == len(jobs) else PARTLY
 
 
 class _Terminated(KeyboardInterrupt):
@@ -295,33 +293,33 @@ def stoppable(folders: Sequence[Path]) -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _notes(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> Iterator[str]:
+def _notes(jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> Iterator[str]:
     """Those of a single log as they are; of several each once, with the logs it is on."""
     named: dict[str, list[str]] = {}
-    for task, outcome in zip(tasks, outcomes, strict=True):
-        for note in outcome.summary.notes if outcome.summary else ():
-            text = note.removeprefix(f"{task.path}: ") if len(tasks) > 1 else note
-            named.setdefault(text, []).append(task.name)
+    for job, outcome in zip(jobs, outcomes, strict=True):
+        for note in outcome.notes:
+            text = note.removeprefix(f"{job.path}: ") if len(jobs) > 1 else note
+            named.setdefault(text, []).append(job.name)
     for text, (first, *others) in named.items():
         more = f" and {number_of(len(others), 'more log')}" if others else ""
-        yield f"{first}{more}: {text}" if len(tasks) > 1 else text
+        yield f"{first}{more}: {text}" if len(jobs) > 1 else text
 
 
-def _table(tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> Iterator[str]:
+def _table(jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> Iterator[str]:
     """A row for each log: what was found in it."""
-    width = max(3, *(min(len(task.name), 40) for task in tasks[:MOST_ROWS]))
+    width = max(3, *(min(len(job.name), 40) for job in jobs[:MOST_ROWS]))
     yield f"{'log':<{width}}  {'frames':>7}  {'notes':>5}  frames with a landmark declared"
-    for task, outcome in [*zip(tasks, outcomes, strict=True)][:MOST_ROWS]:
-        summary, name = outcome.summary, f"{task.name:<{width}}"
-        if summary is None:
+    for job, outcome in [*zip(jobs, outcomes, strict=True)][:MOST_ROWS]:
+        name = f"{job.name:<{width}}"
+        if outcome.error is not None:
             yield f"{name}  {'-':>7}  {'-':>5}  failed"
             continue
-        notes = "-" if summary.up_to_date else str(len(summary.notes))
-        seen = [f"ID.{one}: {count}" for one, count in sorted(summary.landmarks.items())]
-        lost = f"; {summary.unusable} unusable" if summary.unusable else ""
-        yield f"{name}  {summary.frames:>7}  {notes:>5}  {', '.join(seen) or 'none'}{lost}"
-    if len(tasks) > MOST_ROWS:
-        yield f"{len(tasks) - MOST_ROWS} more in logs.csv"
+        notes = "-" if outcome.up_to_date else str(len(outcome.notes))
+        seen = [f"ID.{one}: {count}" for one, count in sorted(outcome.landmarks.items())]
+        lost = f"; {outcome.unusable} unusable" if outcome.unusable else ""
+        yield f"{name}  {outcome.frames:>7}  {notes:>5}  {', '.join(seen) or 'none'}{lost}"
+    if len(jobs) > MOST_ROWS:
+        yield f"{len(jobs) - MOST_ROWS} more in logs.csv"
 
 
 def exit_code(outcomes: Sequence[Outcome]) -> int:
@@ -337,21 +335,21 @@ HOW = ("done", "up to date", "partial", "failed")
 
 def _in_words(outcome: Outcome) -> str:
     """The status of a log as the end of a call counts it."""
-    if outcome.status == "done" and outcome.summary is not None and outcome.summary.up_to_date:
+    if outcome.status == "done" and outcome.up_to_date:
         return "up to date"
     return outcome.status
 
 
-def found_in(summary: Summary, folder: str) -> list[str]:
+def found_in(outcome: Outcome, folder: str | Path) -> list[str]:
     """Lines on one log: its frames, the longest passes of each method, how many more there are.
 
     folder: where sightings.csv has them.
     """
-    again = "up to date, " * summary.up_to_date
-    lines = [f"{folder}: {again}{number_of(summary.frames, 'frame')}"]
-    for method, count in summary.passes.items():
-        lines += [f"  {method}:"] if len(summary.passes) > 1 else []
-        sightings = [s for s in summary.sightings if s.method == method]
+    again = "up to date, " * outcome.up_to_date
+    lines = [f"{folder}: {again}{number_of(outcome.frames, 'frame')}"]
+    for method, count in outcome.passes.items():
+        lines += [f"  {method}:"] if len(outcome.passes) > 1 else []
+        sightings = [s for s in outcome.sightings if s.method == method]
         if not sightings:
             lines.append("  no landmark declared")
             continue

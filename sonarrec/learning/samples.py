@@ -16,7 +16,7 @@ from sonarrec.nouns import Fan, Frame
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.description import FEATURES
-from sonarrec.recogniser.three_stages import ThreeStages
+from sonarrec.recogniser.three_stages import DiscStages
 
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
 # does not. Those between are left out.
@@ -87,7 +87,7 @@ def describe(
     pictures = Levels(landmarks.radius_m).restored(Unchanging().filled(frames))
     for row, frame in enumerate(pictures):
         fan = fan or frame.fan
-        recogniser = recogniser or ThreeStages(config, fan, landmarks, recorder, smi=None)
+        recogniser = recogniser or DiscStages(config, fan, landmarks, recorder, smi=None)
         tracks = recogniser.step(frame).estimates
         times.append((frame.index, frame.timestamp_ns))
         where += [(row, e.object) for e in tracks]

@@ -11,7 +11,6 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Groups
-from sonarrec.recogniser.between_stages import Tracked
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, likeliest, settled
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, whole_steps
@@ -62,15 +61,22 @@ class Estimates:
         return self._estimates(method, joined(groups), episodes, beliefs, scores, least)
 
     def of_candidates(
-        self, method: str, frames: Sequence[Tracked], found: Identification
+        self,
+        method: str,
+        positions: Sequence[FloatArray],
+        scores: Sequence[FloatArray],
+        found: Identification,
     ) -> list[Estimate]:
-        """SMI's estimates of the candidates of some frames, without standard errors."""
+        """SMI's estimates of the candidates of some frames, without standard errors.
+
+        positions, scores: of each frame's candidates, as in Selection. found: of all, n.
+        """
         n = len(found.rotation)
         objects = Groups(
-            numbers=np.concatenate([np.arange(len(f.candidates)) for f in frames]),
-            positions=np.concatenate([f.candidates for f in frames]),
+            numbers=np.concatenate([np.arange(len(p)) for p in positions]),
+            positions=np.concatenate(positions),
             spread=np.full((n, 2), np.nan),
-            existence=np.concatenate([f.scores for f in frames]),
+            existence=np.concatenate(scores),
             sight_deg=np.zeros(n),
             in_view=np.ones(n, bool),
             remembered=np.empty(0, np.int64),

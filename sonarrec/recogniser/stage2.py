@@ -98,8 +98,10 @@ class ContinuityFilter:
     def step(self, selection: Selection, motion: Motion | None = None) -> Groups:
         """The groups after one frame, by rising number.
 
-        motion: of the sonar since the last frame; None if unknown.
+        motion: of the sonar since the last frame; one that is not known is as good as None.
         """
+        if motion is not None and not motion.known:
+            motion = None
         particles = self._particles
         # Predict (Eq. 3): a random walk; a narrower one, after the sonar's motion, if it is known.
         before = [(g.x, g.y) for g in self._groups]

@@ -1,4 +1,4 @@
-"""Runs logs on a Dask cluster: each task in a process of its own on a worker."""
+"""Runs logs on a Dask cluster: each job in a process of its own on a worker."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.results.folders import LockedError
+from sonarrec.runs.job import GRACE_S, Job, Outcome
 from sonarrec.runs.many import Processes, Watch
-from sonarrec.runs.one import GRACE_S, Outcome, Task
 
 RETRIES = 2
-"""How often a task is started again after its worker was lost."""
+"""How often a job is started again after its worker was lost."""
 PATIENCE = "10s"
 """How long to wait for the scheduler."""
 
 
-def run_on_cluster(tasks: Sequence[Task], address: str, watch: Watch) -> None:
-    """Run tasks on the workers of the Dask scheduler at `address`.
+def run_on_cluster(jobs: Sequence[Job], address: str, watch: Watch) -> None:
+    """Run jobs on the workers of the Dask scheduler at `address`.
 
     If the scheduler dies, finished results stay and the same call continues from there.
     Raises UsageError if the extra `cluster` is not installed, the address is invalid, certificates
@@ -50,11 +50,11 @@ def run_on_cluster(tasks: Sequence[Task], address: str, watch: Watch) -> None:
     with client:
         if not client.scheduler_info()["workers"]:
             watch(None, f"{address}: there is no worker yet; the logs wait for one")
-        for i in range(len(tasks)):
-            watch(i, (0, None))  # only the worker knows when a task really starts
+        for i in range(len(jobs)):
+            watch(i, (0, None))  # only the worker knows when a job really starts
         running = {
-            client.submit(_run_on_worker, task, Path.cwd(), pure=False, retries=RETRIES): i
-            for i, task in enumerate(tasks)
+            client.submit(_run_on_worker, job, Path.cwd(), pure=False, retries=RETRIES): i
+            for i, job in enumerate(jobs)
         }
         for future in dask.as_completed(list(running), loop=client.loop):
             i = running.pop(future)
@@ -63,17 +63,17 @@ def run_on_cluster(tasks: Sequence[Task], address: str, watch: Watch) -> None:
             else:
                 gone = f"the scheduler gave up on it ({future.status})"
                 why = future.exception() if future.status == "error" else gone
-                lost = SonarrecError(f"{tasks[i].path}: {why}")
+                lost = SonarrecError(f"{jobs[i].path}: {why}")
                 watch(i, Outcome("failed", error=lost))
             future.release()
 
 
-def _run_on_worker(task: Task, folder: Path) -> Outcome:
-    """Run a task in a process of its own; called on a worker. folder: to which its paths relate."""
+def _run_on_worker(job: Job, folder: Path) -> Outcome:
+    """Run a job in a process of its own; called on a worker. folder: to which its paths relate."""
     give_up = monotonic() + 2 * GRACE_S
     with closing(Processes(folder if folder.is_dir() else None)) as processes:
         while True:
-            outcome = processes.run(task)
+            outcome = processes.run(job)
             # The process of a lost worker may still be writing its results.
             if not isinstance(outcome.error, LockedError) or monotonic() > give_up:
                 return outcome

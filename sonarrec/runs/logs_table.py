@@ -15,7 +15,7 @@ from typing import Any
 
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError, locked, part_of
-from sonarrec.runs.one import Event, Outcome, Status, Task
+from sonarrec.runs.job import Event, Job, Outcome, Status
 from sonarrec.tables.outputs import is_filled, write_csv
 
 NAME = "logs.csv"
@@ -48,11 +48,11 @@ class LogsTable:
     --shard, take turns and keep each other's rows.
     """
 
-    def __init__(self, out: Path, tasks: Sequence[Task], *, alone: bool = False) -> None:
+    def __init__(self, out: Path, jobs: Sequence[Job], *, alone: bool = False) -> None:
         """alone: there is a single log; if that gives no results, the file is not written."""
         self._alone = alone
         self._path = out / NAME
-        self._rows = [Row(t.name, t.path, "waiting") for t in tasks]
+        self._rows = [Row(job.name, job.path, "waiting") for job in jobs]
         self._seconds: dict[str, float] = {}  # of finished runs of earlier calls
         with suppress(SonarrecError):
             before = read_logs(self._path)
@@ -68,19 +68,21 @@ class LogsTable:
         return tuple(self._rows)
 
     def add(self, i: int, event: Event) -> None:
-        """What happened to task i."""
+        """What happened to job i."""
         if isinstance(event, Outcome):
-            row, summary = self._rows[i], event.summary
+            row = self._rows[i]
             if isinstance(event.error, LockedError):
                 self._run_elsewhere.add(row.log)
-            row = replace(row, status=event.status, message=event.message)
-            row = replace(row, seconds=round(event.seconds, 2))
-            if summary is not None:
-                declared, count = sum(summary.passes.values()), summary.frames
-                row = replace(row, frames=count, unusable=summary.unusable, declared=declared)
-                if summary.up_to_date:
-                    row = replace(row, seconds=self._seconds.get(row.log, 0.0))
-            self._rows[i] = row
+            before_s = self._seconds.get(row.log, 0.0)
+            self._rows[i] = replace(
+                row,
+                status=event.status,
+                frames=event.frames if event.error is None else row.frames,
+                unusable=event.unusable,
+                seconds=before_s if event.up_to_date else round(event.seconds, 2),
+                declared=sum(event.passes.values()),
+                message=event.message,
+            )
         elif isinstance(event, tuple):
             self._rows[i] = replace(self._rows[i], status="running", frames=event[0])
         if monotonic() >= self._written_at_s + WRITE_EVERY_S:

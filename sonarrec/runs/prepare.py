@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from sonarrec.config import Config
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import PoseTable, floor_depth
-from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log, digest_of
@@ -23,30 +22,13 @@ from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
+from sonarrec.runs.job import Job, RunOptions
 from sonarrec.sonar import Sonar
 
 
 @dataclass(frozen=True, slots=True)
-class RunOptions:
-    """The user's choices for a run, apart from how the log is read."""
-
-    configs: Sequence[Config]  # several: side by side, each under its own method name
-    landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
-    model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
-    earlier_run: Path | None = None  # a run.toml, whose geometry, landmarks and model serve where
-    # none are given; a plain file of settings has none of these
-
-    def check(self) -> None:
-        """Raise UsageError if landmarks or model are invalid, before any log is opened."""
-        if self.landmarks is not None:
-            load_landmarks(self.landmarks)
-        if self.model is not None:
-            read_model(self.model)
-
-
-@dataclass(frozen=True, slots=True)
 class PreparedRun:
-    """An opened log, with its recogniser and the folder of its results."""
+    """An opened log, and what recognises landmarks in it."""
 
     log: Log
     frames: Iterator[Frame]  # those asked for; the first ones were read already
@@ -55,84 +37,98 @@ class PreparedRun:
     landmarks: LandmarkSet
     poses: PoseTable | None
     recogniser: SideBySide
-    basis: str  # a line on what it goes by, see `basis`
+    basis: str  # a line on what it goes by, see `help run`
     table: dict[str, Any]  # the run.toml to write
-    folder: Path  # of the results
 
 
 @contextmanager
-def prepare(
-    path: Path,
-    out: Path,
-    log_options: LogOptions,
-    run_options: RunOptions,
-    name: str | None,
-    served_as: Callable[[str], str] = str,
-) -> Iterator[PreparedRun]:
-    """Open a log and prepare its run into `out`/<name>/; name: default, the log's own.
+def prepare(job: Job) -> Iterator[PreparedRun]:
+    """Open a job's log and prepare its run.
 
-    served_as: as of `process`. Raises SonarrecError for input or settings that cannot be used.
+    Raises SonarrecError for input or settings that cannot be used.
     """
-    earlier = read_run(run_options.earlier_run)
-    source = find_log(path, log_options.up_to)
+    given, options = job.log_options, job.run_options
+    # Is the earlier run, if there is one, of this very log?
+    earlier = read_run(options.earlier_run)
+    source = find_log(job.path, given.up_to)
     # To compute it takes long, so only where there is one to compare with.
     digest = digest_of(source) if earlier.input.sha256 else None
     same_log = earlier.input.name == name_as_text(source.name)
     if digest is not None:
         same_log = digest[1] == earlier.input.sha256
-    given, log_options = log_options, earlier.complete(log_options, same_log=same_log)
+    # Options win over the earlier run, and that over what lies beside the log.
+    log_options = earlier.complete(given, same_log=same_log)
     log_options = _with_companions(source, log_options, again=same_log)
-    landmarks, from_where = chosen_landmarks(source, run_options.landmarks, earlier)
-    learned = _model(run_options, earlier)
-    if learned is not None and isinstance(landmarks, DrawnSet):
-        raise UsageError(f"--model: it is of discs, and {landmarks.name} has drawn plates")
+    landmarks, from_where = chosen_landmarks(source, options.landmarks, earlier)
+    model = _model(options, earlier, landmarks)
     poses = _poses(source, log_options, earlier if same_log else read_run(None))
     with open_log(source, **log_options.arguments()) as log:
+        # The first frame has the geometry of all.
         span = log_options.frames or (0, None)
         frames = log.within(span)
         first = next(frames, None)  # raises if there is no usable frame at all
         if first is None:
-            raise UsageError(f"{path}: no frame lies in --frames {span_text(span)}{log.why_none()}")
-        fan = first.fan
-        configs, about_beams = with_beams(run_options.configs, log.beam_width_deg, first)
-        recogniser = SideBySide(configs, fan, landmarks, learned.model if learned else None, poses)
-        log.diagnostics.note(*about_beams)
-        folder = _results_of(source, out, name or log.name)
-        identity = (name_as_text(log.name), *(digest or log.digest_source()))
-        table = run_table(
-            configs, recogniser.methods, log.stated, fan, landmarks, identity, log.reading()
+            none = f"no frame lies in --frames {span_text(span)}{log.why_none()}"
+            raise UsageError(f"{Path(job.path)}: {none}")
+        configs, about_beams = with_beams(options.configs, log.beam_width_deg, first)
+        recogniser = SideBySide(
+            configs, first.fan, landmarks, None if model is None else model.model, poses
         )
-        served = served_as(str(path))
-        if served != str(path):
-            table["input"] |= dict.fromkeys(("path", "place"), served)
-        else:
-            place = os.path.relpath(path.resolve(), folder.resolve())
-            table["input"] |= {"path": name_as_text(path), "place": name_as_text(place)}
+        log.diagnostics.note(*about_beams)
+        _check_folder(job, source)
+        table = run_table(
+            configs,
+            recogniser.methods,
+            log.stated,
+            first.fan,
+            landmarks,
+            (name_as_text(log.name), *(digest or log.digest_source())),
+            log.reading(),
+        )
+        table["input"] |= _where(job)
         if log_options.frames is not None:
             table["input"]["frames"] = span_text(span)
         if poses is not None:
             table["odometry"] = dict(poses.source)
-        if learned is not None:
-            table["model"] = learned.as_table()
-        frame_count = None  # not known
-        if log.frame_count is not None:
-            end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
-            frame_count = max(end - span[0], 0)
-        seen = chain([first], frames)
-        geometry = _geometry(log, fan, source, given, earlier)
-        line = f"{geometry}; landmarks {landmarks.name} ({from_where})"
+        if model is not None:
+            table["model"] = model.as_table()
+        geometry = _geometry(log, first.fan, source, given, earlier)
         yield PreparedRun(
-            log, seen, frame_count, fan, landmarks, poses, recogniser, line, table, folder
+            log=log,
+            frames=chain([first], frames),
+            frame_count=_frames_in(span, log.frame_count),
+            fan=first.fan,
+            landmarks=landmarks,
+            poses=poses,
+            recogniser=recogniser,
+            basis=f"{geometry}; landmarks {landmarks.name} ({from_where})",
+            table=table,
         )
 
 
-def _results_of(source: Source, out: Path, name: str) -> Path:
-    """The folder of a log's results in `out`. Raises UsageError if it would replace the log or lie
-    in it, SonarrecError if it cannot be made there.
-    """
-    folder = out / name
+def _frames_in(span: tuple[int, int | None], count: int | None) -> int | None:
+    """How many of a log's frames lie in a span; None if it does not say how many it has."""
+    if count is None:
+        return None
+    end = count if span[1] is None else min(span[1], count)
+    return max(end - span[0], 0)
+
+
+def _where(job: Job) -> dict[str, str]:
+    """`path` and `place` of the log, for run.toml."""
+    path = Path(job.path)
+    if (url := job.shown(path)) != str(path):
+        return {"path": url, "place": url}
+    place = os.path.relpath(path.resolve(), job.folder.resolve())
+    return {"path": name_as_text(path), "place": name_as_text(place)}
+
+
+def _check_folder(job: Job, source: Source) -> None:
+    """Raise UsageError if the results would replace the log or lie in it, SonarrecError if they
+    cannot be written there."""
+    folder = job.folder
     try:
-        itself = source.path.resolve() in (folder.resolve(), out.resolve())
+        itself = source.path.resolve() in (folder.resolve(), Path(job.out).resolve())
     except OSError as error:  # the current folder is gone
         raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     if itself:
@@ -142,7 +138,6 @@ def _results_of(source: Source, out: Path, name: str) -> Path:
             f"{folder}: a file or a link is where the folder of the results would be; move it "
             "away, or choose another --out"
         )
-    return folder
 
 
 def _with_companions(source: Source, log_options: LogOptions, again: bool) -> LogOptions:
@@ -160,17 +155,22 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
     return replace(log_options, odometry=poses)
 
 
-def _model(run_options: RunOptions, earlier: RunFile) -> ModelFile | None:
+def _model(options: RunOptions, earlier: RunFile, landmarks: LandmarkSet) -> ModelFile | None:
     """The appearance model of the file, else of the earlier run; None for the built-in one."""
-    if run_options.model is None:
-        return None if earlier.model is None else model_from_table(earlier.model, str(earlier.path))
-    learned = read_model(run_options.model)
-    if all(c.features.measurement == "single" for c in run_options.configs):
-        raise UsageError(
-            f"--model {run_options.model}: only features.measurement = track uses a model, and "
-            "this preset measures single frames by the published one"
-        )
-    return learned
+    if options.model is not None:
+        model = read_model(options.model)
+        if all(c.features.measurement == "single" for c in options.configs):
+            raise UsageError(
+                f"--model {options.model}: only features.measurement = track uses a model, and "
+                "this preset measures single frames by the published one"
+            )
+    elif earlier.model is not None:
+        model = model_from_table(earlier.model, str(earlier.path))
+    else:
+        return None
+    if isinstance(landmarks, DrawnSet):
+        raise UsageError(f"--model: it is of discs, and {landmarks.name} has drawn plates")
+    return model
 
 
 def _poses(source: Source, log_options: LogOptions, earlier: RunFile) -> PoseTable | None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from sonarrec.errors import MissingError, SonarrecError, UsageError, hidden, number_of
+from sonarrec.errors import MissingError, SonarrecError, UsageError, hidden, is_url, number_of
 from sonarrec.readers.containers.bag_folder import METADATA
 from sonarrec.readers.containers.images import names_an_image
 from sonarrec.readers.named_logs import RESULTS
 from sonarrec.readers.open import log_name, names_a_log
+from sonarrec.runs.job import Job
 from sonarrec.tables import natural_order
 
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
@@ -25,7 +27,7 @@ def check_out(url: str) -> None:
     """Raise UsageError if results cannot be put there."""
     if url.partition(":")[0].lower() in ("http", "https"):
         raise UsageError(f"{url}: results cannot be put on a web server; give s3, gs, sftp")
-    with _told(url):
+    with _in_one_line(url):
         _opened(url)
 
 
@@ -36,7 +38,7 @@ def logs_at(url: str, *, recursive: bool = False) -> list[str]:
     """
     if names_a_log(_name(url)) and not set(_name(url)) & set("*?["):
         return [url]
-    with _told(url):
+    with _in_one_line(url):
         fs, path = _opened(url)
         front = url.rstrip("/").removesuffix(path.rstrip("/"))
         if set(path) & set("*?["):
@@ -60,27 +62,41 @@ def _below(fs: Any, top: str, recursive: bool) -> Iterator[str]:
 
 
 @contextmanager
-def fetched(url: str) -> Iterator[tuple[Path, str]]:
-    """(the log at a URL as a local one, the URL of its folder), until the block ends.
+def local_copy(job: Job) -> Iterator[Job]:
+    """The job with its log and its results in temporary folders, until the block ends.
 
-    What belongs to the log, such as sonar.toml, is fetched with it.
+    The log is fetched; the results begin with those that the server has.
     """
-    with TemporaryDirectory(prefix="sonarrec-") as folder:
-        with _told(url):
-            fs, path = _opened(url.rstrip("/"))
-            parent, name = path.partition("?")[0].rpartition("/")[0], _name(url)
-            place = Path(folder, name)
-            fetch = fs.get_file if names_a_log(name) else partial(fs.get, recursive=True)
-            fetch(path, str(place))
-            own = [f"{log_name(place)}.{companion}" for companion in COMPANIONS]
-            for companion in filter(lambda c: fs.exists(f"{parent}/{c}"), (*own, *COMPANIONS)):
-                fs.get_file(f"{parent}/{companion}", str(Path(folder, companion)))
-        yield place, hidden(url.partition("?")[0].rstrip("/").rpartition("/")[0])
+    with ExitStack() as stack:
+        if is_url(job.log):
+            folder = stack.enter_context(TemporaryDirectory(prefix="sonarrec-"))
+            url = hidden(job.log.partition("?")[0].rstrip("/").rpartition("/")[0])
+            log = _fetched(job.log, Path(folder))
+            job = replace(job, log=str(log), urls={folder: url})
+        if is_url(job.out):
+            folder, url = stack.enter_context(TemporaryDirectory(prefix="sonarrec-")), job.out
+            get(f"{url.rstrip('/')}/{job.name}", Path(folder, job.name))
+            job = replace(job, out=folder, urls={**job.urls, folder: hidden(url.rstrip("/"))})
+        yield job
+
+
+def _fetched(url: str, folder: Path) -> Path:
+    """Fetch a log, and what belongs to it, such as sonar.toml, into a folder."""
+    with _in_one_line(url):
+        fs, path = _opened(url.rstrip("/"))
+        parent, name = path.partition("?")[0].rpartition("/")[0], _name(url)
+        log = Path(folder, name)
+        fetch = fs.get_file if names_a_log(name) else partial(fs.get, recursive=True)
+        fetch(path, str(log))
+        own = [f"{log_name(log)}.{companion}" for companion in COMPANIONS]
+        for companion in filter(lambda c: fs.exists(f"{parent}/{c}"), (*own, *COMPANIONS)):
+            fs.get_file(f"{parent}/{companion}", str(Path(folder, companion)))
+    return log
 
 
 def get(url: str, place: Path) -> None:
     """Fetch a file or folder, if it is there."""
-    with _told(url):
+    with _in_one_line(url):
         fs, path = _opened(url)
         if fs.exists(path):
             fs.get(path, str(place), recursive=True)
@@ -88,7 +104,7 @@ def get(url: str, place: Path) -> None:
 
 def put(place: Path, url: str) -> None:
     """Replace a file or folder on a server; what is there stays until the new one is whole."""
-    with _told(url):
+    with _in_one_line(url):
         fs, path = _opened(url)
         part = f"{path}.part"
         try:
@@ -136,7 +152,7 @@ def _opened(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def _told(url: str) -> Iterator[None]:
+def _in_one_line(url: str) -> Iterator[None]:
     """Errors of the libraries become one line without secrets."""
     try:
         yield

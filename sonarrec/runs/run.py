@@ -25,10 +25,10 @@ from sonarrec.recogniser.stage3.model import read_model
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import LogOptions, frame_span, span_text
 from sonarrec.runs import cores
+from sonarrec.runs.job import Event, Job, Observe, Outcome, RunOptions
 from sonarrec.runs.logs_table import COLUMNS, NAME, LogsTable, Row
-from sonarrec.runs.many import Watch, run_apart, run_here
-from sonarrec.runs.one import Event, Observe, Outcome, Summary, Task, process, result_names
-from sonarrec.runs.prepare import RunOptions
+from sonarrec.runs.many import Watch, run_here, run_in_processes
+from sonarrec.runs.one import at_hand, result_names, run_log
 from sonarrec.sonar import Sonar, sonar_from
 
 if TYPE_CHECKING:
@@ -138,29 +138,25 @@ class Runs:
     """On the folder as a whole."""
 
     @property
-    def summaries(self) -> tuple[Summary, ...]:
-        """Of the logs that have results now."""
-        return tuple(o.summary for o in self.outcomes if o.summary is not None)
-
-    @property
     def table(self) -> pd.DataFrame:
         """A row for each log, as in logs.csv; `message` says why one failed."""
         import pandas as pd  # slow to load
 
         return pd.DataFrame(map(astuple, self.rows), columns=list(COLUMNS))
 
-    def __iter__(self) -> Iterator[Summary]:
-        return iter(self.summaries)
+    def __iter__(self) -> Iterator[Outcome]:
+        """Those of the logs that have results now."""
+        return (outcome for outcome in self.outcomes if outcome.error is None)
 
     def __repr__(self) -> str:
-        failed = len(self.rows) - len(self.summaries)
-        frames = sum(summary.frames for summary in self.summaries)
-        done = f"{number_of(len(self.summaries), 'log')}, {number_of(frames, 'frame')}"
+        frames = [outcome.frames for outcome in self]
+        failed = len(self.rows) - len(frames)
+        done = f"{number_of(len(frames), 'log')}, {number_of(sum(frames), 'frame')}"
         return f"<{self.folder}: {done}{f'; {failed} failed' * bool(failed)}>"
 
 
 @overload
-def run(log: str | Path, out: str | Path = ..., **options: Any) -> Summary: ...
+def run(log: str | Path, out: str | Path = ..., **options: Any) -> Outcome: ...
 @overload
 def run(log: Sequence[str | Path], out: str | Path = ..., **options: Any) -> Runs: ...
 
@@ -181,10 +177,10 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
     overwrite: bool = False,
     jobs: int | None = None,
     observe: Observe | None = None,
-) -> Summary | Runs:
+) -> Outcome | Runs:
     """Recognise the landmarks in a log, or in each of several; results go to `out`/<log name>/.
 
-    One log gives its Summary. Several give Runs, and one that cannot be used does not stop the
+    One log gives its Outcome. Several give Runs, and one that cannot be used does not stop the
     others.
 
     log: an MCAP file, a bag of ROS, a folder or glob of images, a video or a sonar's own file.
@@ -212,65 +208,64 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
     )
     learned = None if model is None else Path(model)
     run_options = RunOptions(configs_of(preset), landmarks, learned)
+    several = [log] if isinstance(log, str | Path) else log
+    logs = [NamedLog(str(one)) for one in several]
+    to_run = jobs_of(logs, str(local(out)), log_options, run_options, overwrite)
     if isinstance(log, str | Path):
-        return process(log, local(out), log_options, run_options, observe, overwrite=overwrite)
+        with at_hand(to_run[0]) as job:
+            return run_log(job, observe)
     if observe is not None:
         raise UsageError("observe is for a single log")
-    logs = [NamedLog(str(one)) for one in log]
-    tasks = tasks_of(logs, str(local(out)), log_options, run_options, overwrite)
-    done = run_tasks(tasks, out, jobs=jobs)
+    done = run_jobs(to_run, out, at_once=jobs)
     errors = [one.error for one in done.outcomes if one.error is not None]
-    if not done.summaries and errors:
+    if errors and len(errors) == len(done.outcomes):
         raise errors[0]
     return done
 
 
-def tasks_of(
+def jobs_of(
     logs: Sequence[NamedLog],
     out: str,
     log_options: LogOptions,
     run_options: RunOptions,
     overwrite: bool = False,
-) -> list[Task]:
-    """A task for each log. out: the folder of the results, or its URL.
+) -> list[Job]:
+    """A job for each log. out: the folder of the results, or its URL.
 
     Raises UsageError if two logs cannot be told apart.
     """
     names = result_names([hidden(log.path) if is_url(log.path) else log.path for log in logs])
-    places = {"out": "", "server_out": out} if is_url(out) else {"out": out}
     return [
-        Task(
-            path=hidden(log.path) if is_url(log.path) else log.path,
+        Job(
+            log=log.path,
             name=name,
+            out=out,
             log_options=replace(log_options, up_to=log.up_to),
             run_options=run_options,
             overwrite=overwrite,
-            url=log.path if is_url(log.path) else "",
-            **places,
         )
         for log, name in zip(logs, names, strict=True)
     ]
 
 
-def run_tasks(
-    tasks: Sequence[Task],
+def run_jobs(
+    jobs: Sequence[Job],
     out: str | Path,
     watch: Watch | None = None,
     *,
-    jobs: int | None = None,
+    at_once: int | None = None,
     scheduler: str | None = None,
     alone: bool = False,
 ) -> Runs:
-    """Run the tasks and keep OUT/logs.csv, also if the call is stopped.
+    """Run the jobs and keep OUT/logs.csv, also if the call is stopped.
 
-    out: a folder, or the URL of one. watch: gets what happens meanwhile. jobs: how many run at
-    once; default: the number of cores. scheduler: address of a Dask cluster
-    that runs them. alone: the call names a single log; if that gives no results, logs.csv is not
-    written.
+    out: a folder, or the URL of one. watch: gets what happens meanwhile. at_once: how many run at
+    the same time; default: the number of cores. scheduler: address of a Dask cluster that runs
+    them. alone: the call names a single log; if that gives no results, logs.csv is not written.
     """
     outcomes: dict[int, Outcome] = {}
     with _folder_of(out) as folder:
-        table = LogsTable(folder, tasks, alone=alone)
+        table = LogsTable(folder, jobs, alone=alone)
 
         def keep(i: int | None, event: Event) -> None:
             if i is not None:
@@ -280,17 +275,17 @@ def run_tasks(
             if watch is not None:
                 watch(i, event)
 
-        jobs = min(jobs or cores(), len(tasks))
+        at_once = min(at_once or cores(), len(jobs))
         table.write()
         try:
             if scheduler is not None:
                 from sonarrec.runs.cluster import run_on_cluster  # with dask, only where needed
 
-                run_on_cluster(tasks, scheduler, keep)
-            elif jobs > 1:
-                run_apart(tasks, jobs, keep)
+                run_on_cluster(jobs, scheduler, keep)
+            elif at_once > 1:
+                run_in_processes(jobs, at_once, keep)
             else:
-                run_here(tasks, keep)
+                run_here(jobs, keep)
         except BaseException:  # Ctrl-C as well
             table.stopped()
             raise
@@ -321,8 +316,7 @@ def _folder_of(out: str | Path) -> Iterator[Path]:
 
 def _outdated(out: Path, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     """A note on pages and folders in OUT that were made from results replaced now."""
-    summaries = [outcome.summary for outcome in outcomes]
-    if all(s is None or s.up_to_date for s in summaries):
+    if all(outcome.error is not None or outcome.up_to_date for outcome in outcomes):
         return ()
     older = [name for name in PAGES if (out / name).exists()]
     older += [name for name, made in MADE.items() if (out / name / made[-1]).is_file()]

@@ -16,8 +16,8 @@ from sonarrec.geometry import PolarToFan, polar_from_pixel
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from sonarrec.results.run_file import LogOptions
-from sonarrec.runs.one import process
-from sonarrec.runs.prepare import RunOptions
+from sonarrec.runs.job import Job, RunOptions
+from sonarrec.runs.one import run_log
 from sonarrec.sonar import Sonar
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, frames, image_folder, mcap_file
@@ -284,7 +284,9 @@ def test_the_time_that_names_a_frame(tmp_path: Path) -> None:
         for frame, image in zip(found, images, strict=True):
             np.testing.assert_array_equal(frame.image, image)
     settings = [config.preset("default")]
-    process(path, tmp_path, LogOptions(time="header"), RunOptions(settings))
+    run_log(
+        Job(str(path), path.stem, str(tmp_path), LogOptions(time="header"), RunOptions(settings))
+    )
     lines = (tmp_path / "log" / "frames.csv").read_text().splitlines()
     assert lines[0].split(",")[4:7] == ["log_time_ns", "publish_time_ns", "header_stamp_ns"]
     assert lines[2].split(",")[1] == str(stamp_ns(2))
@@ -292,7 +294,7 @@ def test_the_time_that_names_a_frame(tmp_path: Path) -> None:
     before = (tmp_path / "log" / "estimates.csv").read_bytes()
     again = tmp_path / "again"
     run_options = RunOptions(settings, earlier_run=tmp_path / "log" / "run.toml")
-    process(path, again, LogOptions(), run_options)
+    run_log(Job(str(path), path.stem, str(again), LogOptions(), run_options))
     assert (again / "log" / "estimates.csv").read_bytes() == before
 
 

@@ -18,7 +18,7 @@ from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.nouns import Frame, FrameResult
 from sonarrec.recogniser.presets.side_by_side import FRAMES_AT_ONCE, SideBySide
 from sonarrec.recogniser.restore.static_pixels import AHEAD
-from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, load_sonar
@@ -53,7 +53,7 @@ def truth(frame: int, least_visible: float = 0.9) -> dict[int, tuple[float, floa
 
 
 def run(log: Sequence[Frame], settings: config.Config, landmarks=BASIN) -> list[FrameResult]:
-    recogniser = ThreeStages(settings, log[0].fan, landmarks)
+    recogniser = DiscStages(settings, log[0].fan, landmarks)
     return [recogniser.step(frame) for frame in log]
 
 
@@ -303,9 +303,9 @@ def test_each_preset_gives_side_by_side_what_it_gives_alone():
 
 def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     seen: list[int] = []
-    stage2 = ThreeStages.stage2
+    stage2 = DiscStages.stage2
     monkeypatch.setattr(
-        ThreeStages,
+        DiscStages,
         "stage2",
         lambda self, frame, *of: seen.append(frame.index) or stage2(self, frame, *of),
     )

@@ -16,11 +16,11 @@ from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.nouns import FrameResult, Motion
 from sonarrec.recogniser.plane import FloorPlane
+from sonarrec.recogniser.presets.mosaic import Pose
 from sonarrec.recogniser.presets.second_look import (
     MOST_STEP_ERROR,
     SecondLook,
     looks_again,
-    placement,
 )
 from sonarrec.recogniser.stage1 import CandidateSelector
 from tests.studies.learning.random_scenes import random_scene
@@ -49,10 +49,8 @@ def looked(images: list[ByteImage], motions: list[Motion | None]) -> list[FrameR
     look = SecondLook("m", OFFLINE, FAN, BASIN, None)
     select = CandidateSelector(OFFLINE.candidates, PLANE, BASIN, 0.4)
     results = [FrameResult(i, i * 10**8, 0, 0, ()) for i in range(len(images))]
-    for image, motion, i in zip(images, motions, range(len(images)), strict=True):
-        look.take(image, select(image))
-        results[i] = replace(results[i], motion=motion)
-        look.learn(results[i])
+    for i, (image, motion) in enumerate(zip(images, motions, strict=True)):
+        look.add(i, motion, image, select(image))
     look.finish()
     return [look.revised(result) for result in results]
 
@@ -94,11 +92,11 @@ def test_frames_are_not_laid_on_each_other_where_the_motion_is_not_known() -> No
 def test_positions_on_the_grid_and_in_the_frame_are_each_other_s_inverse(
     yaw: float, x: float, y: float, seed: int
 ) -> None:
-    look = SecondLook("m", OFFLINE, FAN, BASIN, None)
     pixels = np.random.default_rng(seed).uniform(0, 300, (5, 2))
-    matrix = placement(yaw, np.array([x, y]), PLANE.apex)
+    pose = Pose(yaw, x, y)
+    matrix = pose.to_mosaic(PLANE.apex)
     on_grid = pixels @ matrix[:, :2].T + matrix[:, 2]
-    in_frame = look._in_frame(np.array([yaw, x, y]), on_grid)
+    in_frame = pose.to_frame(on_grid, PLANE.apex)
     np.testing.assert_allclose(in_frame, pixels, atol=1e-8)
 
 

@@ -242,7 +242,8 @@ def test_a_wrong_cell_is_told_with_its_line(results: Path, tmp_path: Path, cell:
 def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     """Of thirty passes the longest, in order, with the calendar's time."""
     from sonarrec.cli.run import found_in
-    from sonarrec.runs.one import Summary, _longest
+    from sonarrec.runs.job import Outcome
+    from sonarrec.runs.one import _with_sightings
 
     start = 1_700_000_000 * 10**9
     with ResultsWriter(tmp_path / "dive", BASIN, tables()) as writer:
@@ -250,15 +251,16 @@ def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
             seen = i % 40 < 1 + i // 40
             writer.write(FrameResult(i, start + i * 10**8, 1, 1, (claim(declared=seen),)))
         writer.finish([])
-    passes, kept, landmarks = _longest(tmp_path / "dive", ["framework"])
+    outcome = Outcome("done", tmp_path / "dive", frames=1200, candidates=1200)
+    outcome = _with_sightings(["framework"], outcome)
+    passes, kept, landmarks = outcome.passes, outcome.sightings, outcome.landmarks
     assert passes == {"framework": 30}
     assert [s.frames_declared for s in kept] == list(range(11, 31))
     assert len(kept) == MOST_SIGHTINGS
     assert landmarks == {kept[0].landmark: sum(range(1, 31))}
-    summary = Summary(tmp_path / "dive", 1200, 0, 1200, [], [], passes, kept, landmarks)
-    lines = found_in(summary, summary.folder)
+    lines = found_in(outcome, outcome.folder)
     assert len(lines) == MOST_SIGHTINGS + 3
     assert "UTC" in lines[1]
     assert "10 more in" in lines[-1]
-    none = replace(summary, passes={"framework": 0}, sightings=[])
+    none = replace(outcome, passes={"framework": 0}, sightings=[])
     assert found_in(none, none.folder)[1:] == ["  no landmark declared"]

@@ -17,8 +17,7 @@ from sonarrec.config import preset
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import cluster as cluster_module
 from sonarrec.runs.cluster import run_on_cluster
-from sonarrec.runs.one import Outcome, Task
-from sonarrec.runs.prepare import RunOptions
+from sonarrec.runs.job import Job, Outcome, RunOptions
 from tests.support.batch import (
     SAMPLE,
     answers,
@@ -113,7 +112,7 @@ def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
 
 @pytest.mark.slow
 def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
-    task = Task(
+    task = Job(
         str(tmp_path / "none.mcap"), "none", str(tmp_path / "out"), LogOptions(), RunOptions(())
     )
     from distributed import LocalCluster
@@ -138,7 +137,7 @@ def test_a_worker_in_another_folder_finds_the_geometry_above_the_log(
     (log / "sonar.toml").rename(tmp_path / "campaign" / "sonar.toml")
     monkeypatch.chdir(tmp_path)
     log_options = LogOptions(up_to=Path("campaign"))
-    task = Task("campaign/day1/dive", "dive", "out", log_options, RunOptions([preset("default")]))
+    task = Job("campaign/day1/dive", "dive", "out", log_options, RunOptions([preset("default")]))
     monkeypatch.chdir(log.parent)
     assert cluster_module._run_on_worker(task, tmp_path).error is None
     assert (tmp_path / "out" / "dive" / "run.toml").is_file()

@@ -15,9 +15,8 @@ import pytest
 from sonarrec.results.folders import LockedError
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import many
+from sonarrec.runs.job import Job, Outcome, RunOptions
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
-from sonarrec.runs.one import Outcome, Task
-from sonarrec.runs.prepare import RunOptions
 from tests.support.batch import SAMPLE, command, ended, environment, made, rows, tables, until
 from tests.support.command import sonarrec
 
@@ -71,9 +70,9 @@ def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch)
         raise ZeroDivisionError
 
     monkeypatch.setattr(many.Processes, "run", broken)
-    tasks = [Task(name, name, "out", LogOptions(), RunOptions([])) for name in "ab"]
+    tasks = [Job(name, name, "out", LogOptions(), RunOptions([])) for name in "ab"]
     with pytest.raises(ZeroDivisionError):
-        many.run_apart(tasks, 2, print)
+        many.run_in_processes(tasks, 2, print)
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +158,7 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
 
 def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Path) -> None:
     """It was told as failed though it was done."""
-    task = Task("a", "a", str(tmp_path), LogOptions(), RunOptions([]))
+    task = Job("a", "a", str(tmp_path), LogOptions(), RunOptions([]))
     first, second = (LogsTable(tmp_path, [task]) for _ in range(2))
     for table in (first, second):
         table.add(0, (0, None))
@@ -172,7 +171,7 @@ def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Pat
 
 
 def test_a_log_that_ended_is_told_though_nothing_happens_after(tmp_path: Path) -> None:
-    table = LogsTable(tmp_path, [Task(n, n, "out", LogOptions(), RunOptions([])) for n in "ab"])
+    table = LogsTable(tmp_path, [Job(n, n, "out", LogOptions(), RunOptions([])) for n in "ab"])
     table.write()
     table.add(0, Outcome("done"))  # within the second in which the file is not written again
     until(lambda: rows(tmp_path)["a"]["status"] == "done")

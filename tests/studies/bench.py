@@ -35,7 +35,7 @@ from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
-from sonarrec.recogniser.three_stages import ThreeStages
+from sonarrec.recogniser.three_stages import DiscStages
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.run import run as run_log
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
@@ -106,7 +106,7 @@ PARTS: dict[str, tuple[float | None, tuple[tuple[object, str], ...]]] = {
             (CandidateSelector, "levels"),
             (ShapeSampler, "__call__"),
             (TrackMatrix, "step"),
-            (ThreeStages, "stage3"),
+            (DiscStages, "stage3"),
         ),
     ),
     "rows": (0.08, ((ResultsWriter, "write"),)),

@@ -16,7 +16,7 @@ import numpy as np
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IntArray
 from sonarrec.landmarks import WIDEST_SIGMA
 from sonarrec.nouns import Groups, Motion, Selection
-from sonarrec.recogniser.drawn.pose import EXPLAINED, Fit, PoseFitter
+from sonarrec.recogniser.drawn.pose import EXPLAINED, Drawing, Fit, PoseFitter
 from sonarrec.recogniser.stage2 import ContinuityFilter
 
 # Least correlation of a picture with its drawing where any pose was tried, and near that of the
@@ -61,7 +61,10 @@ class Plates:
         self._searched: dict[int, int] = {}
 
     def step(self, image: ByteImage, selection: Selection, motion: Motion | None) -> Groups:
-        """The groups after one frame, each in the middle of its plate. motion: if it is known."""
+        """The groups after one frame, each in the middle of its plate.
+
+        motion: as in ContinuityFilter.
+        """
         fine = smooth(image)
         self.follow(fine)
         groups = self.join(fine, self._groups.step(self.lead(selection), motion))
@@ -133,8 +136,8 @@ class Plates:
         plates = [self._plates.get(n) for n in groups.numbers.tolist()]
         return [(p.fit, p.began) if p is not None and p.seen else None for p in plates]
 
-    def believe(self, numbers: IntArray, drawings: Sequence[tuple[int, int] | None]) -> None:
-        """Follow each group by the drawing, (row, way), that its averaged picture matches best."""
+    def follow_by(self, numbers: IntArray, drawings: Sequence[Drawing | None]) -> None:
+        """Follow each group by this drawing from now on; None: by the one it has."""
         for number, drawing in zip(numbers.tolist(), drawings, strict=True):
             if drawing is not None:
                 plate = self._plates[number]

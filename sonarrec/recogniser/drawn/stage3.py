@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage, joined
-from sonarrec.nouns import Groups, Selection
+from sonarrec.arrays import FloatArray, FloatImage, joined
+from sonarrec.nouns import Groups
 from sonarrec.recogniser.drawn.drawings import FINE, best, levelled, uneven_light
-from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
-from sonarrec.recogniser.drawn.stage2 import Plates
+from sonarrec.recogniser.drawn.pose import Drawing, Fit, PoseFitter
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3.opinions import TrackBelief
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG
@@ -45,21 +44,21 @@ class PlateEvidence(Evidence):
 class PlateMeasurement:
     """Beliefs from each track's averaged picture, frame after frame."""
 
-    def __init__(
-        self, fitter: PoseFitter, plates: Plates, memory_frames: float, remember_frames: int
-    ) -> None:
-        self._fitter, self._plates, self._drawings = fitter, plates, fitter.drawings
+    def __init__(self, fitter: PoseFitter, memory_frames: float, remember_frames: int) -> None:
+        self._fitter, self._drawings = fitter, fitter.drawings
         self._memory = memory_frames
         self._belief = TrackBelief(fitter.drawings.count, remember_frames)
         self._tracks: dict[int, _Track] = {}
 
     def gather(
-        self, _: ByteImage, selection: Selection, groups: Groups
-    ) -> tuple[FloatArray, BoolArray, PlateEvidence]:
-        """Take in the pictures of the groups that show their plates, and follow each by the drawing
-        that matches best. Candidates have no shape matrices."""
-        fits, sight = self._plates.of(groups), self._fitter.plane.line_of_sight(groups.positions)
-        numbers = groups.numbers.tolist()
+        self, groups: Groups, fits: Sequence[tuple[Fit, int] | None]
+    ) -> tuple[PlateEvidence, list[Drawing | None]]:
+        """Add the pictures of a frame's plates to the averages of their tracks.
+
+        fits: of each group, and the number of its picture; None: not seen. Gives the evidence, and
+        of each group that is seen the drawing that its average matches best.
+        """
+        numbers, sight = groups.numbers.tolist(), self._fitter.plane.line_of_sight(groups.positions)
         self._tracks = {n: self._tracks.get(n, _Track()) for n in numbers}
         for number, of_frame in zip(numbers, fits, strict=True):
             if of_frame is not None:
@@ -78,10 +77,8 @@ class PlateMeasurement:
             beyond_deg=np.degrees(sight).astype(np.float32),
             corners=np.array([self._corners(f) for f in fits]).reshape(n, 4, 2),
         )
-        chosen = [None if f is None else t.best for f, t in zip(fits, tracks, strict=True)]
-        self._plates.believe(groups.numbers, chosen)
-        nothing = np.empty((len(selection.positions), 0, 0))
-        return nothing, nothing.astype(bool), evidence
+        best = [None if f is None else t.best for f, t in zip(fits, tracks, strict=True)]
+        return evidence, best
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
         """Beliefs about the groups of consecutive frames; evidence: from `gather`, concatenated."""
@@ -145,4 +142,4 @@ class _Track:
         self.matches: FloatImage = np.empty(0, np.float32)
         self.turn_deg: FloatImage = np.empty(0, np.float32)
         self.rival = self.odds = 0.0
-        self.best: tuple[int, int] | None = None
+        self.best: Drawing | None = None

@@ -1,4 +1,4 @@
-"""What makes of the three stages those for drawn plates; stage 1's score among it."""
+"""The three stages for drawn plates, and their score of stage 1."""
 
 from __future__ import annotations
 
@@ -11,41 +11,73 @@ from sonarrec.arrays import ByteImage, FloatImage
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet
-from sonarrec.nouns import Fan
-from sonarrec.recogniser.between_stages import Parts
+from sonarrec.nouns import Fan, Frame, Selection
 from sonarrec.recogniser.drawn.drawings import Drawings
 from sonarrec.recogniser.drawn.model import built_in_model
 from sonarrec.recogniser.drawn.pose import PoseFitter
 from sonarrec.recogniser.drawn.stage2 import Plates
 from sonarrec.recogniser.drawn.stage3 import PlateMeasurement
+from sonarrec.recogniser.estimates import Estimates
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import Plane, working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector, Levels, ScoreMaps, enlarged
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
+from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages, Tracked
 
 HALF_SIDE_PX = 20.0  # half a plate's side in the working image, where the fan is no coarser
 
 
-def of_plates(config: Config, fan: Fan, landmarks: DrawnSet, poses: PoseTable | None) -> Parts:
-    """The parts for plates; the arguments are those of ThreeStages."""
-    fitter = pose_fitter(config, fan, landmarks)
-    plane, select, features = fitter.plane, config.candidates, config.features
-    beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
-    # A plate may be held: how the floor moves in the images says nothing of it.
-    continuity = replace(config.continuity, motion="random_walk")
-    groups = ContinuityFilter(continuity, plane, np.random.default_rng(config.seed))
-    plates = Plates(fitter, groups)
-    pictures = PlateMeasurement(fitter, plates, features.memory_frames, continuity.remember_frames)
-    return Parts(
-        plane=plane,
-        detect=CandidateSelector(select, plane, landmarks, beam_width_deg, PlateScore(plane)),
-        odometry=Odometry(plane, continuity, None if landmarks.pose == "free" else poses),
-        track=plates.step,
-        gather=pictures.gather,
-        beliefs=pictures.beliefs,
-    )
+class PlateStages(ThreeStages):
+    """The three stages for drawn plates."""
+
+    _measurement: PlateMeasurement
+
+    def __init__(
+        self,
+        config: Config,
+        fan: Fan,
+        landmarks: DrawnSet,
+        method: str = FRAMEWORK,
+        poses: PoseTable | None = None,
+    ) -> None:
+        """The arguments are those of DiscStages."""
+        fitter = pose_fitter(config, fan, landmarks)
+        plane, features = fitter.plane, config.features
+        beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
+        # A plate may be held: how the floor moves in the images says nothing of it.
+        continuity = replace(config.continuity, motion="random_walk")
+        self.plane, self._method = plane, method
+        self._select = CandidateSelector(
+            config.candidates, plane, landmarks, beam_width_deg, PlateScore(plane)
+        )
+        self.odometry = Odometry(plane, continuity, None if landmarks.pose == "free" else poses)
+        groups = ContinuityFilter(continuity, plane, np.random.default_rng(config.seed))
+        self._plates = Plates(fitter, groups)
+        self._measurement = PlateMeasurement(
+            fitter, features.memory_frames, continuity.remember_frames
+        )
+        self._estimates = Estimates(config, plane, landmarks)
+
+    def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
+        # How did the sonar move since the frame before?
+        motion = self.odometry.step(image, frame.timestamp_ns)
+        # Track the candidates by groups of particles (Eq. 3 and 4), and fit a pose to each plate.
+        groups = self._plates.step(image, candidates, motion)
+        # Average the pictures of the plates along their tracks. Each is followed by the drawing
+        # that its average matches best.
+        evidence, drawings = self._measurement.gather(groups, self._plates.of(groups))
+        self._plates.follow_by(groups.numbers, drawings)
+        return Tracked(
+            index=frame.index,
+            timestamp_ns=frame.timestamp_ns,
+            motion=motion,
+            candidates=candidates.positions,
+            scores=candidates.scores,
+            groups=groups,
+            evidence=evidence,
+        )
 
 
 def pose_fitter(config: Config, fan: Fan, landmarks: DrawnSet) -> PoseFitter:

@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray
+from sonarrec.arrays import ByteImage
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, FrameResult
+from sonarrec.nouns import Estimate, FrameResult, Selection
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.presets.second_look import SecondLook
 from sonarrec.recogniser.stage3 import likeliest
-from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinion, Opinions
+from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinions
+from sonarrec.recogniser.three_stages import Tracked
 
 LEAST_MEAN_BELIEF = 0.5  # of a track's frames in an ID that hindsight declares
 
@@ -36,12 +37,22 @@ class Hindsight:
         self, method: str, config: Config, landmarks: LandmarkSet, look: SecondLook | None = None
     ) -> None:
         """look: revises the results once more."""
-        self._method, self.look = method, look
+        self._method, self._look = method, look
         self.lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
         self._opinions = Opinions(len(landmarks.ids))
         self._frame = 0  # a count, since the numbers of a log's frames may jump
+
+    def see(self, tracked: Tracked, image: ByteImage, candidates: Selection) -> None:
+        """Add a frame after stage 2 to the second look."""
+        if self._look is not None:
+            self._look.add(tracked.index, tracked.motion, image, candidates)
+
+    def finish(self) -> None:
+        """No more frames follow."""
+        if self._look is not None:
+            self._look.finish()
 
     def learn(self, result: FrameResult) -> None:
         """Add a frame's estimates to the opinions of their tracks."""
@@ -57,58 +68,41 @@ class Hindsight:
                 opinion.orientations[estimate.landmark] = found
         # No result that still waits is of an older track.
         self._opinions.forget(self._frame - 2 * self.lag)
-        if self.look is not None:
-            self.look.learn(result)
 
     def revised(self, result: FrameResult) -> FrameResult:
         """A past result, which `learn` has had, with its tracks' beliefs by now."""
         result = self._of_tracks(result)
-        return result if self.look is None else self.look.revised(result)
+        return result if self._look is None else self._look.revised(result)
 
     def _of_tracks(self, result: FrameResult) -> FrameResult:
         """A past result with the beliefs of its tracks."""
-        own = [e for e in result.estimates if e.method == self._method]
+        estimates = list(result.estimates)
+        own = [i for i, e in enumerate(estimates) if e.method == self._method]
         if not own:
             return result
-        opinions = [self._opinions.get(e.object, e.episode) for e in own]
+        opinions = [self._opinions.get(estimates[i].object, estimates[i].episode) for i in own]
         # Each pool is sharpened as by TrackBelief.
         pools = np.exp((FRAME_EXPONENT + TRACK_EXPONENT) * np.stack([o.mean() for o in opinions]))
         beliefs = pools / pools.sum(axis=1, keepdims=True)
         best, scores = likeliest(beliefs)
-        claimed = declared(scores, self._threshold).tolist()
-        rows = zip(own, opinions, beliefs, best.tolist(), scores.tolist(), claimed, strict=True)
-        revised = iter([self._revised(*row) for row in rows])
-        estimates = (next(revised) if e.method == self._method else e for e in result.estimates)
+        claimed = declared(scores, self._threshold)
+        for n, (i, opinion) in enumerate(zip(own, opinions, strict=True)):
+            if claimed[n] and opinion.beliefs_sum[best[n]] < LEAST_MEAN_BELIEF * opinion.frames:
+                continue
+            estimate, landmark = estimates[i], self._ids[best[n]]
+            rotation = _sight_rotation(estimate)
+            unknown = (0.0, estimate.orientation_deg + rotation, np.nan)
+            _, orientation, sigma = opinion.orientations.get(landmark, unknown)
+            estimates[i] = replace(
+                estimate,
+                probabilities=beliefs[n],
+                landmark=landmark,
+                score=float(scores[n]),
+                declared=bool(claimed[n]) and estimate.in_view,
+                orientation_deg=(orientation - rotation) % 360,
+                orientation_sigma_deg=sigma,
+            )
         return replace(result, estimates=tuple(estimates))
-
-    def _revised(
-        self,
-        estimate: Estimate,
-        opinion: Opinion,
-        beliefs: FloatArray,
-        index: int,
-        score: float,
-        claimed: bool,
-    ) -> Estimate:
-        """The estimate with its track's belief and orientation.
-
-        beliefs: (K + 1,) of the opinion. index, score: of the likeliest ID, and the belief in it.
-        claimed: whether that is enough.
-        """
-        if claimed and opinion.beliefs_sum[index] < LEAST_MEAN_BELIEF * opinion.frames:
-            return estimate
-        rotation = _sight_rotation(estimate)
-        unknown = (0.0, estimate.orientation_deg + rotation, np.nan)
-        _, orientation, sigma = opinion.orientations.get(self._ids[index], unknown)
-        return replace(
-            estimate,
-            probabilities=beliefs,
-            landmark=self._ids[index],
-            score=score,
-            declared=claimed and estimate.in_view,
-            orientation_deg=(orientation - rotation) % 360,
-            orientation_sigma_deg=sigma,
-        )
 
 
 def _sight_rotation(estimate: Estimate) -> float:

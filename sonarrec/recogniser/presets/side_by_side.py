@@ -13,13 +13,12 @@ from sonarrec.errors import Diagnostics
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.nouns import Fan, Frame, FrameResult
-from sonarrec.recogniser.between_stages import Tracked
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.presets.second_look import SecondLook, looks_again
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
-from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages, ThreeStages, Tracked
 
 # Frames that stage 3 takes at once: one by one a frame costs a sixth more, more would save nothing.
 FRAMES_AT_ONCE = 16
@@ -57,15 +56,24 @@ class SideBySide:
         ]
         both = zip(single, self.tracking, strict=True)
         self.methods = [name for pair in both for name in pair if name is not None]
-        # Configurations that differ only in hindsight share one recogniser.
-        stages = [
-            replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs
-        ]
-        self._recogniser_of = [stages.index(config) for config in stages]
-        self._recognisers = {
-            i: ThreeStages(configs[i], fan, landmarks, model, self.tracking[i], single[i], poses)
-            for i in dict.fromkeys(self._recogniser_of)
-        }
+        # Configurations that differ only in hindsight share the stages of the first of them.
+        alike = [replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs]
+        self._stages_of = [alike.index(one) for one in alike]
+        self._stages: dict[int, ThreeStages] = {}
+        for i in dict.fromkeys(self._stages_of):
+            config, method = configs[i], self.tracking[i]
+            if isinstance(landmarks, DrawnSet):
+                # Imported where it is needed: most sets are of discs, and it takes a while.
+                from sonarrec.recogniser.drawn.three_stages import PlateStages
+
+                stages: ThreeStages = PlateStages(
+                    config, fan, landmarks, method=method, poses=poses
+                )
+            else:
+                stages = DiscStages(
+                    config, fan, landmarks, model, method=method, smi=single[i], poses=poses
+                )
+            self._stages[i] = stages
         self._hindsight: dict[int, Hindsight] = {}
         for i, (config, method) in enumerate(zip(configs, self.tracking, strict=True)):
             if config.features.lag_frames:
@@ -74,10 +82,10 @@ class SideBySide:
                     look = SecondLook(method, config, fan, landmarks, model)
                 self._hindsight[i] = Hindsight(method, config, landmarks, look)
         self._lag = max(config.features.lag_frames for config in configs)
-        self._tracked: list[list[Tracked]] = []  # frames that wait for stage 3
+        self._tracked: list[dict[int, Tracked]] = []  # frames that wait for stage 3
         # Ctrl-C may come at any moment; `waiting` goes on from there.
-        self._pending: deque[list[FrameResult]] = deque()  # out of stage 3, but not yet used
-        self._unlearned = 0  # so many of them, the last ones, are new to the hindsights
+        self._new: deque[list[FrameResult]] = deque()  # out of stage 3
+        self._pending: deque[list[FrameResult]] = deque()  # which the hindsights have had
         self._unrevised = {i: deque[list[FrameResult]]() for i in self._hindsight}
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
@@ -99,36 +107,43 @@ class SideBySide:
         if broken:
             raise broken[0]
 
-    def _track(self, frame: Frame) -> list[Tracked]:
-        """Stages 1 and 2 of a frame, of each recogniser."""
-        tracked = []
-        for i, recogniser in self._recognisers.items():
-            image = recogniser.working_image(frame)
-            selection = recogniser.stage1(image)
+    def _track(self, frame: Frame) -> dict[int, Tracked]:
+        """Stages 1 and 2 of a frame."""
+        tracked = {}
+        for i, stages in self._stages.items():
+            image = stages.working_image(frame)
+            candidates = stages.stage1(image)
+            tracked[i] = stages.stage2(frame, image, candidates)
             for k, hindsight in self._hindsight.items():
-                if hindsight.look is not None and self._recogniser_of[k] == i:
-                    hindsight.look.take(image, selection)
-            tracked.append(recogniser.stage2(frame, image, selection))
+                if self._stages_of[k] == i:
+                    hindsight.see(tracked[i], image, candidates)
         return tracked
 
     def _settled(self) -> Iterator[FrameResult]:
         """Stage 3 of the frames that wait for it; the results that are final by then."""
         tracked, self._tracked = self._tracked, []
         if tracked:
-            of_each = zip(self._recognisers.values(), zip(*tracked, strict=True), strict=True)
-            found = [recogniser.stage3(frames) for recogniser, frames in of_each]
-            new = [self._of_each(of_frame) for of_frame in zip(*found, strict=True)]
-            self._pending.extend(new)
-            self._unlearned += len(new)
-        while self._unlearned:
-            results = self._pending[-self._unlearned]
-            self._unlearned -= 1
+            found = {i: s.stage3([f[i] for f in tracked]) for i, s in self._stages.items()}
+            self._new.extend(
+                [self._result_of(k, found[i][n]) for k, i in enumerate(self._stages_of)]
+                for n in range(len(tracked))
+            )
+        while self._new:
+            self._pending.append(self._new[0])  # if stopped here, it is there twice, but not lost
+            results = self._new.popleft()
             for i, hindsight in self._hindsight.items():
                 hindsight.learn(results[i])
                 self._unrevised[i].append(results)
                 # Each at its own lag, so that a preset's results do not depend on the others.
                 self._revise(i, hindsight.lag)
-            yield from self._final(self._lag + self._unlearned)
+            yield from self._final(self._lag)
+
+    def _result_of(self, k: int, result: FrameResult) -> FrameResult:
+        """The result of configuration k by that of its stages, which may be another's."""
+        if self._stages_of[k] == k:
+            return result
+        own = (e for e in result.estimates if e.method == self.tracking[self._stages_of[k]])
+        return replace(result, estimates=tuple(replace(e, method=self.tracking[k]) for e in own))
 
     def _revise(self, i: int, most: int) -> None:
         """Revise the oldest results by a hindsight until at most so many wait for it."""
@@ -136,31 +151,18 @@ class SideBySide:
             results = self._unrevised[i].popleft()
             results[i] = self._hindsight[i].revised(results[i])
 
-    def _of_each(self, of_recognisers: Sequence[FrameResult]) -> list[FrameResult]:
-        """One frame's results, one for each configuration."""
-        found, results = dict(zip(self._recognisers, of_recognisers, strict=True)), []
-        for i, recogniser in enumerate(self._recogniser_of):
-            result = found[recogniser]
-            if i != recogniser:
-                own = (e for e in result.estimates if e.method == self.tracking[recogniser])
-                renamed = tuple(replace(e, method=self.tracking[i]) for e in own)
-                result = replace(result, estimates=renamed)
-            results.append(result)
-        return results
-
     def waiting(self) -> Iterator[FrameResult]:
         """Yield the results that wait at the end of the frames, revised by all frames so far."""
         yield from self._settled()
         for i, hindsight in self._hindsight.items():
-            if hindsight.look is not None:
-                hindsight.look.finish()
+            hindsight.finish()
             self._revise(i, 0)
         yield from self._final(0)
 
     def tell(self, diagnostics: Diagnostics) -> None:
         """Report what is wrong with the poses of the frames so far."""
-        for recogniser in self._recognisers.values():
-            recogniser.odometry.tell(diagnostics)
+        for stages in self._stages.values():
+            stages.odometry.tell(diagnostics)
 
     @property
     def restored(self) -> tuple[float, float]:

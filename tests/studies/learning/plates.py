@@ -26,8 +26,7 @@ from sonarrec.recogniser.drawn.model import MODEL, of_ids, of_one
 from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
 from sonarrec.recogniser.drawn.stage2 import smooth
 from sonarrec.recogniser.drawn.stage3 import PlateEvidence
-from sonarrec.recogniser.drawn.three_stages import pose_fitter
-from sonarrec.recogniser.three_stages import ThreeStages
+from sonarrec.recogniser.drawn.three_stages import PlateStages, pose_fitter
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import HeldPlate, PlateScene, scene_sonar
 from sonarrec.simulation.truth import Truth
@@ -171,7 +170,7 @@ def random_scene(
 
 def stages_of(
     scene: PlateScene,
-) -> tuple[ThreeStages, PoseFitter, Iterator[tuple[SimulatedFrame, Frame]]]:
+) -> tuple[PlateStages, PoseFitter, Iterator[tuple[SimulatedFrame, Frame]]]:
     """What recognises a recording, what finds plates in it, and its frames."""
     polar = PolarToFan(scene_sonar(scene).complete("scene"), scene.bins, scene.beams)
     config = preset("default")
@@ -181,7 +180,7 @@ def stages_of(
         for shot in render(scene)
     )
     fitter = pose_fitter(config, polar.fan, scene.landmark_set)
-    return ThreeStages(config, polar.fan, scene.landmark_set), fitter, frames
+    return PlateStages(config, polar.fan, scene.landmark_set), fitter, frames
 
 
 def lessons_of_pictures(seed: int) -> list[Part]:
@@ -228,7 +227,7 @@ def lessons_of_tracks(seed: int) -> list[Part]:
         after = stages.stage2(frame, image, stages.stage1(image))
         evidence, groups = after.evidence, after.groups
         assert isinstance(evidence, PlateEvidence)
-        middles = plane_from_polar(*stages.parts.plane.to_polar(*groups.positions.T))
+        middles = plane_from_polar(*stages.plane.to_polar(*groups.positions.T))
         label = np.full(len(middles), len(ids))
         for true in shot.truth:
             place = plane_from_polar(np.array([true.range_m]), np.array([true.bearing_deg]))

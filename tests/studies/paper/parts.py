@@ -14,7 +14,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Estimate, Fan, Frame, Selection
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rotated_codes
 from sonarrec.recogniser.stage3.smi import identify
-from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages
 
 CONTINUITY = "continuity"
 """Stages 1 and 2, then SMI in every frame at its own operating point."""
@@ -28,8 +28,9 @@ class Parts:
     def __init__(self, config: Config, fan: Fan, landmarks: LandmarkSet) -> None:
         """config: the paper's preset, with the seed of its particles."""
         self._fan, self._ids, self._declare = fan, landmarks.ids, config.smi.declare
-        names = f"{FRAMEWORK}:paper", f"{SMI}:paper"
-        self.stages = ThreeStages(config, fan, landmarks, None, *names)
+        self.stages = DiscStages(
+            config, fan, landmarks, method=f"{FRAMEWORK}:paper", smi=f"{SMI}:paper"
+        )
         self._bands = ShapeSampler(landmarks, (1.0, 1.0)).bands
         self._codes = rotated_codes(landmarks)
 

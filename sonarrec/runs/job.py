@@ -1,0 +1,128 @@
+"""A job: one log to run. What is told while it runs, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from sonarrec.config import Config
+from sonarrec.errors import SonarrecError, hidden, is_url, number_of
+from sonarrec.landmarks import load_landmarks
+from sonarrec.nouns import FrameResult
+from sonarrec.recogniser.stage3.model import read_model
+from sonarrec.results.run_file import LogOptions
+from sonarrec.results.sightings import Sighting
+
+Observe = Callable[[FrameResult, int | None], None]
+"""Called with each result and the number of frames, None where that is not known."""
+GRACE_S = 10.0
+"""Time that a process has after SIGTERM to write its results, before SIGKILL."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """The user's choices for a run, apart from how the log is read."""
+
+    configs: Sequence[Config]  # several: side by side, each under its own method name
+    landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
+    model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
+    earlier_run: Path | None = None  # a run.toml, whose geometry, landmarks and model serve where
+    # none are given; a plain file of settings has none of these
+
+    def check(self) -> None:
+        """Raise UsageError if landmarks or model are invalid, before any log is opened."""
+        if self.landmarks is not None:
+            load_landmarks(self.landmarks)
+        if self.model is not None:
+            read_model(self.model)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One log to run; it can be pickled, and handed to another process or machine."""
+
+    log: str  # its path, or its URL with secrets: show `path`
+    name: str  # of the folder of its results, see `result_names`
+    out: str  # the folder in which that lies, or its URL
+    log_options: LogOptions
+    run_options: RunOptions
+    overwrite: bool = False
+    urls: Mapping[str, str] = field(default_factory=dict)  # of temporary folders, see `local_copy`
+
+    @property
+    def path(self) -> str:
+        """Of the log; or its URL without secrets."""
+        return hidden(self.log) if is_url(self.log) else self.log
+
+    @property
+    def folder(self) -> Path:
+        """That of the results, where they are on this machine."""
+        return Path(self.out, self.name)
+
+    @property
+    def results(self) -> str:
+        """The folder of the results, or its URL without secrets."""
+        if is_url(self.out):
+            return f"{hidden(self.out.rstrip('/'))}/{self.name}"
+        return str(self.folder)
+
+    def shown(self, text: object) -> str:
+        """A text for the user, with the URLs of temporary folders."""
+        text = str(text)
+        for folder, url in self.urls.items():
+            text = text.replace(folder, url)
+        return text
+
+
+Status = Literal["waiting", "running", "done", "partial", "failed"]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Outcome:
+    """How the run of one log went.
+
+    status: `partial` if part of the log could not be used. up_to_date: these very results were
+    there, so nothing was done. folder: where the results are. frames: how many were processed.
+    unusable: how many could not be. candidates: over all frames. problems: a line for each thing
+    that could not be used. notes: other lines for the user. passes: how many sightings.csv has of
+    each method that follows objects. sightings: of each of these the MOST_SIGHTINGS declared in the
+    most frames, in order of first sight. landmarks: frames in which the first of these methods
+    declared each ID, summed over its passes. error: why it failed; then there are no results.
+    traceback: of a bug, if its process printed one. seconds: duration.
+    """
+
+    status: Status
+    folder: Path = Path()
+    frames: int = 0
+    unusable: int = 0
+    candidates: int = 0
+    problems: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    passes: Mapping[str, int] = field(default_factory=dict)
+    sightings: Sequence[Sighting] = ()
+    landmarks: Mapping[int, int] = field(default_factory=dict)
+    up_to_date: bool = False
+    error: SonarrecError | None = None
+    traceback: str = ""
+    seconds: float = 0.0
+
+    @property
+    def message(self) -> str:
+        """One line on what could not be used; empty if all could."""
+        if self.error is not None:
+            return str(self.error)
+        more = f" (and {len(self.problems) - 1} more)" if len(self.problems) > 1 else ""
+        return self.problems[0] + more if self.problems else ""
+
+    def __repr__(self) -> str:
+        passes = number_of(sum(self.passes.values()), "sighting")
+        return f"<{self.folder}: {number_of(self.frames, 'frame')}, {passes}>"
+
+
+Event = str | tuple[int, int | None] | Outcome
+"""What happens to a job: a line on what its run goes by; how many frames are done, of how many
+(None: not known), 0 as it begins; its end."""
+Report = Callable[[Event], object]
+"""Called with each event of a job."""
