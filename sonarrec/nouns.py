@@ -101,31 +101,14 @@ BeamOrder = Literal["range-major", "beam-major"]
 
 
 @dataclass(frozen=True, slots=True)
-class PingGeometry:
-    """The geometry that a polar ping states: everything except tilt and height."""
-
-    range_min_m: float  # the window's slant ranges
-    range_max_m: float
-    bearings_deg: tuple[float, ...]  # of the beams' middles
-    ranges_m: tuple[float, ...] | None  # of the bins' middles; None: evenly spaced
-    beam_order: BeamOrder | None = None  # None: to be found from the samples
-    beam_width_deg: float | None = None  # between half-power points; None: not stated
-
-
-@dataclass(frozen=True, slots=True)
 class Frame:
-    """One ping, with the fan in which it lies: the same record from the log to the stages.
+    """One ping, with the fan in which it lies, as the stages take it.
 
     index: 0-based position in the log (unusable frames keep their number).
     timestamp_ns: time in ns; if the log carries none, from the index and the frame rate.
     pixels: uint8, log-compressed intensity: the fan image or, if there is `polar`, a polar image
     (range bins, beams). polar: how a polar image fills the fan.
     stamps: all times that the log states for the frame.
-
-    A reader yields it as the log holds it (`readers.raw.stored`): the pixels of any type, and None
-    if they could not be read; no fan yet; timestamp_ns None if the log keeps no time. For that:
-    name: in messages. problem: why it could not be read. ping: the geometry that a polar ping
-    states. white: the pixel value that its file calls white; None: the largest of the type.
     """
 
     index: int
@@ -134,20 +117,11 @@ class Frame:
     fan: Fan
     stamps: Stamps = NO_STAMPS
     polar: PolarImages | None = None
-    name: str = ""
-    problem: str | None = None
-    ping: PingGeometry | None = None
-    white: int | None = None
 
     @property
     def image(self) -> ByteImage:
         """The fan image, (fan.rows, fan.columns) uint8; made anew each time of polar pixels."""
         return self.pixels if self.polar is None else self.polar(self.pixels)
-
-    @property
-    def shows(self) -> bool:
-        """Whether it could be read, and is not blank."""
-        return self.pixels is not None and bool(self.pixels.any())
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_
 from sonarrec.drawing.results import AROUND, Mark, Moment, caption, outline_of, trails
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.nouns import Frame
-from sonarrec.readers.messages.foxglove import json_schema
+from sonarrec.readers.messages.foxglove import message_class
 from sonarrec.tables.outputs import OVERLAY_LIBRARY, replaced, writing
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
@@ -135,3 +135,42 @@ def _point(x: float, y: float) -> dict[str, float]:
 
 def _colour(colour: Colour, alpha: float = 1) -> dict[str, float]:
     return dict(zip("rgba", (*(round(c / 255, 3) for c in colour), alpha), strict=True))
+
+
+def json_schema(name: str) -> dict[str, Any]:
+    """The JSON schema of a message, as Foxglove publishes it, without the descriptions."""
+    return {"title": name, **_object(message_class(name).DESCRIPTOR)}
+
+
+_TIME = {
+    "type": "object",
+    "title": "time",
+    "properties": {
+        "sec": {"type": "integer", "minimum": 0},
+        "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
+    },
+    "required": ["sec", "nsec"],
+}
+
+
+def _object(message: Any) -> dict[str, Any]:
+    if message.full_name == "google.protobuf.Timestamp":
+        return _TIME
+    properties = {}
+    for field in message.fields:
+        single = _single(field)
+        properties[field.name] = {"type": "array", "items": single} if field.is_repeated else single
+    required = [name for name in properties if name not in ("timestamp", "metadata")]
+    return {"type": "object", "properties": properties, "required": required}
+
+
+def _single(field: Any) -> dict[str, Any]:
+    if field.message_type is not None:
+        return _object(field.message_type)
+    if field.enum_type is not None:
+        return {"oneOf": [{"const": value.number} for value in field.enum_type.values]}
+    if field.type == field.TYPE_BYTES:
+        return {"type": "string", "contentEncoding": "base64"}
+    if field.type == field.TYPE_STRING:
+        return {"type": "string"}
+    return {"type": "number" if field.cpp_type == field.CPPTYPE_DOUBLE else "integer"}

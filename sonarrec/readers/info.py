@@ -11,11 +11,10 @@ from typing import Any
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
-from sonarrec.nouns import Frame
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.readers.plausible import Plausibility
-from sonarrec.readers.raw import RawLog
+from sonarrec.readers.raw import RawLog, StoredFrame
 from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]
@@ -202,12 +201,12 @@ def _images(
     sizes, types, times = Counter[tuple[int, ...]](), Counter[str](), list[int]()
     timed = count = usable = 0
 
-    def look(frame: Frame) -> None:
+    def look(frame: StoredFrame) -> None:
         nonlocal timed, count
         count += 1
-        if frame.timestamp_ns is not None:
+        if frame.time_ns is not None:
             timed += 1
-            times[1:] = [frame.timestamp_ns]  # the first and the last
+            times[1:] = [frame.time_ns]  # the first and the last
         if frame.pixels is not None:
             shape, name = frame.pixels.shape, frame.pixels.dtype.newbyteorder("=").name
             sizes[shape[:2]] += 1

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import chain, islice
 from typing import Any
 
 from sonarrec.errors import SonarrecError, number_of
 from sonarrec.nouns import Clock, Fan, Frame
-from sonarrec.readers.decode.colour import LUMINANCE
-from sonarrec.readers.decode.frame_maker import FrameMaker
+from sonarrec.readers.decode.layout import Stated
+from sonarrec.readers.decode.reading import apply, settle
 from sonarrec.readers.open import Source
-from sonarrec.readers.raw import CLEARLY_BACK_NS, RawLog, UnusableError, showing
+from sonarrec.readers.raw import CLEARLY_BACK_NS, RawLog, StoredFrame, UnusableError
 from sonarrec.sonar import Sonar
 
 YEAR_NS = 31_556_952 * 10**9
@@ -22,6 +22,7 @@ SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
 # The three are looked for among so many frames and bytes: the frames of a whole chunk may be lost,
 # and a sonar may send blank ones until it has its settings.
 SETTLING_WITHIN, SETTLING_BYTES = 1000, 2**26
+Size = tuple[int, ...] | None
 
 
 class Log:
@@ -40,7 +41,7 @@ class Log:
         stated: Sonar,
         raw: RawLog,
         time: Clock,
-        observe: Callable[[Frame], None] | None = None,
+        observe: Callable[[StoredFrame], None] | None = None,
     ) -> None:
         """raw: the source, opened. time: which of its times names a frame. observe: called with
         each frame as the log holds it."""
@@ -49,7 +50,8 @@ class Log:
         self.diagnostics = raw.diagnostics
         self._source, self._raw, self._time, self._observe = source, raw, time, observe
         origin = "headers" if raw.header_info.values else "messages"
-        self._make = FrameMaker(stated, str(source.path), raw.diagnostics, origin)
+        about = Stated(stated, str(source.path), origin, raw.diagnostics.note)
+        self._reading = settle(about, ())
         self.beam_width_deg = stated.beam_width_deg
         self.untimed = False
         self._timed = 0, 0  # number and time of the last frame that carried one
@@ -66,29 +68,26 @@ class Log:
     @property
     def sonar(self) -> Sonar:
         """The geometry in use; for polar messages that of the first ping, once it was read."""
-        return self._make.sonar
+        return self._reading.sonar
 
     @property
     def order_from(self) -> str | None:
         """ "found" or "assumed" for a beam order that nobody stated; else None."""
-        return self._make.order_from
+        return None if self._reading.layout is None else self._reading.layout.order_from
 
     @property
     def fan(self) -> Fan | None:
         """The geometry of the fan images; None before the first frame."""
-        return self._make.fan
+        return self._reading.fan
 
     def reading(self) -> dict[str, Any]:
         """How the log was read, for run.toml: the choices, and what the first frame decided."""
-        settled: dict[str, Any] = {"time": self._time}
+        table: dict[str, Any] = {"time": self._time}
         if self._raw.topic is not None:
-            settled["topic"] = self._raw.topic
+            table["topic"] = self._raw.topic
         if self._raw.polar and self.sonar.beam_order is not None:
-            settled["beam_order"] = self.sonar.beam_order
-        if self._make.colour_map != LUMINANCE:
-            settled["colour_map"] = self._make.colour_map
-        scale = self._make.scale
-        return settled if scale is None else settled | scale.as_table()
+            table["beam_order"] = self.sonar.beam_order
+        return table | self._reading.as_table()
 
     @property
     def dynamic_range_db(self) -> float | None:
@@ -120,62 +119,43 @@ class Log:
         Raises SonarrecError if no frame can be used, or if the bearings in the sonar geometry do
         not match the images.
         """
-        used = repeated = at_once = 0
-        before: Frame | None = None
-        self._timed = 0, 0
         self.diagnostics.begin_pass()
         self._raw.passed_over = range(0)  # an earlier pass may have set it
-        for index, stored in enumerate(self._settled()):
-            if span[1] is not None and index >= span[1]:
-                break
-            if (stored.pixels is None and stored.problem is None) or (used and index < span[0]):
-                continue  # outside of the span, or reported with others in the faults
+        numbered = enumerate(self._settled())
+        used, before, repeats = 0, None, Counter[str]()
+        for index, stored in islice(numbered, span[1]):
+            if stored.is_lost or (used and index < span[0]):
+                continue
             try:
-                frame = self._make(stored)
-                frame = replace(frame, index=index, timestamp_ns=self._time_of(index, stored))
+                frame = self._frame(index, stored)
             except UnusableError as error:
                 self.diagnostics.skip(stored.name, error)
                 continue
-            if not used and frame.ping is not None and self.stated.beam_width_deg is None:
-                self.beam_width_deg = frame.ping.beam_width_deg
+            if not used and stored.ping is not None and self.stated.beam_width_deg is None:
+                self.beam_width_deg = stored.ping.beam_width_deg
             used += 1
             if index < span[0]:
                 self._raw.passed_over = range(span[0])
                 continue
             if before is not None:
-                at_once += frame.timestamp_ns == before.timestamp_ns
-                repeated += frame.pixels.data == before.pixels.data and frame.shows  # stops early
+                repeats["at once"] += int(frame.timestamp_ns == before.timestamp_ns)
+                same = frame.pixels.data == before.pixels.data  # stops early
+                repeats["pictures"] += int(same and frame.pixels.any())
             before = frame
             yield frame
-        else:
+        if next(numbered, None) is None:  # the end of the log
             self.diagnostics.end_pass()
             if not used:
-                why = self._first_problem()
-                raise SonarrecError(f"{self.path}: not one frame could be used{why}")
-        told = {
-            f"{number_of(repeated, 'picture')} the same as the one before: each counts as one "
-            "more view, so scores are too high; leave them out": repeated,
-            f"{number_of(at_once, 'frame')} of the same {self._time} time as the one before; truth "
-            "and poses by time cannot tell them apart": at_once,
-        }
-        self.diagnostics.note(*(text for text, count in told.items() if count))
+                raise SonarrecError(f"{self.path}: not one frame could be used{self._why()}")
+        self._tell_repeats(repeats)
 
-    def why_none(self) -> str:
-        """The end of a message that no frame lies in a span: why, if frames could not be used."""
-        problem = self._first_problem()
-        return f", or none that can be used{problem}" if problem else ""
-
-    def _first_problem(self) -> str:
-        problems = self.diagnostics.problems
-        return f" ({problems[0]})" if problems else ""
-
-    def _settled(self) -> Iterator[Frame]:
+    def _settled(self) -> Iterator[StoredFrame]:
         """The stored frames, after the first few have decided how all are read."""
         frames = self._observed()
-        frames = chain(_of_one_size(_to_settle(frames)), frames)
-        first = _to_settle(frames)
-        if self.fan is None:  # else an earlier pass has settled it
-            self._make.settle(first)
+        first = _first_of(frames)
+        if self._reading.layout is None:  # else an earlier pass has settled it
+            self._reading = settle(self._reading.stated, first)
+        self._timed = 0, 0
         stamped = [frame.stamps.header for frame in first if frame.pixels is not None]
         self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
         if self._unset:
@@ -184,16 +164,44 @@ class Log:
             )
         return chain(first, frames)
 
-    def _observed(self) -> Iterator[Frame]:
+    def _frame(self, index: int, stored: StoredFrame) -> Frame:
+        """The frame for the stages. Raises UnusableError if it cannot be used."""
+        reading, pixels = apply(self._reading, stored)
+        self._reading = reading
+        assert reading.layout is not None
+        fan, polar = reading.layout.fan, reading.layout.polar
+        return Frame(index, self._time_of(index, stored), pixels, fan, stored.stamps, polar)
+
+    def _tell_repeats(self, repeats: Counter[str]) -> None:
+        if count := repeats["pictures"]:
+            self.diagnostics.note(
+                f"{number_of(count, 'picture')} the same as the one before: each counts as one "
+                "more view, so scores are too high; leave them out"
+            )
+        if count := repeats["at once"]:
+            self.diagnostics.note(
+                f"{number_of(count, 'frame')} of the same {self._time} time as the one before; "
+                "truth and poses by time cannot tell them apart"
+            )
+
+    def why_none(self) -> str:
+        """The end of a message that no frame lies in a span: why, if frames could not be used."""
+        return f", or none that can be used{self._why()}" if self.diagnostics.problems else ""
+
+    def _why(self) -> str:
+        problems = self.diagnostics.problems
+        return f" ({problems[0]})" if problems else ""
+
+    def _observed(self) -> Iterator[StoredFrame]:
         for stored in self._raw:
             if self._observe is not None:
                 self._observe(stored)
             yield stored
 
-    def _time_of(self, index: int, frame: Frame) -> int:
+    def _time_of(self, index: int, frame: StoredFrame) -> int:
         """The time that names a frame, ns. Raises UnusableError if the frame has no such time."""
         clock = "log" if self._unset else self._time
-        stamp: int | None = frame.timestamp_ns if clock == "log" else getattr(frame.stamps, clock)
+        stamp: int | None = frame.time_ns if clock == "log" else getattr(frame.stamps, clock)
         if stamp is None and self._time != "log":
             raise UnusableError(f"without a {self._time} time; --time log needs none")
         number, before = self._timed
@@ -247,38 +255,30 @@ def digest_of(log: Source) -> tuple[int, str]:
     return size, digest.hexdigest()
 
 
-def _of_one_size(first: Sequence[Frame]) -> list[Frame]:
-    """The first frames, of which those of another size than most are marked as unusable. The first
-    usable frame decides the size of the log. If a driver sent it before it had its settings, all
-    others would be lost."""
-    sizes = Counter(filter(None, map(_stored_size, showing(first))))
-    sizes = sizes or Counter(filter(None, map(_stored_size, first)))
-    usual = sizes.most_common(1)[0][0] if sizes else ()
-    marked = []
-    for frame in first:
-        size = _stored_size(frame)
-        if size is not None and size != usual:
-            problem = f"{size[1]} x {size[0]} pixels in a log of {usual[1]} x {usual[0]}"
-            frame = replace(frame, pixels=None, problem=problem)  # type: ignore[arg-type]
-        marked.append(frame)
-    return marked
-
-
-def _to_settle(frames: Iterator[Frame]) -> list[Frame]:
-    """The first frames, up to the SETTLING_FRAMES-th that shows something."""
-    first: list[Frame] = []
-    shown = held = 0
+def _first_of(frames: Iterator[StoredFrame]) -> list[StoredFrame]:
+    """The first frames, up to the SETTLING_FRAMES-th of one size that shows something. Those of
+    another size than most are marked as unusable: if a driver sent one before it had its settings,
+    and it decided the size of the log, all others would be lost."""
+    first, held, shown, sizes = list[StoredFrame](), 0, Counter[Size](), Counter[Size]()
     for frame in islice(frames, SETTLING_WITHIN):
         first.append(frame)
-        shown += frame.shows
-        held += 0 if frame.pixels is None else frame.pixels.nbytes
-        if shown == SETTLING_FRAMES or (held > SETTLING_BYTES and len(first) >= SETTLING_FRAMES):
+        if frame.pixels is not None:
+            # None of pings, which state their geometry.
+            size = frame.pixels.shape[:2] if frame.ping is None else None
+            held += frame.pixels.nbytes
+            sizes[size] += 1
+            shown[size] += frame.shows
+        enough = max(shown.values(), default=0) >= SETTLING_FRAMES
+        if enough or (held > SETTLING_BYTES and len(first) >= SETTLING_FRAMES):
             break
-    return first
+    ((usual, _),) = (+shown or +sizes).most_common(1) or [(None, 0)]
+    return [frame if usual is None else _if_of(usual, frame) for frame in first]
 
 
-def _stored_size(frame: Frame) -> tuple[int, ...] | None:
-    """(rows, columns) of an image that does not state its geometry; None for others."""
-    if frame.pixels is None or frame.ping is not None:
-        return None
-    return frame.pixels.shape[:2]
+def _if_of(usual: tuple[int, ...], frame: StoredFrame) -> StoredFrame:
+    """The frame; without pixels if they are of another size."""
+    if frame.pixels is None or frame.ping is not None or frame.pixels.shape[:2] == usual:
+        return frame
+    rows, columns = frame.pixels.shape[:2]
+    problem = f"{columns} x {rows} pixels in a log of {usual[1]} x {usual[0]}"
+    return replace(frame, pixels=None, problem=problem)

@@ -1,11 +1,11 @@
-"""What all readers give: frames as the log holds them, and messages of recordings."""
+"""What the containers give: frames as the log holds them, and messages of recordings."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics
-from sonarrec.nouns import Frame, PingGeometry, Stamps
+from sonarrec.nouns import NO_STAMPS, BeamOrder, Stamps
 from sonarrec.sonar import MIN_WINDOW_M, Sonar
 
 MAX_FRAME_BYTES = 48 * 2**20  # also of a message: 4096 x 4096 pixels of three bytes
@@ -26,47 +26,75 @@ class UnusableError(Exception):
     """One frame cannot be used; the text says why. It never leaves the readers."""
 
 
-def stored(name: str, time_ns: Any, pixels: Any, problem: str | None = None, **more: Any) -> Frame:
+@dataclass(frozen=True, slots=True)
+class PingGeometry:
+    """The geometry that a polar ping states: everything except tilt and height."""
+
+    range_min_m: float  # the window's slant ranges
+    range_max_m: float
+    bearings_deg: tuple[float, ...]  # of the beams' middles
+    ranges_m: tuple[float, ...] | None  # of the bins' middles; None: evenly spaced
+    beam_order: BeamOrder | None = None  # None: to be found from the samples
+    beam_width_deg: float | None = None  # between half-power points; None: not stated
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFrame:
     """A frame as its log holds it.
 
-    time_ns: None if the log keeps no time. pixels: (rows, columns) or (rows, columns, channels; BGR
-    first), any dtype, which decides the usual pixel_scale (`sonarrec help geometry`); of a polar
-    ping (bins, beams), also where its `beam_order` says that the samples came beam by beam; None
-    if they could not be read. problem: why; None if the frame was skipped, or lost together with
-    others, which the log's faults report. more: other fields of a Frame.
+    name: in messages. time_ns: None if the log keeps no time. pixels: (rows, columns) or (rows,
+    columns, channels; BGR first), any dtype, which decides the usual pixel_scale (`sonarrec help
+    geometry`); of a polar ping (bins, beams), also where its `beam_order` says that the samples
+    came beam by beam; None if they could not be read. problem: why; None if the frame was passed
+    over, or lost together with others, which the log's faults report. ping: the geometry that a
+    polar ping states. white: the pixel value that its file calls white; None: the largest of the
+    type.
     """
-    no_fan: Any = None
-    return Frame(-1, time_ns, pixels, no_fan, name=name, problem=problem, **more)
+
+    name: str = ""
+    time_ns: int | None = None
+    pixels: np.ndarray | None = None
+    problem: str | None = None
+    stamps: Stamps = NO_STAMPS
+    ping: PingGeometry | None = None
+    white: int | None = None
+
+    @property
+    def shows(self) -> bool:
+        """Whether it could be read, and is not blank."""
+        return self.pixels is not None and bool(self.pixels.any())
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether there is nothing to say of it: it was passed over, or is told with others."""
+        return self.pixels is None and self.problem is None
 
 
-def message_frame(
-    pixels: np.ndarray, stamp_ns: int | None = None, ping: PingGeometry | None = None
-) -> Frame:
-    """The frame in one message. stamp_ns: the header's stamp; None if there is none."""
-    return stored("", stamp_ns, pixels, stamps=Stamps(header=stamp_ns), ping=ping)
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What is in one message. stamp_ns: the header's stamp; None if there is none."""
+
+    pixels: np.ndarray
+    stamp_ns: int | None = None
+    ping: PingGeometry | None = None
 
 
 def frame_of(
     name: str,
     log_ns: int | None,
-    decode: Callable[[Any], Frame],
+    decode: Callable[[Any], Decoded],
     message: bytes | memoryview,
     publish_ns: int | None = None,
-) -> Frame:
+) -> StoredFrame:
     """The frame of a message; without pixels if `decode` raises UnusableError. log_ns, publish_ns:
     when it was recorded and sent; None if the log keeps no such time."""
     try:
-        frame = decode(message)
+        found = decode(message)
     except UnusableError as error:
-        return stored(name, log_ns, None, str(error))
-    time_ns = frame.timestamp_ns if log_ns is None else log_ns
-    stamps = Stamps(log_ns, publish_ns, frame.stamps.header)
-    return replace(frame, name=name, timestamp_ns=time_ns, stamps=stamps)
-
-
-def showing(frames: Sequence[Frame]) -> Sequence[Frame]:
-    """Those of the frames that show something; all of them if none does."""
-    return [frame for frame in frames if frame.shows] or frames
+        return StoredFrame(name, log_ns, problem=str(error))
+    time_ns = found.stamp_ns if log_ns is None else log_ns
+    stamps = Stamps(log_ns, publish_ns, found.stamp_ns)
+    return StoredFrame(name, time_ns, found.pixels, stamps=stamps, ping=found.ping)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +139,8 @@ class RawLog(ABC):
         return sonar if sonar.layout else sonar.updated(usual)
 
     @abstractmethod
-    def __iter__(self) -> Iterator[Frame]:
-        """The frames, as `stored` gives them."""
+    def __iter__(self) -> Iterator[StoredFrame]:
+        """The frames in the order of the log: the n-th yielded has the number n."""
 
 
 class FileBytes:
@@ -126,16 +154,20 @@ class FileBytes:
 
     def at(self, offset: int, count: int) -> bytes:
         """`count` bytes from `offset` on; fewer if the file ends before."""
-        self._file.seek(offset)
+        self._file.seek(min(offset, self.size))
         return self._file.read(max(min(count, self.size - offset), 0))
 
-    def find(self, mark: bytes, start: int, end: int) -> int | None:
-        """Where `mark` first begins, at `start` or later and before `end`; None if nowhere."""
+    def find(
+        self, mark: bytes, start: int, end: int, is_one: Callable[[int], bool] = lambda _: True
+    ) -> int | None:
+        """Where `mark` first begins, at `start` or later and before `end`; None if nowhere. is_one:
+        whether what begins there is what is looked for."""
         while start < end:
             block = self.at(start, min(_BLOCK, end - start) + len(mark) - 1)
-            if (position := block.find(mark)) >= 0:
-                return start + position
-            start += _BLOCK
+            position = start + block.find(mark)
+            if position >= start and is_one(position):
+                return position
+            start = position + 1 if position >= start else start + _BLOCK
         return None
 
 

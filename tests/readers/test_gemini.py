@@ -73,9 +73,9 @@ def test_as_another_reader_reads_it(version: int, compression: int, tmp_path: Pa
             )
             assert frame.ping.range_max_m == pytest.approx(calculate_range(record))
             assert frame.ping.range_min_m == 0
-            assert frame.timestamp_ns is not None
+            assert frame.time_ns is not None
             # Theirs is by London's clock, an hour behind in the summer, and whole milliseconds.
-            apart_s = frame.timestamp_ns / 1e9 - record.header.time.timestamp()
+            apart_s = frame.time_ns / 1e9 - record.header.time.timestamp()
             assert min(abs(apart_s), abs(apart_s - 3600)) < 1.1e-3
 
 
@@ -83,7 +83,7 @@ def test_times_window_and_header(tmp_path: Path) -> None:
     records = [gemini_record(k, x, first_bin=100) for k, x in enumerate(IMAGES)]
     log = find_log(gemini_log(tmp_path / "a.glf", records)).open()
     for k, frame in enumerate(log):
-        assert frame.timestamp_ns == frame.stamps.log == START_NS + k * 125_000_000
+        assert frame.time_ns == frame.stamps.log == START_NS + k * 125_000_000
         assert frame.stamps.header == START_NS + k * 125_000_000 - 31_250_000
         assert frame.ping is not None
         bin_m = 1490 / 2 / 46_560

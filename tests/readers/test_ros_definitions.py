@@ -118,7 +118,7 @@ def test_ros1_by_hand() -> None:
         assert decode is not None
         ping = decode(memoryview(message + IMAGE.tobytes()))
         np.testing.assert_array_equal(ping.pixels, IMAGE)
-        assert ping.stamps.header == 3_000_000_000 * 10**9 + 5
+        assert ping.stamp_ns == 3_000_000_000 * 10**9 + 5
 
 
 @pytest.mark.parametrize("frame_id", [b"", b"no zero", b"caf\xe9\0", b"\0", b"two\0\0"])

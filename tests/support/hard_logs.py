@@ -164,9 +164,6 @@ class HardLog:
 _READ = """
 import resource, sys
 from sonarrec.readers import open_log
-from sonarrec.readers.containers import mcap_chunks as chunks
-if len(sys.argv) > 2:
-    chunks.HELD_BYTES = int(sys.argv[2])
 from sonarrec.errors import SonarrecError
 frames = 0
 try:
@@ -182,13 +179,9 @@ print(frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 _LAUNCH = "import subprocess, sys; sys.exit(subprocess.run(sys.argv[1:]).returncode)"
 
 
-def peak_of_reading(path: Path, held_bytes: int | None = None) -> tuple[int, float]:
-    """(frames read, peak resident memory in MB) of a process that reads a log.
-
-    held_bytes: in place of the reader's own bound on inflated chunks in memory.
-    """
+def peak_of_reading(path: Path) -> tuple[int, float]:
+    """(frames read, peak resident memory in MB) of a process that reads a log."""
     command = [sys.executable, "-c", _LAUNCH, sys.executable, "-c", _READ, str(path)]
-    command += [str(held_bytes)] if held_bytes is not None else []
     told = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
     return int(told[0]), int(told[1]) / (1024**2 if sys.platform == "darwin" else 1024)
 
@@ -214,9 +207,19 @@ def _overlapping(path: Path, size: int, compression: str, chunks: int) -> None:
             log.chunk(messages[chunk::chunks], compression)
 
 
+def _in_turn(path: Path, size: int, compression: str, chunks: int) -> None:
+    """Chunks that follow each other in time."""
+    with HardLog(path) as log:
+        messages = list(_timed(size))
+        each = -(-len(messages) // chunks)
+        for first in range(0, len(messages), each):
+            log.chunk(messages[first : first + each], compression)
+
+
 def shapes(path: Path, size: int) -> dict[str, Callable[[], None]]:
     """Writers of logs of about `size` bytes, by what is hard about them."""
     return {
+        "12 chunks in turn, zstd": lambda: _in_turn(path, size, "zstd", 12),
         "one chunk, uncompressed": lambda: _one_chunk(path, size, ""),
         "10 overlapping chunks, lz4": lambda: _overlapping(path, size, "lz4", 10),
     }

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.nouns import Frame, Stamps
+from sonarrec.nouns import Stamps
 from sonarrec.readers.containers.ddf_headers import LAYOUTS
-from sonarrec.readers.raw import MAX_FRAME_BYTES, FileBytes, RawLog, UnusableError, stored
+from sonarrec.readers.raw import MAX_FRAME_BYTES, FileBytes, RawLog, StoredFrame, UnusableError
 
 _VERSION_AT = 12  # in a frame's header
 _HEADERS_LOOKED_AT = 32  # spread over the file, for the tilt
@@ -75,7 +75,7 @@ class DdfFrames(RawLog):
         header: np.void = np.frombuffer(contents, self._layout.frame_header)[0]
         return header
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[StoredFrame]:
         at, number = self._start, 0
         while (room := self._file.size - at) > 0:
             header, end, name = self._frame_header(at), at + self._length, f"frame {number}"
@@ -89,7 +89,7 @@ class DdfFrames(RawLog):
             joined = next_at == end + self._start and self._file.at(end, 4) == self._mark
             if next_at == end or joined or (next_at is None and header is not None):
                 skip = number in self.passed_over
-                yield stored(name, None, None) if skip else self._frame(name, at, header)
+                yield StoredFrame(name) if skip else self._frame(name, at, header)
                 at, number = next_at or end, number + 1
                 continue
             if next_at is None:
@@ -99,9 +99,9 @@ class DdfFrames(RawLog):
             if next_at < end:
                 problem = f"only {next_at - at} of its {self._length} bytes are there"
             time_ns = None if header is None else self._layout.times(header)[0]
-            yield stored(name, time_ns, None, problem)
+            yield StoredFrame(name, time_ns, problem=problem)
             lost = max(1, round((next_at - at) / self._length))
-            yield from (stored(name, None, None) for _ in range(lost - 1))
+            yield from (StoredFrame(name) for _ in range(lost - 1))
             if lost > 1:
                 self._fault(
                     f"about {lost} frames are lost from {name} on; the numbers of later ones may "
@@ -123,17 +123,17 @@ class DdfFrames(RawLog):
 
     def _next_frame(self, start: int) -> int | None:
         """Where the next frame of this file's size begins; None if there is none."""
-        mark = self._file.find(self._mark, start + _VERSION_AT, self._file.size)
-        while mark is not None:
-            header = self._frame_header(mark - _VERSION_AT)
-            if header is not None and self._layout.shape(self._header, header) == self._shape:
-                return mark - _VERSION_AT
-            mark = self._file.find(self._mark, mark + 1, self._file.size)
-        return None
 
-    def _frame(self, name: str, at: int, header: np.void | None) -> Frame:
+        def is_one(mark: int) -> bool:
+            header = self._frame_header(mark - _VERSION_AT)
+            return header is not None and self._layout.shape(self._header, header) == self._shape
+
+        mark = self._file.find(self._mark, start + _VERSION_AT, self._file.size, is_one)
+        return None if mark is None else mark - _VERSION_AT
+
+    def _frame(self, name: str, at: int, header: np.void | None) -> StoredFrame:
         if header is None:
-            return stored(name, None, None, "its header is damaged")
+            return StoredFrame(name, problem="its header is damaged")
         time_ns, sonar_ns = self._layout.times(header)
         try:
             if self._layout.shape(self._header, header) != self._shape:
@@ -144,5 +144,5 @@ class DdfFrames(RawLog):
             samples = np.frombuffer(contents, np.uint8).reshape(self._shape)
             pixels = self._layout.pixels(header, samples)
         except UnusableError as error:
-            return stored(name, time_ns, None, str(error))
-        return stored(name, time_ns, pixels, ping=ping, stamps=Stamps(time_ns, None, sonar_ns))
+            return StoredFrame(name, time_ns, problem=str(error))
+        return StoredFrame(name, time_ns, pixels, ping=ping, stamps=Stamps(time_ns, None, sonar_ns))

@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.errors import Diagnostics
-from sonarrec.nouns import PingGeometry
-from sonarrec.readers.raw import HeaderInfo, UnusableError
+from sonarrec.readers.raw import HeaderInfo, PingGeometry, UnusableError
 from sonarrec.sonar import MIN_WINDOW_M, Sonar
 
 MAX_TILT_CHANGE_DEG = 5.0
@@ -262,12 +261,12 @@ class Didson:
     def times(self, frame: np.void) -> tuple[int | None, int | None]:
         """(the sonar's date and time, None). The file states no time zone; UTC is assumed. The form
         of the computer's time is not known."""
-        parts = [int(frame[name]) for name in _CLOCK]
+        year, month, day, hour, minute, second, hundredth = (int(frame[n]) for n in _CLOCK)
         try:
-            whole = datetime(*parts[:6], tzinfo=UTC)  # type: ignore[misc, arg-type]
+            whole = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
         except (ValueError, OverflowError):
             return None, None
-        stamp = int(whole.timestamp()) * 10**9 + min(parts[6], 99) * 10**7
+        stamp = int(whole.timestamp()) * 10**9 + min(hundredth, 99) * 10**7
         # A clock that was never set, or counts years from 2000, is not used.
         return (stamp if 0 <= stamp < 2**63 else None), None
 

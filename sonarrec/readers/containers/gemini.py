@@ -17,17 +17,16 @@ from typing import Any
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.nouns import Frame
 from sonarrec.readers.raw import (
     MAX_FRAME_BYTES,
+    Decoded,
     FileBytes,
     HeaderInfo,
     RawLog,
+    StoredFrame,
     UnusableError,
     frame_of,
-    message_frame,
     ping_geometry,
-    stored,
 )
 
 Header = dict[str, Any]
@@ -100,7 +99,7 @@ def _begins(head: bytes) -> bool:
     return bool(is_other or is_end or _record_length(head) is not None)
 
 
-def decoded(record: bytes) -> tuple[Frame, Header]:
+def decoded(record: bytes) -> tuple[Decoded, Header]:
     """The ping of a record, and its header. Raises UnusableError if it cannot be used."""
     fields, beams, bins = _head(record)
     at, size = fields.dtype.itemsize, int(fields["size"])
@@ -127,7 +126,7 @@ def decoded(record: bytes) -> tuple[Frame, Header]:
         "chirp": "yes" if tail["chirp"] else "no",
     }
     pixels = np.frombuffer(samples, np.uint8).reshape(bins, beams)
-    return message_frame(pixels, _since_1970(float(tail["time"])), geometry), header
+    return Decoded(pixels, _since_1970(float(tail["time"])), geometry), header
 
 
 def _samples(data: bytes, fields: Any, count: int) -> bytes:
@@ -291,7 +290,7 @@ class GeminiPings(RawLog):
             problem = problem or f" ({error})"
         raise SonarrecError(f"{self._path}: no image of a Gemini can be read in it{problem}")
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[StoredFrame]:
         number, others = 0, 0
         try:
             for position, record, problem in _records(_pieces(self._path)):
@@ -302,7 +301,7 @@ class GeminiPings(RawLog):
                 name = f"image {number} at byte {position}"
                 logged_ns = None if fields is None else _since_1970(float(fields["time"]))
                 if record is None or number in self.passed_over:
-                    yield stored(name, logged_ns, None, problem)
+                    yield StoredFrame(name, logged_ns, problem=problem)
                 else:
                     yield frame_of(name, logged_ns, lambda r: decoded(r)[0], record)
                 number += 1

@@ -7,16 +7,16 @@ import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics
-from sonarrec.nouns import IMAGE_SUFFIXES, Frame, date_text
+from sonarrec.nouns import IMAGE_SUFFIXES, date_text
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
-from sonarrec.readers.raw import RawLog, UnusableError, stored
+from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
 from sonarrec.tables import natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -74,26 +74,22 @@ def _key(path: str) -> str:
 def _doubt(ordered: Sequence[str]) -> str | None:
     """Why the order of these paths is a guess; None if it is certain."""
     shared = os.path.commonpath([os.path.dirname(path) for path in ordered])  # noqa: PTH120
-    form, before = None, list[int]()
-    lows, highs, spans = list[int](), list[int](), list[int]()
-    for path in ordered:
-        stem = os.path.splitext(path[len(shared) :])[0]  # noqa: PTH122
-        if (form := form or re.sub("[0-9]+", "#", stem)) != re.sub("[0-9]+", "#", stem):
+    stems = [os.path.splitext(path[len(shared) :])[0] for path in ordered]  # noqa: PTH122
+    form = re.sub("[0-9]+", "#", stems[0])
+    for path, stem in zip(ordered, stems, strict=True):
+        if re.sub("[0-9]+", "#", stem) != form:
             return f"{os.path.basename(path)} is not named as {os.path.basename(ordered[0])}"  # noqa: PTH119
-        values = [int(digits) for digits in re.findall("[0-9]+", stem)]
-        steps = [b - a for a, b in zip(before, values, strict=True)] if before else []
-        lows = [*map(min, lows, steps)] if lows else steps
-        highs = [*map(max, highs, steps)] if highs else steps
-        spans = [*map(sum, zip(spans, steps, strict=True))] if spans else steps
-        before = values
-    varying = [n for n, (low, high) in enumerate(zip(lows, highs, strict=True)) if low or high]
-    if not varying:
+    numbers = np.array([[int(n) for n in re.findall("[0-9]+", stem)] for stem in stems], object)
+    steps = np.diff(numbers, axis=0)
+    steps = steps[:, (steps != 0).any(axis=0)]
+    if not steps.size:
         return "several have the same name"
-    if re.search(r"(?:^|[^0-9A-Za-z)#])-#", form or ""):
+    low, high, span = steps.min(axis=0), steps.max(axis=0), steps.sum(axis=0)
+    if re.search(r"(?:^|[^0-9A-Za-z)#])-#", form):
         return "a dash before a number may be a minus sign"
-    if len(varying) > 1 and any(lows[n] <= 0 for n in varying):
+    if len(low) > 1 and (low <= 0).any():
         return "several numbers in them change"
-    if any(2 * highs[n] > spans[n] and highs[n] > _GAP * lows[n] for n in varying):
+    if ((2 * high > span) & (high > _GAP * low)).any():
         return "a number leaves out more than half of its span, and may begin anew behind that"
     return None
 
@@ -114,8 +110,8 @@ def _rising(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | None:
         if form is _ISO:
             year, _, month, day, hour, _, minute, second, decimals = found[0]
             try:
-                fields = map(int, (year, month, day, hour, minute, second))
-                seconds = int(datetime(*fields, tzinfo=UTC).timestamp())  # type: ignore[misc, arg-type]
+                moment = f"{year}-{month}-{day}T{hour}:{minute}:{second}+00:00"
+                seconds = int(datetime.fromisoformat(moment).timestamp())
             except ValueError:  # a 13th month
                 return None
         else:
@@ -200,18 +196,18 @@ class ImageFiles(RawLog):
             )
         return None
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[StoredFrame]:
         for number, file in enumerate(self.files):
             time_ns = None if self._times is None else int(self._times[number])
             if number in self.passed_over:
-                yield stored(file.name, time_ns, None)
+                yield StoredFrame(file.name, time_ns)
                 continue
             try:
                 pixels = decode_image(data := _contents(file))
             except UnusableError as error:
-                yield stored(file.name, time_ns, None, str(error))
+                yield StoredFrame(file.name, time_ns, problem=str(error))
             else:
-                yield stored(file.name, time_ns, pixels, white=pgm_maxval(data))
+                yield StoredFrame(file.name, time_ns, pixels, white=pgm_maxval(data))
 
 
 def _contents(file: Path) -> np.ndarray:

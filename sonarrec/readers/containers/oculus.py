@@ -18,17 +18,17 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.nouns import Frame, PingGeometry
 from sonarrec.readers.raw import (
     MAX_FRAME_BYTES,
+    Decoded,
     FileBytes,
     HeaderInfo,
+    PingGeometry,
     RawLog,
+    StoredFrame,
     UnusableError,
     frame_of,
-    message_frame,
     ping_geometry,
-    stored,
 )
 
 
@@ -108,7 +108,7 @@ _BYTES_OF_SAMPLE = {0: 1, 1: 2, 3: 4}
 _MESSAGE_MARK = b"SO"
 
 
-def decoded(message: bytes) -> tuple[Frame, Header]:
+def decoded(message: bytes) -> tuple[Decoded, Header]:
     """The ping of a message, OculusSimplePingResult or OculusSimplePingResult2, and its header.
     Raises UnusableError if it cannot be used."""
     version = int(np.frombuffer(message, _HEAD_TYPE, 1)[0]["version"])
@@ -148,7 +148,7 @@ def decoded(message: bytes) -> tuple[Frame, Header]:
         header |= {f"{k}_deg": _within(fields[k], -360, 360) for k in ("heading", "pitch", "roll")}
         start_s = _within(fields["start"], 0, 2**33)
         stamp_ns = None if start_s is None else round(start_s * 1e9)
-    return message_frame(pixels, stamp_ns, geometry), header
+    return Decoded(pixels, stamp_ns, geometry), header
 
 
 def _within(value: float, low: float, high: float) -> float | None:
@@ -235,13 +235,13 @@ class OculusPings(RawLog):
             problem = problem or f" ({reason})"
         raise SonarrecError(f"{path}: no ping of an Oculus can be read in it{problem}")
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[StoredFrame]:
         for number, (at, time_ns, message, problem) in enumerate(
             self._pings(self.diagnostics, self._file.size)
         ):
             name = f"ping {number} at byte {at}"
             if message is None or number in self.passed_over:
-                yield stored(name, time_ns, None, problem)
+                yield StoredFrame(name, time_ns, problem=problem)
             else:
                 yield frame_of(name, time_ns, lambda m: decoded(m)[0], message)
 
@@ -295,17 +295,14 @@ class OculusPings(RawLog):
             end = limit if length is None else min(at + length, limit)
             whole = length is not None and at + length <= limit
             followed = whole and (end == limit or self._length_at(end) is not None)
-            if not followed and (inside := self._next(at + 1, end)) is not None:
-                whole, end = False, inside
+            if not followed:
+                inside = self._file.find(self._mark, at + 1, end, self._begins)
+                whole, end = (whole, end) if inside is None else (False, inside)
             yield at, end - at, whole
             at = end
 
-    def _next(self, start: int, end: int) -> int | None:
-        """Where the next message or item begins, before `end`; None if none does."""
-        position = self._file.find(self._mark, start, end)
-        while position is not None and self._length_at(position) is None:
-            position = self._file.find(self._mark, position + 1, end)
-        return position
+    def _begins(self, at: int) -> bool:
+        return self._length_at(at) is not None
 
     def _length_at(self, at: int) -> int | None:
         """The length of the message or item that begins there; None if none does."""

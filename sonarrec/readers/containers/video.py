@@ -9,8 +9,7 @@ from pathlib import Path
 import cv2
 
 from sonarrec.errors import Diagnostics, SonarrecError
-from sonarrec.nouns import Frame
-from sonarrec.readers.raw import RawLog, stored
+from sonarrec.readers.raw import RawLog, StoredFrame
 
 _CUES, _CLUSTER = b"\x1c\x53\xbb\x6b", b"\x1f\x43\xb6\x75"  # elements of Matroska
 _TAIL_BYTES = 2**20
@@ -47,7 +46,7 @@ class VideoFrames(RawLog):
         self.close = self._video.release
         self._at_begin = True
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[StoredFrame]:
         if not self._at_begin:  # of an earlier pass
             self._video.open(self._name)
         self._at_begin = False
@@ -63,7 +62,7 @@ class VideoFrames(RawLog):
                 last_ns = time_ns
             else:  # the container states no times
                 time_ns = None if rate is None else round(index * (1e9 / rate))
-            yield stored(f"frame {index}", time_ns, pixels)
+            yield StoredFrame(f"frame {index}", time_ns, pixels)
             index += 1
         count = self.frame_count or 0
         if index < count and self._is_estimate():

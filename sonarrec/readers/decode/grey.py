@@ -19,8 +19,9 @@ speckle, whatever bright things lie on the floor. Later frames do not change the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import cv2
@@ -28,8 +29,9 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, quantile
 from sonarrec.errors import SonarrecError
-from sonarrec.readers.decode.colour import LUMINANCE, map_levels
-from sonarrec.readers.raw import UnusableError
+from sonarrec.readers.decode.colour import LUMINANCE, find_map, is_coloured, map_levels, strays
+from sonarrec.readers.decode.layout import Stated
+from sonarrec.readers.raw import StoredFrame, UnusableError
 from sonarrec.sonar import Sonar
 
 DYNAMIC_RANGE_DB = 50.0
@@ -69,7 +71,7 @@ class GreyScale:
 
 
 def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarray:
-    """(rows, columns) in this machine's byte order, from pixels as in a Ping. 8-bit colours become
+    """(rows, columns) in this machine's byte order, of a StoredFrame's pixels. 8-bit colours become
     the levels of the colour map. Other colours, and all with LUMINANCE, become grey by OpenCV's
     weights (.299 R + .587 G + .114 B, without alpha). Floating-point pixels of NO_DATA and below
     become NaN. Raises UnusableError for other pixels."""
@@ -100,8 +102,8 @@ def grey_scale(
 ) -> GreyScale | None:
     """The scale of a log by its first frame, as far as `sonar` does not state it. pixels: from
     single_channel. amplitudes: whether they are known to be echo amplitudes; then floating-point
-    values within 0 to 1 are too. white: as in a RawFrame. Returns None if the frame is blank, since
-    it is black on any scale. Raises SonarrecError for an invalid full scale."""
+    values within 0 to 1 are too. white: of its file. Returns None if the frame is blank, since it
+    is black on any scale. Raises SonarrecError for an invalid full scale."""
     values = pixels[np.isfinite(pixels)]
     if not values.any():
         return None
@@ -225,3 +227,106 @@ def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
 
 def _rounded(values: np.ndarray, factor: float) -> ByteImage:
     return np.asarray(cv2.convertScaleAbs(values, alpha=factor), np.uint8)
+
+
+# What the first frames of one log decide, and later ones follow
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """How pixels become grey. in_colour: whether a frame was, and its map was looked for. strayed:
+    whether it was told that colours are of another map. amplitudes: types of integers that hold
+    them. scales: by type of pixels, each from the first usable frame of its type."""
+
+    colour_map: str
+    in_colour: bool = False
+    strayed: bool = False
+    amplitudes: frozenset[np.dtype[Any]] = frozenset()
+    scales: Mapping[np.dtype[Any], GreyScale] = field(default_factory=dict)
+
+
+def first_levels(stated: Stated, first: Sequence[StoredFrame]) -> Levels:
+    """What the first frames hold; notes name the colour map, and the types that hold amplitudes or
+    are dim."""
+    sonar, levels = stated.sonar, Levels(stated.sonar.colour_map or LUMINANCE)
+    pictures = [f.pixels for f in first if f.pixels is not None and _in_colour(f.pixels)]
+    if pictures and not sonar.colour_map:
+        levels = _of_map(levels, pictures, stated)
+    if sonar.pixel_scale is not None:
+        return levels
+    images: dict[np.dtype[Any], list[np.ndarray]] = {}
+    for frame in first:
+        if (grey := _grey_of_integers(frame, levels.colour_map)) is not None:
+            images.setdefault(grey.dtype, []).append(grey)
+    white = next((frame.white for frame in first if frame.white), None)
+    for dtype, of_type in images.items():
+        bits = 8 * dtype.itemsize
+        dim = dim_level(of_type[0], white) if bits == 16 and sonar.full_scale is None else None
+        if holds_amplitudes(of_type):
+            levels = replace(levels, amplitudes=levels.amplitudes | {dtype})
+            stated.note(
+                f"{bits}-bit pixels read as amplitudes, by their level and its spread; "
+                "--pixel-scale linear if they are logarithms"
+            )
+        elif dim:
+            stated.note(
+                f"{bits}-bit pixels read as grey levels, though dim ({dim}); --pixel-scale log if "
+                "they are amplitudes, or a lower full_scale in sonar.toml"
+            )
+    return levels
+
+
+def grey_of(
+    levels: Levels, frame: StoredFrame, pixels: np.ndarray, stated: Stated
+) -> tuple[Levels, ByteImage]:
+    """(the levels, completed by what the frame is the first to show; its grey image)."""
+    if not stated.sonar.colour_map and not levels.in_colour and _in_colour(pixels):
+        since = f"begin at {frame.name} after grey frames, and are "
+        levels = _of_map(levels, [pixels], stated, since)
+    elif levels.in_colour and not levels.strayed and levels.colour_map != LUMINANCE:
+        levels = replace(levels, strayed=True) if strays(pixels, levels.colour_map) else levels
+        if levels.strayed:
+            stated.note(
+                f"from {frame.name} on colours are not of the map {levels.colour_map}, by which "
+                "they are read; if the map was changed, run each part as a log of its own"
+            )
+    grey = single_channel(pixels, levels.colour_map)
+    scale = levels.scales.get(grey.dtype)
+    if scale is None:
+        of_ping = frame.ping is not None and grey.dtype.kind == "f"
+        amplitudes = of_ping or grey.dtype in levels.amplitudes
+        scale = grey_scale(stated.sonar, grey, amplitudes, frame.white)
+        if scale is None:  # a blank frame decides nothing
+            return levels, np.zeros(grey.shape, np.uint8)
+        levels = replace(levels, scales={**levels.scales, grey.dtype: scale})
+    return levels, to_grey8(grey, scale)
+
+
+def _of_map(
+    levels: Levels, pictures: Sequence[np.ndarray], stated: Stated, since: str = ""
+) -> Levels:
+    """With the colour map of pictures, which a note names. since: the frame, if not the first."""
+    found = find_map(pictures) or LUMINANCE
+    how = f"read as levels of the colour map {found}"
+    if found == LUMINANCE:
+        how = "of no known colour map, and read by their luminance"
+    stated.note(f"colours {since}{how}; colour_map in sonar.toml states another")
+    return replace(levels, colour_map=found, in_colour=True)
+
+
+def _in_colour(pixels: np.ndarray) -> bool:
+    """Whether these are 8-bit pixels with several channels that are not all grey."""
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    return pixels.dtype == np.uint8 and channels in (3, 4) and is_coloured(pixels)
+
+
+def _grey_of_integers(frame: StoredFrame, colour_map: str) -> np.ndarray | None:
+    """The grey levels of integer pixels, whose speckle tells what they hold; None for others."""
+    pixels = frame.pixels
+    if pixels is not None and pixels.dtype.kind in "ui" and pixels.itemsize <= 2:
+        with suppress(UnusableError):
+            grey = single_channel(pixels, colour_map)
+            deep = grey.itemsize == 2 and grey.any() and not next_to_black(grey, frame.white)
+            if grey.dtype == np.uint8 or deep:
+                return grey
+    return None

@@ -6,10 +6,9 @@ from collections import deque
 from collections.abc import Iterator
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.nouns import Frame
 from sonarrec.readers.messages.fields import DefinitionError
 from sonarrec.readers.messages.types import Decoder, decoder_for
-from sonarrec.readers.raw import RawLog, Recording, frame_of, stored
+from sonarrec.readers.raw import RawLog, Recording, StoredFrame, frame_of
 
 MOST_NAMED = 5  # channels, or frame_ids, in a message
 
@@ -49,11 +48,11 @@ class ChannelImages(RawLog):
         self.polar = any(decoder.polar for decoder in self._decoders.values())
         self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[StoredFrame]:
         for number, message in enumerate(self._log.messages(self._decoders)):
             name = f"message {number} of {self.topic}"
             if message.data is None or number in self.passed_over:
-                yield stored(name, message.log_time, None, message.problem)
+                yield StoredFrame(name, message.log_time, problem=message.problem)
             else:
                 decode = self._decoders[message.channel]
                 yield frame_of(name, message.log_time, decode, message.data, message.publish_time)

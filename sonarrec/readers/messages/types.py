@@ -1,6 +1,6 @@
-"""The message types that hold sonar images, and how each is turned into a Frame.
+"""The message types that hold sonar images, and how each is decoded.
 
-To add a message type, write one function from Fields to a Frame and add one row to IMAGES or PINGS.
+To add a message type, write one function from Fields to Decoded and add one row to IMAGES or PINGS.
 `fields_decoder` finds what turns the bytes into Fields: CDR, ROS 1, JSON, protobuf, flatbuffers.
 """
 
@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.nouns import Frame
 from sonarrec.readers.containers.oculus import oculus_geometry, oculus_samples
 from sonarrec.readers.decode.pixels import decode_image, raw_pixels
 from sonarrec.readers.messages import foxglove
 from sonarrec.readers.messages.fields import Fields
-from sonarrec.readers.raw import UnusableError, message_frame, ping_geometry
+from sonarrec.readers.raw import Decoded, UnusableError, ping_geometry
 
 WIDEST_BEAM_DEG = 5.0
 Decode = Callable[[memoryview], Mapping[str, Any]]
@@ -28,20 +27,20 @@ Decode = Callable[[memoryview], Mapping[str, Any]]
 messages may come as bytes."""
 
 
-def read_image(message: Fields) -> Frame:
+def read_image(message: Fields) -> Decoded:
     """sensor_msgs/Image, foxglove.RawImage: uncompressed pixels."""
     encoding = message.text("encoding")
     height, width, step = message.whole("height"), message.whole("width"), message.whole("step", 0)
     big_endian = message.whole("is_bigendian", 0) != 0
     pixels = raw_pixels(message.octets("data"), height, width, encoding, step, big_endian)
-    return message_frame(pixels, message.stamp_ns())
+    return Decoded(pixels, message.stamp_ns())
 
 
-def read_compressed_image(message: Fields) -> Frame:
+def read_compressed_image(message: Fields) -> Decoded:
     """sensor_msgs/CompressedImage, foxglove.CompressedImage: an image file. The field `format`
     ("png", "mono8; png compressed mono8", ...) is ignored, because the data begin with the file's
     own mark."""
-    return message_frame(decode_image(message.octets("data")), message.stamp_ns())
+    return Decoded(decode_image(message.octets("data")), message.stamp_ns())
 
 
 # In the order in which marine_acoustic_msgs/SonarImageData numbers them.
@@ -90,14 +89,14 @@ def _fan_bearings(directions: FloatArray) -> FloatArray:
     return _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
 
 
-def read_projected_sonar_image(message: Fields) -> Frame:
+def read_projected_sonar_image(message: Fields) -> Decoded:
     """marine_acoustic_msgs/ProjectedSonarImage: states a direction per beam and a range per bin."""
     bearings = _fan_bearings(message.vectors("beam_directions"))
     ranges = message.numbers("ranges")
     return _acoustic_ping(message, _samples(message, len(ranges), bearings), ranges, bearings)
 
 
-def read_raw_sonar_image(message: Fields) -> Frame:
+def read_raw_sonar_image(message: Fields) -> Decoded:
     """marine_acoustic_msgs/RawSonarImage: ranges are computed from the times of the samples."""
     bearings = _left_to_right(np.degrees(message.numbers("rx_angles")))
     speed = message.inner("ping_info").number("sound_speed")
@@ -111,9 +110,9 @@ def read_raw_sonar_image(message: Fields) -> Frame:
 
 def _acoustic_ping(
     message: Fields, pixels: np.ndarray, ranges_m: FloatArray, bearings_deg: FloatArray
-) -> Frame:
+) -> Decoded:
     ping = replace(ping_geometry(ranges_m, bearings_deg), beam_width_deg=_beam_width(message))
-    return message_frame(pixels, message.stamp_ns(), ping)
+    return Decoded(pixels, message.stamp_ns(), ping)
 
 
 def _beam_width(message: Fields) -> float | None:
@@ -128,14 +127,14 @@ def _beam_width(message: Fields) -> float | None:
     return round(float(np.median(degrees)), 3) if len(degrees) else None
 
 
-def read_oculus_ping(message: Fields) -> Frame:
+def read_oculus_ping(message: Fields) -> Decoded:
     """sonar_oculus/OculusPing: an image (compressed in later versions) and its geometry."""
     inner = message.inner("ping")
     image = read_image(inner) if "encoding" in inner else read_compressed_image(inner)
     return _oculus_ping(message, image.pixels)
 
 
-def read_oculus_interfaces_ping(message: Fields) -> Frame:
+def read_oculus_interfaces_ping(message: Fields) -> Decoded:
     """oculus_interfaces/Ping: a row may begin with a gain; it is divided by the gain's root."""
     bins, beams, step = (message.whole(k) for k in ("n_ranges", "n_beams", "step"))
     size = message.whole("sample_size")
@@ -147,13 +146,13 @@ def read_oculus_interfaces_ping(message: Fields) -> Frame:
     return _oculus_ping(message, pixels)
 
 
-def _oculus_ping(message: Fields, pixels: np.ndarray) -> Frame:
+def _oculus_ping(message: Fields, pixels: np.ndarray) -> Decoded:
     bearings, resolution = message.numbers("bearings"), message.number("range_resolution")
     ping = oculus_geometry(bearings, resolution, *pixels.shape[:2])
-    return message_frame(pixels, message.stamp_ns(), ping)
+    return Decoded(pixels, message.stamp_ns(), ping)
 
 
-Read = Callable[[Fields], Frame]
+Read = Callable[[Fields], Decoded]
 IMAGES: dict[str, Read] = {
     "sensor_msgs/Image": read_image,
     "sensor_msgs/CompressedImage": read_compressed_image,
@@ -183,7 +182,7 @@ def message_type(schema_name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """Turns a message's bytes into a Frame; raises UnusableError if they cannot be used. senders:
+    """Decodes a message's bytes; raises UnusableError if they cannot be used. senders:
     the frame_ids of the messages so far."""
 
     fields: Decode
@@ -191,7 +190,7 @@ class Decoder:
     polar: bool
     senders: set[str]
 
-    def __call__(self, message: memoryview) -> Frame:
+    def __call__(self, message: memoryview) -> Decoded:
         with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
             fields = Fields(self.fields(message))
             self.senders.update(fields.sender())
