@@ -17,7 +17,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.nouns import Fan, Motion, PolarImages
+from sonarrec.records import Fan, Motion, PolarImages
 from sonarrec.sonar import Geometry
 
 MAX_FAN_PIXELS = 2**24

@@ -14,7 +14,7 @@ from sonarrec.cli import COMMANDS
 
 FLOORS = (
     {"arrays", "errors"},
-    {"nouns"},
+    {"records"},
     {"tables"},
     {"config", "sonar", "landmarks"},
     {"geometry"},
@@ -218,7 +218,7 @@ def faults(sources: Sources) -> list[str]:
             found += [
                 f"{name} imports {other} before a command is run"
                 for other in ours(sources, name, top_level_only=True)
-                if room(other) not in ("cli", "errors", "nouns")
+                if room(other) not in ("cli", "errors", "records")
             ]
         found += [
             f"{name} must not import {package}"
@@ -286,7 +286,7 @@ def test_imports_run_downward_only() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "told"),
     [
-        ("nouns", "from sonarrec import config", "nouns imports uphill from config"),
+        ("records", "from sonarrec import config", "records imports uphill from config"),
         ("recogniser.plane", "def f():\n    from sonarrec.readers import open_log", "from readers"),
         (
             "recogniser.stage2",

@@ -15,7 +15,7 @@ import click
 from sonarrec.cli.endings import INTERRUPTED, tell
 from sonarrec.cli.groups import advice_on
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
-from sonarrec.nouns import VERSION
+from sonarrec.records import VERSION
 
 COMMANDS = (
     *("run", "info", "evaluate", "check", "report", "overlay", "map", "simulate"),

@@ -14,7 +14,7 @@ from sonarrec.cli import options
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, leave, progress, say, tell
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
 from sonarrec.errors import MissingError, SonarrecError, UsageError, local, name_as_text, number_of
-from sonarrec.nouns import date_text, is_date
+from sonarrec.records import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Container, Images, LogInfo

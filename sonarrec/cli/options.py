@@ -25,7 +25,7 @@ from sonarrec.cli.groups import (
     in_settings,
 )
 from sonarrec.errors import UsageError, is_url
-from sonarrec.nouns import Clock
+from sonarrec.records import Clock
 
 if TYPE_CHECKING:
     from sonarrec.config import Config

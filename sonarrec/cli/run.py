@@ -43,7 +43,7 @@ from sonarrec.errors import (
     number_of,
     printable,
 )
-from sonarrec.nouns import date_text, is_date
+from sonarrec.records import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.runs.job import Event, Job, Outcome

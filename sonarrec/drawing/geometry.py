@@ -19,7 +19,7 @@ from sonarrec.drawing.pen import (
 )
 from sonarrec.geometry import floor_depth, pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 
 
 def nice_steps(low: float, high: float, about: int) -> FloatArray:

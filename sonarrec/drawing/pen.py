@@ -17,7 +17,7 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.tables.outputs import replaced, with_mark, writing
 
 Colour = tuple[int, int, int]

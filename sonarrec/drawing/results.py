@@ -23,7 +23,7 @@ from sonarrec.drawing.pen import (
 )
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan, is_date, time_text
+from sonarrec.records import Estimate, Fan, is_date, time_text
 
 AROUND = 1.15
 """Radius, in discs, at which truth is drawn, so that estimates do not hide it."""

@@ -24,7 +24,7 @@ from sonarrec.evaluation.match import ScoringOptions, scoring_options
 from sonarrec.evaluation.pairs import Pair, find_truths_beside, pair_up, read_pairs
 from sonarrec.evaluation.uncertainty import differences
 from sonarrec.evaluation.write import write_table
-from sonarrec.nouns import follows
+from sonarrec.records import follows
 from sonarrec.results.columns import chosen
 from sonarrec.results.folders import log_of
 from sonarrec.tables.outputs import check_no_recording, check_tables, writing

@@ -38,7 +38,7 @@ from sonarrec.evaluation.uncertainty import (
     differences,
     intervals,
 )
-from sonarrec.nouns import follows
+from sonarrec.records import follows
 
 FPR_GRID = np.unique(
     [

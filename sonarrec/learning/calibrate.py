@@ -15,12 +15,12 @@ from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, p
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.learning.fit import fit, part_of
 from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
-from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
+from sonarrec.records import Frame
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
 from sonarrec.tables.outputs import MODEL_MARK

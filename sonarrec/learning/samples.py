@@ -12,11 +12,11 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.config import Config
 from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Fan, Frame
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.description import FEATURES
 from sonarrec.recogniser.three_stages import DiscStages
+from sonarrec.records import Fan, Frame
 
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
 # does not. Those between are left out.

@@ -23,7 +23,7 @@ from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.results.read import ROWS, SIGMAS, estimate_tables, positions
 from sonarrec.results.sightings import PASS_GAP
 from sonarrec.tables.read import line_number

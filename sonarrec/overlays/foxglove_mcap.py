@@ -17,8 +17,8 @@ from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
 from sonarrec.drawing.results import AROUND, Mark, Moment, caption, outline_of, trails
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Frame
 from sonarrec.readers.messages.foxglove import message_class
+from sonarrec.records import Frame
 from sonarrec.tables.outputs import OVERLAY_LIBRARY, replaced, writing
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"

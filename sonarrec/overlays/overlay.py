@@ -20,12 +20,12 @@ from sonarrec.drawing.pen import draw_picture, write_png
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
 from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, local, number_of
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan, Frame
 from sonarrec.overlays.foxglove_mcap import WriteFrame, foxglove_file
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.video import opencv_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
+from sonarrec.records import Estimate, Fan, Frame
 from sonarrec.results.folders import part_of, possible_names
 from sonarrec.results.read import (
     check_same_log,

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, get_args
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.nouns import Clock
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
+from sonarrec.records import Clock
 from sonarrec.sonar import Sonar, sonar_from
 
 

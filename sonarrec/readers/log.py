@@ -10,11 +10,11 @@ from itertools import chain, islice
 from typing import Any
 
 from sonarrec.errors import SonarrecError, number_of
-from sonarrec.nouns import Clock, Fan, Frame
 from sonarrec.readers.decode.layout import Stated
 from sonarrec.readers.decode.reading import apply, settle
 from sonarrec.readers.open import Source
 from sonarrec.readers.raw import CLEARLY_BACK_NS, RawLog, StoredFrame, UnusableError
+from sonarrec.records import Clock, Fan, Frame
 from sonarrec.sonar import Sonar
 
 YEAR_NS = 31_556_952 * 10**9

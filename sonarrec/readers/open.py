@@ -15,7 +15,6 @@ from importlib import import_module
 from pathlib import Path
 
 from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, name_as_text
-from sonarrec.nouns import IMAGE_SUFFIXES, PART
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf import DdfFrames
 from sonarrec.readers.containers.gemini import GeminiPings
@@ -23,6 +22,7 @@ from sonarrec.readers.containers.images import ImageFiles, ImagePaths, is_image
 from sonarrec.readers.containers.oculus import OculusPings
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.readers.raw import RawLog, Recording
+from sonarrec.records import IMAGE_SUFFIXES, PART
 from sonarrec.sonar import Sonar, load_sonar
 from sonarrec.tables import natural_order
 

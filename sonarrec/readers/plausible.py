@@ -6,7 +6,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.geometry import fan_mask, pixel_from_polar
-from sonarrec.nouns import Fan, Frame
+from sonarrec.records import Fan, Frame
 
 FRAMES = 5
 """Number of first frames that are used. Each costs one addition of an image."""

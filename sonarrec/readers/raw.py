@@ -13,7 +13,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics
-from sonarrec.nouns import NO_STAMPS, BeamOrder, Stamps
+from sonarrec.records import NO_STAMPS, BeamOrder, Stamps
 from sonarrec.sonar import MIN_WINDOW_M, Sonar
 
 MAX_FRAME_BYTES = 48 * 2**20  # also of a message: 4096 x 4096 pixels of three bytes

@@ -10,11 +10,11 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Groups
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, likeliest, settled
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, whole_steps
 from sonarrec.recogniser.stage3.smi import Identification
+from sonarrec.records import Estimate, Groups
 
 # Standard error of a group's mean, as a share of its particles' spread: chosen on tuning seeds,
 # checked against the truth by `make scenes`.

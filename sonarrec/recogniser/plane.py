@@ -30,7 +30,7 @@ from sonarrec.geometry import (
     row_bands,
     slant_range,
 )
-from sonarrec.nouns import Fan, Motion, PolarImages
+from sonarrec.records import Fan, Motion, PolarImages
 
 Values = FloatArray | float
 Pair = tuple[FloatArray, FloatArray]

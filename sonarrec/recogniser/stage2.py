@@ -27,9 +27,9 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.config import Continuity
-from sonarrec.nouns import Groups, Motion, Selection
 from sonarrec.recogniser.particles import Particles
 from sonarrec.recogniser.plane import Plane, as_complex
+from sonarrec.records import Groups, Motion, Selection
 
 NEW_EXISTENCE = 0.5  # probability of existence of a group that has just begun
 WHOLE = 0.9  # share of a disc in view from which on its object should be a candidate

@@ -18,7 +18,6 @@ from sonarrec.arrays import BoolArray, ByteImage, FloatArray, joined
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan, Frame, FrameResult, Groups, Motion, Selection
 from sonarrec.recogniser.estimates import Estimates
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import Plane, working_plane
@@ -30,6 +29,7 @@ from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classif
 from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
 from sonarrec.recogniser.stage3.smi import identify
+from sonarrec.records import Estimate, Fan, Frame, FrameResult, Groups, Motion, Selection
 
 SMI = "smi"
 FRAMEWORK = "framework"

@@ -19,10 +19,10 @@ from sonarrec.drawing.pen import disc_outline
 from sonarrec.drawing.results import AROUND, Mark, caption, draw_frame
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import pixel_from_plane
-from sonarrec.nouns import Estimate, Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log, log_name, names_a_log, results_name
+from sonarrec.records import Estimate, Frame
 from sonarrec.reports.logs import ReportedLog
 from sonarrec.results.folders import possible_names
 from sonarrec.results.read import check_same_log, read_estimates

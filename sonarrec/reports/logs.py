@@ -14,7 +14,7 @@ import pandas as pd
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.match import Matched, ScoringOptions, judge, match, truth_beneath
-from sonarrec.nouns import follows
+from sonarrec.records import follows
 from sonarrec.results.columns import chosen, leading
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, of_methods, read_log

@@ -23,7 +23,7 @@ from sonarrec.evaluation.count import Counts
 from sonarrec.evaluation.figures import BY_NAME, over_units, units_text
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.write import Evaluation
-from sonarrec.nouns import VERSION, date_text, is_date, time_text
+from sonarrec.records import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts
 from sonarrec.reports.frames import Picture, Shown
 from sonarrec.reports.logs import (

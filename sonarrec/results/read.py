@@ -24,7 +24,7 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import Diagnostics, MissingError, SonarrecError, number_of, printable
 from sonarrec.geometry import pixel_from_polar, plane_position, polar_from_pixel
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.nouns import PART, Estimate, Fan
+from sonarrec.records import PART, Estimate, Fan
 from sonarrec.results.columns import (
     CORNERS,
     ESTIMATES_HEADER,

@@ -19,7 +19,7 @@ from sonarrec import config
 from sonarrec.errors import SonarrecError, UsageError, number_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.nouns import VERSION, Clock, Fan
+from sonarrec.records import VERSION, Clock, Fan
 from sonarrec.results.folders import TABLES, is_file
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.tables.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of

@@ -12,7 +12,7 @@ from typing import Any
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import PoseTable, ground_range
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan, follows
+from sonarrec.records import Estimate, Fan, follows
 from sonarrec.results.columns import SIGHTING_COLUMNS, Column, text_cell
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar

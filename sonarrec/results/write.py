@@ -14,7 +14,7 @@ import tomli_w
 
 from sonarrec.errors import SonarrecError, name_as_text, number_of
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.nouns import NO_STAMPS, FrameResult, Stamps
+from sonarrec.records import NO_STAMPS, FrameResult, Stamps
 from sonarrec.results.columns import (
     FRAME_COLUMNS,
     SIGHTING_COLUMNS,

@@ -10,8 +10,8 @@ from typing import Literal
 from sonarrec.config import Config
 from sonarrec.errors import SonarrecError, hidden, is_url, number_of
 from sonarrec.landmarks import load_landmarks
-from sonarrec.nouns import FrameResult
 from sonarrec.recogniser.stage3.model import read_model
+from sonarrec.records import FrameResult
 from sonarrec.results.run_file import LogOptions
 from sonarrec.results.sightings import Sighting
 

@@ -21,7 +21,7 @@ from threading import Lock, Timer
 from time import monotonic
 
 from sonarrec.errors import SonarrecError
-from sonarrec.nouns import FrameResult
+from sonarrec.records import FrameResult
 from sonarrec.runs.job import GRACE_S, Event, Job, Observe, Outcome, Report
 from sonarrec.runs.one import run_job
 

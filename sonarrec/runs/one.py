@@ -12,9 +12,9 @@ from time import monotonic
 
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import SonarrecError, is_url
-from sonarrec.nouns import Frame, Stamps
 from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.readers.plausible import Plausibility
+from sonarrec.records import Frame, Stamps
 from sonarrec.results.folders import folder_names, part_of
 from sonarrec.results.run_file import existing_results
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in

@@ -13,7 +13,6 @@ from typing import Any
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import PoseTable, floor_depth
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log, digest_of
 from sonarrec.readers.open import LANDMARKS_FILE, SONAR_FILE, Source, find_log
@@ -21,6 +20,7 @@ from sonarrec.readers.poses import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
+from sonarrec.records import Fan, Frame
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 from sonarrec.runs.job import Job, RunOptions
 from sonarrec.sonar import Sonar

@@ -16,12 +16,12 @@ from sonarrec.config import Config
 from sonarrec.config import preset as config_of
 from sonarrec.errors import UsageError, hidden, is_url, local, number_of
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.nouns import Clock, Fan, Frame, FrameResult
 from sonarrec.readers.log import Log
 from sonarrec.readers.named_logs import NamedLog
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import read_model
+from sonarrec.records import Clock, Fan, Frame, FrameResult
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import LogOptions, frame_span, span_text
 from sonarrec.runs import cores

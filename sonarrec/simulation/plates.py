@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.simulation.scene import HeldPlate, PlateScene
 from sonarrec.simulation.truth import Truth
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.geometry import in_fan, polar_from_pixel
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import NO_ECHO_DB, Scene, scene_bearings
 from sonarrec.simulation.world import View

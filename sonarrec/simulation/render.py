@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.simulation.fish import Shoal
 from sonarrec.simulation.grid import PolarGrid, SquareGrid
 from sonarrec.simulation.motion import Pose, ar1, poses

@@ -17,7 +17,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import DrawnSet, LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.sonar import Sonar
 from sonarrec.tables.toml import (
     AtLeastOne,

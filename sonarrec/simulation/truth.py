@@ -10,7 +10,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.geometry import in_image, pixel_from_polar, points_on_disc
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.simulation.fish import Fishes
 from sonarrec.simulation.motion import Plane, Pose
 from sonarrec.simulation.objects import object_radius, raised_m

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.nouns import IMAGE_SUFFIXES
+from sonarrec.records import IMAGE_SUFFIXES
 
 Kind = Literal["report", "manual", "picture", "overlay", "video", "model", "table", "JSON"]
 OVERLAY_LIBRARY = "sonarrec overlay"

@@ -18,7 +18,7 @@ from sonarrec.geometry import (
     points_on_disc,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.tables.read import NONE, line_number
 from sonarrec.truth.table import TruthTable
 

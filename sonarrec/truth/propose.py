@@ -14,7 +14,7 @@ import numpy as np
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_plane
-from sonarrec.nouns import follows
+from sonarrec.records import follows
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log

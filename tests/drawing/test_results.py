@@ -25,7 +25,7 @@ from sonarrec.drawing.results import (
     draw_strip,
     trails,
 )
-from sonarrec.nouns import Estimate
+from sonarrec.records import Estimate
 from tests.support.drawn import make_fan
 from tests.support.estimates import BASIN, FAN, at, estimate
 

@@ -29,8 +29,8 @@ from sonarrec.mapping.landmarks import (
     ellipse,
 )
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
-from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.readers.poses import read_poses
+from sonarrec.records import Estimate, FrameResult
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar

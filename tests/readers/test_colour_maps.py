@@ -12,7 +12,6 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from sonarrec.nouns import ColourMap
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.colour import (
     LUMINANCE,
@@ -21,6 +20,7 @@ from sonarrec.readers.decode.colour import (
     is_coloured,
     map_levels,
 )
+from sonarrec.records import ColourMap
 from tests.support.command import sonarrec
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"

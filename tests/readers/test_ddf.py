@@ -15,7 +15,6 @@ import pytest
 
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.ddf_headers import (
     FILE_HEADER,
@@ -23,6 +22,7 @@ from sonarrec.readers.containers.ddf_headers import (
     bearings_deg,
     lens_bearings_deg,
 )
+from sonarrec.records import Frame
 from tests.support.command import sonarrec
 from tests.support.logs import frames
 from tests.support.sonar_files import (

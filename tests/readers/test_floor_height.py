@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from sonarrec.geometry import floor_depth
-from sonarrec.nouns import Fan
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.height import LEAST, height_from_images
+from sonarrec.records import Fan
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, load_scene, scene_fan
 from tests.support.command import sonarrec

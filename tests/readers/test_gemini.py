@@ -12,8 +12,8 @@ from pytritech.glf import GLF
 from pytritech.util.range import calculate_range
 
 from sonarrec.errors import SonarrecError
-from sonarrec.nouns import Frame
 from sonarrec.readers.open import find_log
+from sonarrec.records import Frame
 from tests.support import logs
 from tests.support.logs import frames
 from tests.support.sonar_files import (

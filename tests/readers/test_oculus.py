@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError
-from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.open import find_log
+from sonarrec.records import Frame
 from tests.readers.test_ddf import as_fan
 from tests.support import logs
 from tests.support.command import sonarrec

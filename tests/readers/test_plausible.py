@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError
-from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.plausible import FRAMES, Plausibility
+from sonarrec.records import Fan, Frame
 from sonarrec.sonar import Sonar
 from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import draw_on_floor, make_fan, speckled

@@ -18,9 +18,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pose_table
-from sonarrec.nouns import Motion
 from sonarrec.readers.poses import read_poses, read_topic
 from sonarrec.recogniser.plane import working_plane
+from sonarrec.records import Motion
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import load_scene
 from tests.support.command import sample_log, sonarrec

@@ -15,8 +15,8 @@ from sonarrec import Recogniser, load_landmarks, open_log, preset, read_results,
 from sonarrec.config import Config
 from sonarrec.errors import SonarrecError
 from sonarrec.learning import calibrate
-from sonarrec.nouns import Frame
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg, with_beams
+from sonarrec.records import Frame
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.scene import Scene, scene_fan
 from tests.support import messages

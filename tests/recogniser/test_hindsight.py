@@ -9,8 +9,8 @@ import pytest
 
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
-from sonarrec.nouns import Estimate, FrameResult
 from sonarrec.recogniser.presets.hindsight import Hindsight
+from sonarrec.records import Estimate, FrameResult
 
 BASIN = load_landmarks("basin")
 SURE = np.array([0.004, 0.002, 0.98, 0.004, 0.01])  # of the third ID

@@ -12,9 +12,9 @@ import pytest
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
-from sonarrec.nouns import Fan, Motion
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
+from sonarrec.records import Fan, Motion
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from sonarrec.geometry import PolarToFan, beam_bearings, bin_ranges, floor_depth
-from sonarrec.nouns import Motion
 from sonarrec.recogniser.plane import FanPlane, FloorPlane, working_plane
+from sonarrec.records import Motion
 from sonarrec.sonar import Sonar
 from tests.support.drawn import draw_on_floor, make_fan
 

@@ -15,10 +15,10 @@ from sonarrec import config
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.nouns import Frame, FrameResult
 from sonarrec.recogniser.presets.side_by_side import FRAMES_AT_ONCE, SideBySide
 from sonarrec.recogniser.restore.static_pixels import AHEAD
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages
+from sonarrec.records import Frame, FrameResult
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, load_sonar

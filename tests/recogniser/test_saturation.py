@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.nouns import Fan, Frame
 from sonarrec.readers import open_log
 from sonarrec.recogniser.restore.saturation import LIFTS, OF_GAUSSIAN, Levels
+from sonarrec.records import Fan, Frame
 from tests.support.command import sonarrec
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record
 from tests.support.slow import but_first

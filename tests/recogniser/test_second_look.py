@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from sonarrec.arrays import ByteImage
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
-from sonarrec.nouns import FrameResult, Motion
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.presets.mosaic import Pose
 from sonarrec.recogniser.presets.second_look import (
@@ -23,6 +22,7 @@ from sonarrec.recogniser.presets.second_look import (
     looks_again,
 )
 from sonarrec.recogniser.stage1 import CandidateSelector
+from sonarrec.records import FrameResult, Motion
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 from tests.support.simulated import Job, recognise, score

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
-from sonarrec.nouns import Fan, Selection
 from sonarrec.recogniser import stage1
 from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
 from sonarrec.recogniser.stage1 import CandidateSelector, Correlation
+from sonarrec.records import Fan, Selection
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from tests.studies.learning.random_scenes import random_scene

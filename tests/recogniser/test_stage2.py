@@ -8,12 +8,12 @@ import pytest
 
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
-from sonarrec.nouns import Motion, Selection
 from sonarrec.recogniser import stage2
 from sonarrec.recogniser.particles import Particles
 from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.records import Motion, Selection
 from sonarrec.truth.match import share_in_image
 from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
 from tests.support.slow import but_first

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.recogniser.restore.static_pixels import AHEAD, MOST_BYTES_AHEAD, Unchanging
+from sonarrec.records import Frame
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record

@@ -11,7 +11,7 @@ import pytest
 from sonarrec import config
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
-from sonarrec.nouns import Estimate, FrameResult, Motion, Stamps
+from sonarrec.records import Estimate, FrameResult, Motion, Stamps
 from sonarrec.results.columns import estimate_columns
 from sonarrec.results.run_file import read_run, run_table
 from sonarrec.results.write import AT_ONCE, ResultsWriter

@@ -16,7 +16,7 @@ import numpy as np
 
 from sonarrec.geometry import fan_for_image, fan_mask
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.sonar import load_sonar
 
 METHOD = "hough_majority"

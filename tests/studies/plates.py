@@ -18,7 +18,7 @@ import numpy as np
 from sonarrec.arrays import BoolArray
 from sonarrec.evaluation.uncertainty import bootstrap_weights, interval
 from sonarrec.landmarks import DrawnSet
-from sonarrec.nouns import Estimate
+from sonarrec.records import Estimate
 from sonarrec.simulation.truth import Truth
 from tests.studies.learning.plates import SIDE, SIDE_M, apart, random_scene, set_of, stages_of
 from tests.support.simulated import WHOLE, in_processes

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import fan_for_image
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 from sonarrec.sonar import Sonar
 
 RING = (0.80, 1.00)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.nouns import Estimate, Fan, FrameResult
+from sonarrec.records import Estimate, Fan, FrameResult
 from sonarrec.results.write import ResultsWriter
 from tests.support.drawn import make_fan
 from tests.support.logs import PERIOD_NS

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sonarrec.nouns import Groups
+from sonarrec.records import Groups
 
 
 def groups(

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
 
-from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
+from sonarrec.records import Frame
 
 SONAR_TOML = """\
 [sonar]

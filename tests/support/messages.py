@@ -21,9 +21,9 @@ from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from foxglove.messages import CompressedImage, RawImage, Timestamp
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonarrec.nouns import Frame
 from sonarrec.readers import open_log
 from sonarrec.readers.messages.types import decoder_for
+from sonarrec.records import Frame
 from sonarrec.sonar import Sonar
 from tests.support.flatbuffer import binary_schema, encode_flatbuffer
 from tests.support.logs import PERIOD_NS, mcap_file

@@ -24,9 +24,9 @@ from sonarrec.evaluation.count import Counts, count_log
 from sonarrec.evaluation.match import Matched, match
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan, Frame
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
+from sonarrec.records import Estimate, Fan, Frame
 from sonarrec.results.read import read_log
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.nouns import Stamps
 from sonarrec.readers.containers.ddf_headers import LAYOUTS
 from sonarrec.readers.raw import MAX_FRAME_BYTES, FileBytes, RawLog, StoredFrame, UnusableError
+from sonarrec.records import Stamps
 
 _VERSION_AT = 12  # in a frame's header
 _HEADERS_LOOKED_AT = 32  # spread over the file, for the tilt

@@ -14,9 +14,9 @@ import numpy as np
 
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics
-from sonarrec.nouns import IMAGE_SUFFIXES, date_text
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
+from sonarrec.records import IMAGE_SUFFIXES, date_text
 from sonarrec.tables import natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes

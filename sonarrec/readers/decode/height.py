@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, quantile
 from sonarrec.geometry import floor_depth, pixel_from_polar
-from sonarrec.nouns import Fan
+from sonarrec.records import Fan
 
 HALF_BEAM_DEG = 10.0  # vertical beams of imaging sonars are 14 to 28 deg wide
 STEEPEST_DEG = 85.0

@@ -17,8 +17,8 @@ import numpy as np
 from sonarrec.arrays import ByteImage
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
-from sonarrec.nouns import BeamOrder, Fan
 from sonarrec.readers.raw import PingGeometry, UnusableError
+from sonarrec.records import BeamOrder, Fan
 from sonarrec.sonar import Geometry, Sonar
 
 MIN_SHARED_WINDOW = 0.5

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from sonarrec.arrays import ByteImage
-from sonarrec.nouns import Fan
 from sonarrec.readers.decode.colour import LUMINANCE
 from sonarrec.readers.decode.grey import Levels, first_levels, grey_of
 from sonarrec.readers.decode.height import height_from_images
 from sonarrec.readers.decode.layout import Layout, Stated, agree, laid_out
 from sonarrec.readers.raw import StoredFrame, UnusableError
+from sonarrec.records import Fan
 from sonarrec.sonar import Sonar
 
 

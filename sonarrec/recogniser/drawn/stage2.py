@@ -15,9 +15,9 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IntArray
 from sonarrec.landmarks import WIDEST_SIGMA
-from sonarrec.nouns import Groups, Motion, Selection
 from sonarrec.recogniser.drawn.pose import EXPLAINED, Drawing, Fit, PoseFitter
 from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.records import Groups, Motion, Selection
 
 # Least correlation of a picture with its drawing where any pose was tried, and near that of the
 # frame before: noise reaches .56 and .40.

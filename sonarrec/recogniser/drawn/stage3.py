@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage, joined
-from sonarrec.nouns import Groups
 from sonarrec.recogniser.drawn.drawings import FINE, best, levelled, uneven_light
 from sonarrec.recogniser.drawn.pose import Drawing, Fit, PoseFitter
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3.opinions import TrackBelief
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG
+from sonarrec.records import Groups
 
 LEAST_FRAMES = 2  # with a picture, from which on an ID is declared
 ANGLE_SIGMA_DEG = 2.0

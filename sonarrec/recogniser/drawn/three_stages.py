@@ -11,7 +11,6 @@ from sonarrec.arrays import ByteImage, FloatImage
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet
-from sonarrec.nouns import Fan, Frame, Selection
 from sonarrec.recogniser.drawn.drawings import Drawings
 from sonarrec.recogniser.drawn.model import built_in_model
 from sonarrec.recogniser.drawn.pose import PoseFitter
@@ -25,6 +24,7 @@ from sonarrec.recogniser.stage1 import CandidateSelector, Levels, ScoreMaps, enl
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
 from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages, Tracked
+from sonarrec.records import Fan, Frame, Selection
 
 HALF_SIDE_PX = 20.0  # half a plate's side in the working image, where the fan is no coarser
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
-from sonarrec.nouns import Motion
 from sonarrec.recogniser.motion.keyframes import Keyframes
 from sonarrec.recogniser.motion.motion_grid import motion_grid
 from sonarrec.recogniser.motion.pan import PanEstimator
 from sonarrec.recogniser.motion.registration import FloorRegistration, Registration
 from sonarrec.recogniser.plane import Plane
+from sonarrec.records import Motion
 
 # Least match (correlation) at which a registration is accepted: one that started from the last
 # frame's motion, and one that started from a search. Pictures of different floor match by up to 0.2

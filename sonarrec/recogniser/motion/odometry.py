@@ -6,9 +6,9 @@ from sonarrec.arrays import ByteImage
 from sonarrec.config import Continuity
 from sonarrec.errors import Diagnostics
 from sonarrec.geometry import PoseTable
-from sonarrec.nouns import Motion
 from sonarrec.recogniser.motion.image_motion import MIN_MATCH, ImageMotion
 from sonarrec.recogniser.plane import Plane
+from sonarrec.records import Motion
 
 # The pans by the table and by the images are compared where either is at least LEAST_TURN_DEG. A
 # note doubts the table if at least LEAST_COMPARED were compared and most of them contradict.

@@ -16,8 +16,8 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.geometry import floor_depth
-from sonarrec.nouns import Fan
 from sonarrec.recogniser.motion.motion_grid import CellPlaces
+from sonarrec.records import Fan
 
 STEPS = 8  # Gauss-Newton steps, at most
 CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad

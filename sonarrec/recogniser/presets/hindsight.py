@@ -9,12 +9,12 @@ import numpy as np
 from sonarrec.arrays import ByteImage
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, FrameResult, Selection
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.presets.second_look import SecondLook
 from sonarrec.recogniser.stage3 import likeliest
 from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinions
 from sonarrec.recogniser.three_stages import Tracked
+from sonarrec.records import Estimate, FrameResult, Selection
 
 LEAST_MEAN_BELIEF = 0.5  # of a track's frames in an ID that hindsight declares
 

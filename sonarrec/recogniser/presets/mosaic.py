@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, FloatImage
-from sonarrec.nouns import Motion
+from sonarrec.records import Motion
 
 # It lies in square tiles of SIDE pixels; BLOCK_TILES along a side are searched together, and a tile
 # is forgotten once all its pixels have faded to less than LEAST_KEPT frames.

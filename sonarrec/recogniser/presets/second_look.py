@@ -16,7 +16,6 @@ import numpy as np
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan, FrameResult, Groups, Motion, Selection
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.presets.mosaic import LEAST_WEIGHT, SIDE, Block, Mosaic, Pose
@@ -26,6 +25,7 @@ from sonarrec.recogniser.stage3 import Evidence, likeliest
 from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
 from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, ShapeSampler
+from sonarrec.records import Estimate, Fan, FrameResult, Groups, Motion, Selection
 
 MOST_STEP_ERROR = 0.25  # disc radii; a motion with a larger standard error begins a new mean
 OLD_SHARE = 0.5  # weight of the frames of a look in the next

@@ -12,13 +12,13 @@ from sonarrec.config import Config
 from sonarrec.errors import Diagnostics
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.nouns import Fan, Frame, FrameResult
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.presets.second_look import SecondLook, looks_again
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages, ThreeStages, Tracked
+from sonarrec.records import Fan, Frame, FrameResult
 
 # Frames that stage 3 takes at once: one by one a frame costs a sixth more, more would save nothing.
 FRAMES_AT_ONCE = 16

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatImage, IndexArray, quantile
 from sonarrec.geometry import fan_mask
-from sonarrec.nouns import Frame
+from sonarrec.records import Frame
 
 # Only frames with a new view count, called looks. A view is new if the median change of its pixels
 # since the last look exceeds CHANGED of the median difference between neighbouring pixels. A sonar

@@ -17,13 +17,13 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray, IntArray, joined
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Groups
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3.description import Describer
 from sonarrec.recogniser.stage3.opinions import TrackBelief
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, whole_steps
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
+from sonarrec.records import Groups
 
 # An ID is declared from the LEAST_FRAMES-th frame of a track on, if enough of the disc is in view.
 # Discs fewer than FEW_BEAMS beams wide need more, since one frame hardly shows their symbol.

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.nouns import Groups
 from sonarrec.recogniser.stage3 import Evidence
+from sonarrec.records import Groups
 
 LEAST_BELIEF = 1e-2  # of a frame in the pool, so that no single frame rules out an ID for good
 LEAST_FRAME_BELIEF = 1e-6  # of the reported frame, since the tables have six digits

@@ -13,9 +13,9 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Groups
 from sonarrec.recogniser.stage3 import Beliefs, Evidence
 from sonarrec.recogniser.stage3.smi import Identification, without_none
+from sonarrec.records import Groups
 
 # Measurement models, rows k = true ID, columns j = measured ID.
 TABLE_2 = np.array(  # range window 1.25 m

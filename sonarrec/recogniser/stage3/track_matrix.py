@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.nouns import Groups
 from sonarrec.recogniser.stage3 import Evidence
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, whole_steps
+from sonarrec.records import Groups
 
 _T = TypeVar("_T", bound=np.generic)
 # A track that comes back into view is judged by its new picture. The picture from before it left is

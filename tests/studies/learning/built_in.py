@@ -14,8 +14,8 @@ from sonarrec.config import preset
 from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, describe, label
-from sonarrec.nouns import Frame
 from sonarrec.recogniser.stage3.model import BUILT_IN
+from sonarrec.records import Frame
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
 from sonarrec.simulation.truth import Truth

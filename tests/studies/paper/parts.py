@@ -11,10 +11,10 @@ from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Config
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.nouns import Estimate, Fan, Frame, Selection
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rotated_codes
 from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages
+from sonarrec.records import Estimate, Fan, Frame, Selection
 
 CONTINUITY = "continuity"
 """Stages 1 and 2, then SMI in every frame at its own operating point."""

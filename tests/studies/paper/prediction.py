@@ -27,8 +27,8 @@ from sonarrec.config import preset
 from sonarrec.evaluation.count import Counts, LogCounts, Scored, count_log
 from sonarrec.evaluation.curves import PUBLISHED
 from sonarrec.evaluation.uncertainty import coin_tosses
-from sonarrec.nouns import Frame, FrameResult
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
+from sonarrec.records import Frame, FrameResult
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import poses

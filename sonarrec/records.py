@@ -1,4 +1,4 @@
-"""The nouns that modules exchange, and times as text. Units and shapes are stated here, once."""
+"""The records that modules exchange, and times as text. Units and shapes are stated here, once."""
 
 from __future__ import annotations
 
