@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError, as_usage
 from sonarrec.tables.toml import (
     Count,
     NotNegative,
@@ -286,7 +286,8 @@ def with_table(config: Config, table: Mapping[str, Any], where: str) -> Config:
     Raises UsageError for an unknown section or key, and for an invalid value.
     """
     stated = {key: value for key, value in table.items() if key != "preset"}
-    return from_table(Config, stated, where, over=config, error=UsageError)
+    with as_usage():
+        return from_table(Config, stated, where, over=config)
 
 
 def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Config]:
@@ -312,14 +313,15 @@ def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Confi
 
 
 def _config_tables(path: Path) -> list[dict[str, Any]]:
-    table = read_toml(path, UsageError)
-    found = table.get("config", table)  # a run.toml keeps the settings under [config]
-    if not isinstance(found, list):
-        found = [found]
-    if not found or not all(isinstance(t, dict) for t in found):
-        raise UsageError(f"{path}: config must be a table of settings")
-    for table in found:
-        checked(table.get("preset", ""), str, f"{path}: preset", UsageError)
+    with as_usage():
+        table = read_toml(path)
+        found = table.get("config", table)  # a run.toml keeps the settings under [config]
+        if not isinstance(found, list):
+            found = [found]
+        if not found or not all(isinstance(t, dict) for t in found):
+            raise SonarrecError(f"{path}: config must be a table of settings")
+        for table in found:
+            checked(table.get("preset", ""), str, f"{path}: preset")
     return found
 
 
@@ -338,7 +340,8 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
         except SonarrecError:
             parsed = _plain(value)
         table = {section: {key: parsed}} if dot else {name: parsed}
-        config = from_table(Config, table, "--set", over=config, error=UsageError)
+        with as_usage():
+            config = from_table(Config, table, "--set", over=config)
     return config
 
 

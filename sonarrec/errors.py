@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 Place = TypeVar("Place")
@@ -36,6 +37,18 @@ class UsageError(SonarrecError):
 
 class MissingError(UsageError):
     """An input that is not there."""
+
+
+@contextmanager
+def as_usage() -> Iterator[None]:
+    """Raise faults as UsageErrors: around the reading of any TOML that a user writes, and of
+    options, so that a typo has the same exit code wherever it is."""
+    try:
+        yield
+    except UsageError:
+        raise
+    except SonarrecError as error:
+        raise UsageError(*error.args) from None
 
 
 def number_of(count: int, noun: str, ending: str = "s") -> str:

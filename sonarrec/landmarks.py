@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError, as_usage
 from sonarrec.tables.toml import (
     Positive,
     Share,
@@ -202,87 +202,91 @@ def load_landmarks(source: str | Path, beside: str | Path = "") -> LandmarkSet:
         raise UsageError(
             f"no landmark set {brief(str(source))}: neither a file nor built in ({built_in})"
         )
-    return landmarks_from_table(read_toml(path, UsageError), str(path), UsageError)
+    with as_usage():
+        return landmarks_from_table(read_toml(path), str(path))
 
 
-def landmarks_from_table(
-    table: object, where: str, error: type[SonarrecError] = SonarrecError
-) -> LandmarkSet:
-    """A LandmarkSet from the keys of its TOML. where: names it in errors, which are `error`s."""
+def landmarks_from_table(table: object, where: str) -> LandmarkSet:
+    """A LandmarkSet from the keys of its TOML. where: names it in errors (SonarrecError)."""
     if isinstance(table, dict) and table.get("kind", "disc") != "disc":
-        return _drawn_from_table(table, where, error)
+        return _drawn_from_table(table, where)
     if isinstance(table, dict):
         table = {key: value for key, value in table.items() if key != "kind"}
-    stated = from_table(_LandmarkSetFile, table, where, error=error)
+    stated = from_table(_LandmarkSetFile, table, where)
     ids = tuple(row.id for row in stated.landmark)
     sectors = tuple(row.sectors for row in stated.landmark)
     for key, (inner, outer) in (("ring", stated.ring), ("symbol", stated.symbol)):
         if inner >= outer:
-            raise error(f"{where}: {key} must be [inner, outer], not {[inner, outer]}")
+            raise SonarrecError(f"{where}: {key} must be [inner, outer], not {[inner, outer]}")
     if stated.symbol[1] > stated.ring[0]:
-        raise error(f"{where}: the symbol must end where the ring begins, or before")
+        raise SonarrecError(f"{where}: the symbol must end where the ring begins, or before")
     if len({len(s) for s in sectors}) > 1:
-        raise error(f"{where}: sectors must be equally many for every ID")
+        raise SonarrecError(f"{where}: sectors must be equally many for every ID")
     turned = [min(row[n:] + row[:n] for n in range(len(row))) for row in sectors]
-    _check_distinct(ids, turned, "pattern turned", where, error)
+    _check_distinct(ids, turned, "pattern turned", where)
     return LandmarkSet(stated.name, stated.radius_m, stated.ring, stated.symbol, ids, sectors)
 
 
-def _check_distinct(
-    ids: Sequence[int], looks: Sequence[object], same: str, where: str, error: type[SonarrecError]
-) -> None:
-    """Raise an error unless every ID is another, and looks different. same: names what is equal."""
+def _check_distinct(ids: Sequence[int], looks: Sequence[object], same: str, where: str) -> None:
+    """Raise SonarrecError unless every ID is another, and looks different.
+
+    same: names what is equal.
+    """
     if not ids or len(set(ids)) < len(ids):
-        raise error(f"{where}: every [[landmark]] needs an id, a whole number of its own")
+        raise SonarrecError(f"{where}: every [[landmark]] needs an id, a whole number of its own")
     first: dict[object, int] = {}
     for number, look in zip(ids, looks, strict=True):
         if (other := first.setdefault(look, number)) != number:
-            raise error(
+            raise SonarrecError(
                 f"{where}: IDs {other} and {number} are the same {same}, so no image can tell "
                 "them apart"
             )
 
 
-def _drawn_from_table(table: dict[str, Any], where: str, error: type[SonarrecError]) -> DrawnSet:
+def _drawn_from_table(table: dict[str, Any], where: str) -> DrawnSet:
     """A DrawnSet, as landmarks_from_table."""
     if table["kind"] != "drawn":
-        raise error(f'{where}: kind must be "disc" or "drawn", not {brief(table["kind"])}')
-    stated = from_table(_DrawnSetFile, table, where, error=error)
-    rows = stated.landmark or _of_codes(stated, where, error)
+        raise SonarrecError(f'{where}: kind must be "disc" or "drawn", not {brief(table["kind"])}')
+    stated = from_table(_DrawnSetFile, table, where)
+    rows = stated.landmark or _of_codes(stated, where)
     ids = tuple(row.id for row in rows)
-    drawings = [_drawing(row, where, error) for row in rows]
+    drawings = [_drawing(row, where) for row in rows]
     if stated.family:
         built_in = (BUILT_IN / f"{stated.family}.toml").is_file()
         family = load_landmarks(stated.family) if built_in else None
         if ids or not isinstance(family, DrawnSet):
-            raise error(f"{where}: family names a built-in drawn set, in place of any [[landmark]]")
+            raise SonarrecError(
+                f"{where}: family names a built-in drawn set, in place of any [[landmark]]"
+            )
         ids = family.ids if stated.ids is None else stated.ids
         if unknown := set(ids) - set(family.ids):
-            raise error(f"{where}: {stated.family} has no ID {min(unknown)}")
+            raise SonarrecError(f"{where}: {stated.family} has no ID {min(unknown)}")
         drawings = [family.drawings()[k] for k in family.indices(np.asarray(ids))]
     elif stated.ids is not None:
-        raise error(f"{where}: ids chooses among those of a family, and none is named")
+        raise SonarrecError(f"{where}: ids chooses among those of a family, and none is named")
     if len(ids) > MOST_IDS:
-        raise error(f"{where}: {len(ids)} IDs, more than {MOST_IDS}; state those that are used")
+        raise SonarrecError(
+            f"{where}: {len(ids)} IDs, more than {MOST_IDS}; state those that are used"
+        )
     for number, drawing in zip(ids, drawings, strict=True):
         if drawing.all() or not drawing.any():
-            raise error(f"{where}: the drawing of ID {number} is all of one kind")
+            raise SonarrecError(f"{where}: the drawing of ID {number} is all of one kind")
     hand, half, none = stated.mirrored, stated.size_m / 2, (0.0, 0.0)
     looks = [(len(d), min(view.tobytes() for view in views(d, hand))) for d in drawings]
     how = "turned or mirrored (state mirrored)" if hand == "either" else "turned"
-    _check_distinct(ids, looks, f"drawing {how}", where, error)
+    _check_distinct(ids, looks, f"drawing {how}", where)
     cells = tuple(tuple(map(tuple, d.astype(int).tolist())) for d in drawings)
     return DrawnSet(stated.name, half, none, none, ids, (), cells, hand, stated.pose)
 
 
-def _of_codes(
-    stated: _DrawnSetFile, where: str, error: type[SonarrecError]
-) -> tuple[_Drawing, ...]:
+def _of_codes(stated: _DrawnSetFile, where: str) -> tuple[_Drawing, ...]:
     """The drawings that `cells` and `codes` state."""
     bits = sum(row.count("?") for row in stated.cells)
     digits, words = -(-bits // 4), stated.codes.split()
     if any(not re.fullmatch(f"[0-9a-f]{{{digits}}}", w) or int(w, 16) >> bits for w in words):
-        raise error(f"{where}: codes must be hex words of {digits} digits, for {bits} cells with ?")
+        raise SonarrecError(
+            f"{where}: codes must be hex words of {digits} digits, for {bits} cells with ?"
+        )
     drawings = []
     for number, word in enumerate(words):
         bit = iter(f"{int(word, 16):0{bits}b}")
@@ -297,39 +301,41 @@ def views(drawing: BoolArray, mirrored: Hand) -> list[BoolArray]:
     return [np.rot90(hand, turn) for hand in hands[mirrored] for turn in range(4)]
 
 
-def _drawing(row: _Drawing, where: str, error: type[SonarrecError]) -> BoolArray:
+def _drawing(row: _Drawing, where: str) -> BoolArray:
     """(n, n) cells of a [[landmark]]."""
     if bool(row.cells) == bool(row.image):
-        raise error(f"{where}: ID {row.id} needs cells, or an image, and not both")
+        raise SonarrecError(f"{where}: ID {row.id} needs cells, or an image, and not both")
     if row.image:
-        return _drawing_of_image(Path(where).parent / row.image, where, error)
+        return _drawing_of_image(Path(where).parent / row.image, where)
     rows = [[*map(str, line)] for line in row.cells]
     is_even = len({len(line) for line in rows}) == 1 and rows[0]
     if not is_even or any(cell not in "01" for line in rows for cell in line):
-        raise error(f"{where}: cells of ID {row.id} must be rows of 0 and 1, equally long")
+        raise SonarrecError(f"{where}: cells of ID {row.id} must be rows of 0 and 1, equally long")
     if len(rows) != len(rows[0]):
-        raise error(f"{where}: ID {row.id} has {len(rows)} rows of {len(rows[0])} cells; {SQUARE}")
+        raise SonarrecError(
+            f"{where}: ID {row.id} has {len(rows)} rows of {len(rows[0])} cells; {SQUARE}"
+        )
     if len(rows) > MOST_CELLS:
-        raise error(f"{where}: ID {row.id} has more than {MOST_CELLS} cells along a side")
+        raise SonarrecError(f"{where}: ID {row.id} has more than {MOST_CELLS} cells along a side")
     return np.asarray(np.array(rows) == "1")
 
 
-def _drawing_of_image(path: Path, where: str, error: type[SonarrecError]) -> BoolArray:
+def _drawing_of_image(path: Path, where: str) -> BoolArray:
     """The cells of a picture: one a pixel where it is small, else IMAGE_CELLS along its side."""
     import cv2  # not for commands that read no picture
 
     if not path.is_file():
-        raise error(f"{where}: image {path}: no such file")
+        raise SonarrecError(f"{where}: image {path}: no such file")
     try:
         picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
     except (OSError, ValueError, cv2.error):
         picture = None
     if picture is None:
-        raise error(f"{where}: image {path}: not a picture that can be read, such as a PNG")
+        raise SonarrecError(f"{where}: image {path}: not a picture that can be read, such as a PNG")
     grey = np.asarray(picture, np.uint8)
     if grey.shape[0] != grey.shape[1]:
         size = f"{grey.shape[1]} x {grey.shape[0]} pixels"
-        raise error(f"{where}: image {path} has {size}; {SQUARE}")
+        raise SonarrecError(f"{where}: image {path} has {size}; {SQUARE}")
     if len(grey) > IMAGE_CELLS:
         grey = np.asarray(cv2.resize(grey, (IMAGE_CELLS,) * 2, interpolation=cv2.INTER_AREA))
     return np.asarray(grey > (int(grey.min()) + int(grey.max())) / 2)

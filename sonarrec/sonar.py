@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError, as_usage
 from sonarrec.records import BeamOrder, ColourMap
 from sonarrec.tables.toml import Finite, from_table, read_toml
 
@@ -105,10 +105,7 @@ class Sonar:
             )
         wrong = self.contradiction()
         if wrong is not None:
-            raise SonarrecError(
-                f"{where}: sonar geometry contradicts itself: {wrong}; correct it in sonar.toml or "
-                "by flag"
-            )
+            raise SonarrecError(_contradicts_itself(where, wrong))
         flip = bool(self.flip)
         least, most = (-view / 2, view / 2) if beams is None else _edges(beams, flip)
         return Geometry(
@@ -129,13 +126,17 @@ class Sonar:
         """The first contradiction, in a few words; None if there is none."""
         return next((wrong for _, wrong in self._contradictions()), None)
 
-    def check_flags(self, flags: Sonar) -> None:
-        """Raise UsageError if what the flags state is contradictory, alone or with the rest."""
+    def check_stated(self, flags: Sonar, where: str) -> None:
+        """Raise UsageError if what is stated is contradictory.
+
+        flags: the part that options state; they are to blame where they are involved, else the
+        file, which `where` names.
+        """
         for keys, wrong in self._contradictions():
-            stated = [key for key in keys if getattr(flags, key) is not None]
+            stated = [f"--{k.replace('_', '-')}" for k in keys if getattr(flags, k) is not None]
             if stated:
-                names = " and ".join(f"--{key.replace('_', '-')}" for key in stated)
-                raise UsageError(f"{names}: {wrong}")
+                raise UsageError(f"{' and '.join(stated)}: {wrong}")
+            raise UsageError(_contradicts_itself(where, wrong))
 
     def _contradictions(self) -> Iterator[tuple[tuple[str, ...], str]]:
         """(the keys involved, a few words) for each contradiction and impossible value."""
@@ -179,6 +180,11 @@ class Sonar:
                 yield ("ranges_m", *window), wrong
 
 
+def _contradicts_itself(where: str, wrong: str) -> str:
+    fault = f"{where}: sonar geometry contradicts itself: {wrong}"
+    return f"{fault}; correct it in sonar.toml or by flag"
+
+
 def _edges(bearings_deg: tuple[float, ...], flip: bool) -> tuple[float, float]:
     """The fan's edges, deg: half a beam beyond the outermost beams' middles."""
     bearings = np.sort(np.asarray(bearings_deg) * (-1 if flip else 1))
@@ -191,13 +197,14 @@ def _edges(bearings_deg: tuple[float, ...], flip: bool) -> tuple[float, float]:
 def load_sonar(path: Path) -> Sonar:
     """Read a sonar.toml.
 
-    Raises SonarrecError if the file cannot be read, is not TOML, has no table [sonar], or has an
+    Raises UsageError if the file cannot be read, is not TOML, has no table [sonar], or has an
     unknown key or an invalid value.
     """
-    document = read_toml(path)
-    if set(document) != {"sonar"}:
-        raise SonarrecError(f"{path}: expected one table [sonar]; see `sonarrec help geometry`")
-    return sonar_from_table(document["sonar"], str(path))
+    with as_usage():
+        document = read_toml(path)
+        if set(document) != {"sonar"}:
+            raise SonarrecError(f"{path}: expected one table [sonar]; see `sonarrec help geometry`")
+        return sonar_from_table(document["sonar"], str(path))
 
 
 def sonar_from(sonar: Sonar | Mapping[str, Any] | None) -> Sonar:

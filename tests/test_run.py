@@ -208,7 +208,7 @@ def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) 
     assert message.count("\n") == 1
     stated = tomllib.loads((pings / "sonar.toml").read_text())["sonar"] | {word: float(flags[1])}
     (pings / "sonar.toml").write_text(tomli_w.dumps({"sonar": stated}))
-    message = one_line_fault("run", pings)
+    message = one_line_fault("run", pings, code=2)
     assert message.startswith(f"sonarrec: {pings / 'sonar.toml'}: ")
 
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.endings import INTERRUPTED, tell
+from sonarrec.cli.endings import INTERRUPTED, code_of, tell
 from sonarrec.cli.groups import advice_on
-from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.errors import SonarrecError, name_as_text
 from sonarrec.records import VERSION
 
 COMMANDS = (
@@ -53,7 +53,7 @@ class _Program(click.Group):
             return super().invoke(ctx)
         except SonarrecError as error:
             tell([str(error)])
-            ctx.exit(2 if isinstance(error, UsageError) else 1)
+            ctx.exit(code_of(error))
         except KeyboardInterrupt:
             tell(["stopped"])
             ctx.exit(INTERRUPTED)

@@ -10,6 +10,7 @@ import click
 from sonarrec.cli import options
 from sonarrec.cli.endings import finish, progress
 from sonarrec.cli.groups import NEW_FILE, command, file_names
+from sonarrec.errors import as_usage
 
 
 @command(short_help="Learn from labelled logs how landmarks look.")
@@ -53,9 +54,11 @@ def calibrate(
     check_output(out, "model", [*log, ground_truth])
     config = settings.config()
     # As in `run`, a run.toml also gives the landmark set and the geometry.
-    earlier = read_run(settings.config_file)
-    log_options = earlier.complete(LogOptions(**reading), same_log=False)
-    chosen, _ = chosen_landmarks(find_log(log[0]), landmarks, earlier)
+    first = find_log(log[0])
+    with as_usage():
+        earlier = read_run(settings.config_file)
+        log_options = earlier.complete(LogOptions(**reading), same_log=False)
+        chosen, _ = chosen_landmarks(first, landmarks, earlier)
     with progress(quiet) as step:
         report = learn(log, ground_truth, config, chosen, log_options, observe=step)
     with writing(out):

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 import click
 
-from sonarrec.errors import number_of, printable
+from sonarrec.errors import SonarrecError, UsageError, number_of, printable
 
 FAILED = 1  # nothing could be used
 MISUSED = 2  # an option is invalid, or an input does not exist
@@ -22,6 +22,18 @@ WORSE = 4  # finished, but the results are worse than before, or than a limit al
 INTERRUPTED = 130  # stopped by Ctrl-C
 TERMINATED = 143  # stopped by SIGTERM
 MOST_NOTES = 5
+
+
+def code_of(error: SonarrecError) -> int:
+    """The exit code of a log, or a call, that failed."""
+    return MISUSED if isinstance(error, UsageError) else FAILED
+
+
+def code_of_all(codes: Sequence[int]) -> int:
+    """The exit code of a call by those of its logs."""
+    if all(codes) and PARTLY not in codes:
+        return FAILED if FAILED in codes else MISUSED
+    return PARTLY if any(codes) else 0
 
 
 def say(*lines: str) -> None:

@@ -11,9 +11,19 @@ from typing import IO, TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, inform, leave, progress, say, tell
+from sonarrec.cli.endings import (
+    FAILED,
+    PARTLY,
+    code_of,
+    code_of_all,
+    inform,
+    leave,
+    progress,
+    say,
+    tell,
+)
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
-from sonarrec.errors import MissingError, SonarrecError, UsageError, local, name_as_text, number_of
+from sonarrec.errors import SonarrecError, UsageError, local, name_as_text, number_of
 from sonarrec.records import date_text, is_date
 
 if TYPE_CHECKING:
@@ -94,12 +104,9 @@ def info(
             with progress(quiet) as step:
                 found = describe(one.path, **reading, up_to=one.up_to, quick=quick, observe=step)
         except SonarrecError as error:
-            is_missing = isinstance(error, MissingError)
-            if isinstance(error, UsageError) and not is_missing:
-                raise
             tell([str(error)])
             documents.append({"path": name, "error": str(error)})
-            codes.append(MISUSED if is_missing else FAILED)
+            codes.append(code_of(error))
             continue
         if not as_json:
             say(*([""] if documents else []), *lines(found))
@@ -115,9 +122,7 @@ def info(
             inform(f"{write_sonar}: written; {lacks}")
     if preview is not None and found is not None:
         _draw(preview, logs[0], reading, landmarks)
-    if all(codes) and PARTLY not in codes:
-        leave(FAILED if FAILED in codes else MISUSED)
-    leave(PARTLY if any(codes) else 0)
+    leave(code_of_all(codes))
 
 
 def _draw(preview: Path, log: NamedLog, reading: dict[str, Any], landmarks: str | None) -> None:

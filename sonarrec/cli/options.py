@@ -24,7 +24,7 @@ from sonarrec.cli.groups import (
     in_scoring,
     in_settings,
 )
-from sonarrec.errors import UsageError, is_url
+from sonarrec.errors import UsageError, as_usage, is_url
 from sonarrec.records import Clock
 
 if TYPE_CHECKING:
@@ -161,16 +161,17 @@ _GEOMETRY = {
 def _reading(values: dict[str, Any]) -> dict[str, Any]:
     """Keyword arguments of `open_log`: sonar, sonar_file, topic, and time if given.
 
-    Raises UsageError for flags that are invalid, SonarrecError if sonar_file cannot be used: once,
-    not for each log.
+    Raises UsageError for flags that are invalid and a sonar_file that cannot be used: once, not for
+    each log.
     """
     from sonarrec.sonar import load_sonar, sonar_from_table
 
     stated = {key: values[key] for key in _GEOMETRY if values.get(key) is not None}
     if "bearings_deg" in stated:
         stated["bearings_deg"] = numbers("--bearings-deg", stated["bearings_deg"])
-    sonar = sonar_from_table(stated, "command line")
-    sonar.check_flags(sonar)
+    with as_usage():
+        sonar = sonar_from_table(stated, "command line")
+    sonar.check_stated(sonar, "command line")
     file: Path | None = values["sonar_file"]
     if file is not None and file.is_file():  # a pipe can be read only once
         load_sonar(file)

@@ -14,12 +14,12 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import (
-    FAILED,
     INTERRUPTED,
-    MISUSED,
     PARTLY,
     TERMINATED,
     above_the_bar,
+    code_of,
+    code_of_all,
     inform,
     leave,
     progress,
@@ -35,7 +35,6 @@ from sonarrec.cli.groups import (
     in_output,
 )
 from sonarrec.errors import (
-    MissingError,
     SonarrecError,
     UsageError,
     is_url,
@@ -258,15 +257,15 @@ def _plan(jobs: Sequence[Job]) -> int:
     """Print what would be done with each log: --dry-run. The exit code."""
     from sonarrec.runs.one import plan_job
 
-    faults = 0
+    codes = []
     for job in jobs:
         try:
-            plan = plan_job(job)
+            plan, code = plan_job(job), 0
         except SonarrecError as error:
-            faults += 1
-            plan = f"fails ({error})"
+            plan, code = f"fails ({error})", code_of(error)
         say(f"{job.path}: {plan}")
-    return 0 if not faults else FAILED if faults == len(jobs) else PARTLY
+        codes.append(code)
+    return code_of_all(codes)
 
 
 class _Terminated(KeyboardInterrupt):
@@ -324,10 +323,12 @@ def _table(jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 def exit_code(outcomes: Sequence[Outcome]) -> int:
     """The exit code of a call by what became of its logs."""
-    if all(one.status == "failed" for one in outcomes):
-        missing = all(isinstance(one.error, MissingError) for one in outcomes)
-        return MISUSED if missing else FAILED
-    return 0 if all(one.status == "done" for one in outcomes) else PARTLY
+    return code_of_all(
+        [
+            code_of(one.error) if one.error is not None else PARTLY * (one.status != "done")
+            for one in outcomes
+        ]
+    )
 
 
 HOW = ("done", "up to date", "partial", "failed")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError, as_usage
 from sonarrec.readers.named_logs import logs_named
 from sonarrec.readers.open import find_log
 from sonarrec.results.run_file import LogOptions
@@ -150,12 +150,13 @@ def read_check(path: Path) -> Check:
         raise UsageError(
             f"{path}: no such file; it names the logs to run, as in `sonarrec help check`"
         )
-    file = from_table(CheckFile, read_toml(path, UsageError), str(path), error=UsageError)
+    with as_usage():
+        file = from_table(CheckFile, read_toml(path), str(path))
+        for key in ("least_tpr", "most_fpr"):
+            for method, rate in getattr(file, key).items():
+                checked(rate, Share, f"{path}: {key}.{method}")
     if not file.log:
         raise UsageError(f"{path}: names no log; give each its own [[log]] with a path")
-    for key in ("least_tpr", "most_fpr"):
-        for method, rate in getattr(file, key).items():
-            checked(rate, Share, f"{path}: {key}.{method}", UsageError)
     return Check(path, file)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError
 from sonarrec.geometry import PoseTable
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.mapping.landmarks import (
     Landmark,
     MappedLog,
@@ -91,6 +91,8 @@ def make_map(
     landmarks declared in fewer, over all passes, are left out.
     Raises SonarrecError if none of the logs can be used, or if they have no common axes.
     """
+    if landmarks is not None:
+        load_landmarks(landmarks)  # so that a fault is not one of each log
     told, copies = Diagnostics(), Diagnostics()
     found = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
     logs: list[MappedLog] = []

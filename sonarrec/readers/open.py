@@ -131,7 +131,7 @@ class Source:
 
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """(the geometry that file and flags state, its name in error messages). Raises UsageError
-        if the flags contradict each other."""
+        if the file is invalid, or what is stated contradictory."""
         file = sonar_file or self.beside(SONAR_FILE)
         stated = Sonar() if file is None else load_sonar(file)
         # Bearings take precedence over a field of view, but flags take precedence over the file.
@@ -141,8 +141,9 @@ class Source:
         if flags.bearings_deg is not None:
             stated = replace(stated, field_of_view_deg=None)
         stated = stated.updated(flags)
-        stated.check_flags(flags)
-        return stated, name_as_text(file or self.path)
+        where = name_as_text(file or self.path)
+        stated.check_stated(flags, where)
+        return stated, where
 
 
 def open_recording(path: Path, diagnostics: Diagnostics, reader: Reader | None = None) -> Recording:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from sonarrec.config import Config
-from sonarrec.errors import SonarrecError, hidden, is_url, number_of
-from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.stage3.model import read_model
+from sonarrec.errors import SonarrecError, as_usage, hidden, is_url, number_of
+from sonarrec.recogniser.stage3.model import model_from_table, read_model
 from sonarrec.records import FrameResult
-from sonarrec.results.run_file import LogOptions
+from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.sightings import Sighting
 
 Observe = Callable[[FrameResult, int | None], None]
@@ -32,11 +31,14 @@ class RunOptions:
     # none are given; a plain file of settings has none of these
 
     def check(self) -> None:
-        """Raise UsageError if landmarks or model are invalid, before any log is opened."""
-        if self.landmarks is not None:
-            load_landmarks(self.landmarks)
-        if self.model is not None:
-            read_model(self.model)
+        """Raise UsageError if one of the files is invalid, before any log is opened."""
+        with as_usage():
+            earlier = read_run(self.earlier_run)
+            earlier.landmark_set(self.landmarks)
+            if self.model is not None:
+                read_model(self.model)
+            elif earlier.model is not None:
+                model_from_table(earlier.model, str(earlier.path))
 
 
 @dataclass(frozen=True, slots=True)

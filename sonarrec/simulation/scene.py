@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError, as_usage
 from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import DrawnSet, LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Fan
@@ -357,13 +357,14 @@ AnyScene = Scene | PlateScene
 def load_scene(source: str | Path) -> AnyScene:
     """Read a scene: the name of a built-in one ("paper", "basin", ...) or a TOML file.
 
-    Raises SonarrecError if there is no such scene or file, or if the file is no valid scene.
+    Raises UsageError if there is no such scene or file, or if the file is no valid scene.
     """
     path = named_file(source, BUILT_IN)
     if path is None:
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
         raise UsageError(f"no scene {brief(str(source))}: neither a file nor built in ({built_in})")
-    return scene_from_table(read_toml(path), str(path))
+    with as_usage():
+        return scene_from_table(read_toml(path), str(path))
 
 
 def scene_from_table(table: Mapping[str, Any], where: str) -> AnyScene:

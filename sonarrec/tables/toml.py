@@ -49,33 +49,37 @@ Count = Annotated[int, bounds(0, 2**63 - 1)]
 AtLeastOne = Annotated[int, bounds(1, 2**63 - 1)]
 
 
-def read_toml(path: Path, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:
-    """The tables of a file. Raises `error` if it cannot be read or is not TOML."""
-    return parse_toml(read_text(path, error), str(path), error)
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a file. Raises SonarrecError if it cannot be read or is not TOML."""
+    return parse_toml(read_text(path), str(path))
 
 
-def read_text(path: Path, error: type[SonarrecError] = SonarrecError) -> str:
-    """The text of a TOML file. Raises `error` if it cannot be read."""
+def read_text(path: Path) -> str:
+    """The text of a TOML file. Raises SonarrecError if it cannot be read."""
     try:
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(MAX_LENGTH + 1)
     except (OSError, UnicodeDecodeError) as fault:
         how = "; save it as UTF-8" * isinstance(fault, UnicodeDecodeError)
-        raise error(f"{path}: not a readable TOML file, it cannot be read ({fault}){how}") from None
+        raise SonarrecError(
+            f"{path}: not a readable TOML file, it cannot be read ({fault}){how}"
+        ) from None
     if len(text) > MAX_LENGTH:
-        raise error(f"{path}: not a readable TOML file, it is larger than {MAX_LENGTH >> 20} MiB")
+        raise SonarrecError(
+            f"{path}: not a readable TOML file, it is larger than {MAX_LENGTH >> 20} MiB"
+        )
     return text
 
 
-def parse_toml(text: str, where: str, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:
-    """The tables of a TOML text. where: its name in errors. Raises `error` if it is not TOML."""
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """The tables of a TOML text. where: names it in errors (SonarrecError, if it is not TOML)."""
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as fault:  # also of Python's own limit on digits
         comma = "; decimals have a point" if re.search(r"=\s*[-+]?[0-9]+,[0-9]", text) else ""
-        raise error(f"{where}: not a readable TOML file ({fault}){comma}") from None
+        raise SonarrecError(f"{where}: not a readable TOML file ({fault}){comma}") from None
     if why := _beyond_toml(table):
-        raise error(f"{where}: not a readable TOML file ({why})")
+        raise SonarrecError(f"{where}: not a readable TOML file ({why})")
     return table
 
 
@@ -112,17 +116,17 @@ def from_table(
     *,
     section: str = "",
     over: T | None = None,
-    error: type[SonarrecError] = SonarrecError,
 ) -> T:
     """The dataclass `kind` from a TOML table; fields that are dataclasses from its sub-tables.
 
     where, section: name the table in errors. over: gives the values of missing keys, in place of
     the defaults. A field's metadata may have a "key", its name in the file.
-    Raises `error` for unknown and missing keys and for values of a wrong type or out of bounds.
+    Raises SonarrecError for unknown and missing keys and for values of a wrong type or out of
+    bounds.
     """
     place = f"{where}: [{section}]" if section else where
     if not isinstance(table, Mapping):
-        raise error(f"{place} must be a table of keys, not {brief(table)}")
+        raise SonarrecError(f"{place} must be a table of keys, not {brief(table)}")
     types = types_of(kind)  # type: ignore[arg-type]
     names = {f.metadata.get("key", f.name): f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     inside = f" in [{section}]" if section else ""
@@ -131,23 +135,22 @@ def from_table(
         label = f"{section}.{_key(key)}" if section else _key(key)
         if key not in names:
             listed = f"; known{inside or ' keys'}: {', '.join(names)}"
-            raise error(f"{where}: unknown key {label}{_meant(str(key), names) or listed}")
+            raise SonarrecError(f"{where}: unknown key {label}{_meant(str(key), names) or listed}")
         name = names[key].name
         wanted: Any = types[name]
         rows: Any = get_args(wanted)[0] if get_origin(wanted) is tuple else None
         if _has_keys(wanted):
             part = None if over is None else getattr(over, name)
             if not isinstance(value, wanted):
-                value = from_table(wanted, value, where, section=label, over=part, error=error)
+                value = from_table(wanted, value, where, section=label, over=part)
         elif _has_keys(rows):
             if not isinstance(value, list | tuple):
-                raise error(f"{where}: write each {label} under its own [[{label}]]")
+                raise SonarrecError(f"{where}: write each {label} under its own [[{label}]]")
             value = tuple(
-                from_table(rows, row, f"{where}: [[{label}]] {n}", error=error)
-                for n, row in enumerate(value, 1)
+                from_table(rows, row, f"{where}: [[{label}]] {n}") for n, row in enumerate(value, 1)
             )
         else:
-            value = checked(value, wanted, f"{where}: {label}", error)
+            value = checked(value, wanted, f"{where}: {label}")
         values[name] = value
     if over is not None:
         return dataclasses.replace(over, **values)  # type: ignore[type-var]
@@ -158,7 +161,7 @@ def from_table(
         if f.name not in values and (f.default, f.default_factory) == needed
     ]
     if lacks:
-        raise error(f"{place} lacks {', '.join(lacks)}")
+        raise SonarrecError(f"{place} lacks {', '.join(lacks)}")
     return kind(**values)
 
 
@@ -169,15 +172,14 @@ def _meant(key: str, names: Iterable[str]) -> str:
     return f" (did you mean {by_words[near[0]]}?)" if near else ""
 
 
-def checked(
-    value: object, wanted: Any, label: str, error: type[SonarrecError] = SonarrecError
-) -> Any:
-    """`value` as the type `wanted`. Raises `error`, which begins with `label`, if it is invalid."""
+def checked(value: object, wanted: Any, label: str) -> Any:
+    """`value` as the type `wanted`. Raises SonarrecError, which begins with `label`, if it is
+    invalid."""
     whole = _bare(wanted)[0] is int and isinstance(value, float) and value.is_integer()
     try:  # 1e3 is a whole number too
         return msgspec.convert(int(value) if whole else value, wanted)  # type: ignore[call-overload]
     except msgspec.ValidationError:
-        raise error(f"{label} must be {described(wanted)}, not {brief(value)}") from None
+        raise SonarrecError(f"{label} must be {described(wanted)}, not {brief(value)}") from None
 
 
 @functools.cache

@@ -239,20 +239,26 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("command", "flag", "text", "line"),
+    ("command", "flag", "text", "line", "code"),
     [
-        ("run", "--sonar", "[sonar]\ntilt_degg = 3\n", ": unknown key sonar.tilt_degg"),
-        ("info", "--sonar", "[sonar]\ntilt_degg = 3\n", ": unknown key sonar.tilt_degg"),
-        ("run", "--odometry", "timestamp,yaw\n0,a\n1,2\n", " line 2: yaw must be a finite number"),
+        ("run", "--sonar", "[sonar]\ntilt_degg = 3\n", ": unknown key sonar.tilt_degg", 2),
+        ("info", "--sonar", "[sonar]\ntilt_degg = 3\n", ": unknown key sonar.tilt_degg", 2),
+        (
+            "run",
+            "--odometry",
+            "timestamp,yaw\n0,a\n1,2\n",
+            " line 2: yaw must be a finite number",
+            1,
+        ),
     ],
 )
 def test_a_file_given_for_all_logs_is_told_once(
-    command: str, flag: str, text: str, line: str, tmp_path: Path
+    command: str, flag: str, text: str, line: str, code: int, tmp_path: Path
 ) -> None:
     logs, bad = made(tmp_path, "a", "b", "c", frames=2), tmp_path / "bad"
     bad.write_text(text)
     out = ["-o", tmp_path / "out"] if command == "run" else []
-    told = sonarrec(command, *logs, flag, bad, *out, code=1).stderr
+    told = sonarrec(command, *logs, flag, bad, *out, code=code).stderr
     assert told.startswith(f"sonarrec: {bad}{line}")
     assert told.count("\n") == 1
     assert not (tmp_path / "out").exists()

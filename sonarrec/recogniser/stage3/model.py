@@ -18,7 +18,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.errors import UsageError
+from sonarrec.errors import SonarrecError, as_usage
 from sonarrec.recogniser.stage3.description import FEATURES
 from sonarrec.tables.toml import Finite, brief, checked, from_table, length, parse_toml, read_text
 
@@ -111,18 +111,19 @@ class ModelFile:
 
 def read_model(path: Path) -> ModelFile:
     """A model from a TOML file. Raises UsageError if the file is not such a model."""
-    text = read_text(path, UsageError)
-    return ModelFile(path.name, text, parse_model(text, str(path)))
+    with as_usage():
+        text = read_text(path)
+        return ModelFile(path.name, text, parse_model(text, str(path)))
 
 
 def model_from_table(table: Mapping[str, Any], where: str) -> ModelFile:
-    """The model in a table from ModelFile.as_table. Raises UsageError if it is not one."""
+    """The model in a table from ModelFile.as_table. Raises SonarrecError if it is not one."""
     try:
         name, text = table["name"], table["text"]
     except KeyError:
-        raise UsageError(f"{where}: [model] needs name and text") from None
+        raise SonarrecError(f"{where}: [model] needs name and text") from None
     for key, value in (("name", name), ("text", text)):
-        checked(value, str, f"{where}: model.{key}", UsageError)
+        checked(value, str, f"{where}: model.{key}")
     return ModelFile(name, text, parse_model(text, f"{where}: [model]"))
 
 
@@ -145,23 +146,21 @@ _BIASES = ("bias", "smeared_bias")
 
 
 def parse_model(text: str, where: str) -> AppearanceModel:
-    """The model in a TOML text; `where` names it in errors. Raises UsageError if it is not one."""
-    table = parse_toml(text, where, UsageError)
+    """The model in a TOML text; `where` names it in errors (SonarrecError, if it is not one)."""
+    table = parse_toml(text, where)
     known = (*_BIASES, *FEATURES)
     if wrong := [key for key in (*known, *table) if key not in known or key not in table]:
-        raise UsageError(
+        raise SonarrecError(
             f"{where}: not an appearance model of this version (missing or unknown: "
             f"{brief(wrong[0])}); `sonarrec calibrate` writes one"
         )
-    bias = np.array([checked(table[key], Finite, f"{where}: {key}", UsageError) for key in _BIASES])
-    curves = [
-        from_table(_Curve, table[name], where, section=name, error=UsageError) for name in FEATURES
-    ]
+    bias = np.array([checked(table[key], Finite, f"{where}: {key}") for key in _BIASES])
+    curves = [from_table(_Curve, table[name], where, section=name) for name in FEATURES]
     knots = tuple(np.array(curve.at) for curve in curves)
     for name, curve in zip(FEATURES, curves, strict=True):
         sizes = {len(curve.at), len(curve.log_odds), len(curve.smeared_log_odds)}
         if len(sizes) > 1 or not (np.diff(curve.at) > 0).all():
-            raise UsageError(
+            raise SonarrecError(
                 f"{where}: [{name}] needs rising `at` and as many `log_odds` and `smeared_log_odds`"
             )
     values = tuple(np.array([curve.log_odds, curve.smeared_log_odds]) for curve in curves)
