@@ -109,7 +109,9 @@ def info(
             codes.append(code_of(error))
             continue
         if not as_json:
-            say(*([""] if documents else []), *lines(found))
+            if documents:
+                say("")
+            say(*lines(found))
         documents.append(asdict(found))
         codes.append(FAILED if found.has_no_frame else PARTLY * found.has_problems)
     if as_json:

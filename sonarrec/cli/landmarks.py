@@ -86,15 +86,12 @@ def landmarks(
         def shown(share: float) -> str:
             return f"{share * cells:.0f} of {cells}" if cells else f"{share:.2f}"
 
-        say(
-            f"{chosen.name}: {size}",
-            f"  at {distance_m:g} m, with {beams}",
-            *(["  IDs          as drawn   as seen"] if found else []),
-            *(
-                f"  {f'{d.ids[0]} and {d.ids[1]}':<12} {shown(d.drawn):>8}  {d.seen:>8.2f}"
-                for d in found
-            ),
-        )
+        say(f"{chosen.name}: {size}", f"  at {distance_m:g} m, with {beams}")
+        if found:
+            say("  IDs          as drawn   as seen")
+        for d in found:
+            ids = f"{d.ids[0]} and {d.ids[1]}"
+            say(f"  {ids:<12} {shown(d.drawn):>8}  {d.seen:>8.2f}")
         if out is not None:
             say(f"{out}: drawn")
     tell([], [f"{landmark_set}: {warning}" for warning in warnings])

@@ -168,7 +168,9 @@ def check(
             lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
     tell(told.problems)
     found = number_of(len(faults), "fault") if faults else "no fault"
-    say(*lines, *([] if quiet else [f"{ground_truth}: {number_of(rows, 'row')}, {found}"]))
+    if not quiet:
+        lines.append(f"{ground_truth}: {number_of(rows, 'row')}, {found}")
+    say(*lines)
     tell((), told.notes)
     if faults or told.problems:
         leave(PARTLY)

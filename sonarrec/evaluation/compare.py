@@ -302,15 +302,33 @@ def _changes(
         for a, b in zip(rates_of(before, was), rates_of(after, now), strict=True):
             for d in differences(a, b, weights, tosses):
                 if d.name in MAIN:
-                    of = _cases(now.named_counts()[d.landmark], d.name)
-                    name = (protocol, method, d.landmark, d.name)
-                    values, test = (d.value_a, d.value_b), (d.low, d.high, d.p)
-                    yield Change(*name, *values, of, "", *test, d.units, d.note)
+                    yield Change(
+                        protocol=protocol,
+                        method=method,
+                        landmark=d.landmark,
+                        rate=d.name,
+                        old=d.value_a,
+                        new=d.value_b,
+                        of=_cases(now.named_counts()[d.landmark], d.name),
+                        low=d.low,
+                        high=d.high,
+                        p=d.p,
+                        units=d.units,
+                        note=d.note,
+                    )
         for n, log in enumerate(after.logs if len(after.logs) > 1 else ()):
             for rate in RATES:
                 old, new = was.count(log=n), now.count(log=n)
-                values = getattr(old, rate), getattr(new, rate)
-                yield Change(protocol, method, TOTAL, rate, *values, _cases(new, rate), log)
+                yield Change(
+                    protocol=protocol,
+                    method=method,
+                    landmark=TOTAL,
+                    rate=rate,
+                    old=getattr(old, rate),
+                    new=getattr(new, rate),
+                    of=_cases(new, rate),
+                    log=log,
+                )
 
 
 def _larger(tpr: Change, fpr: Change) -> Change:

@@ -220,7 +220,8 @@ def score_logs(
     told.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
     told.problem(*(f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None))
     told.problem(*copies.problems)
-    told.note(*copies.notes, *(note for score in scored for note in score.notes))
+    told.note(*copies.notes)
+    told.note(*(note for score in scored for note in score.notes))
     for counts in sides:
         counts.finish(
             [score.log.results[-1] for score in scored], options.methods if not sides[1:] else ()

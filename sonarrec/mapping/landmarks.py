@@ -50,6 +50,8 @@ GATE_POSITION = 13.82  # the same for the position alone, if an orientation is n
 ONE_DISC = 0.75
 """Passes nearer than this, in disc diameters, are of one disc: two discs cannot overlap."""
 ELLIPSE_CORNERS = 48
+OF_TRACK = ("frame", "landmark", "object", "score")
+POLAR = ("range_m", "bearing_deg", "orientation_deg")
 CHI2_95 = 5.991  # squared Mahalanobis distance that 95 % of positions in a plane do not exceed
 
 
@@ -121,32 +123,37 @@ def read_declared(
     Raises SonarrecError if the table cannot be read, or if a declared estimate has no position or
     no track.
     """
-    parts: list[FloatArray] = [np.empty((0, 10))]
-    count = 0
+    wanted, count = OF_TRACK + POLAR + SIGMAS, 0
+    parts: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in wanted}
     for first, table in estimate_tables(path, landmarks, ROWS):
         declared = np.asarray(table["method"] == method) & table["declared"]
         count += int(np.count_nonzero(declared))
         chosen = np.flatnonzero(declared & np.isin(table["frame"], frame))
         blank = np.full(len(declared), np.nan)
-        known, measured = (
-            [table.get(name, blank) for name in names]
-            for names in (("frame", "landmark", "object", "score"), ("orientation_deg", *SIGMAS))
-        )
-        rows = np.column_stack([*known, *positions(table, fan)[2:], *measured])[chosen]
-        if not (rows[:, 2] >= 0).all():  # two landmarks of one ID could not be kept apart
+        columns = table | positions(table, fan)
+        rows = {name: columns.get(name, blank)[chosen] for name in wanted}
+        if not (rows["object"] >= 0).all():  # two landmarks of one ID could not be kept apart
             raise SonarrecError(
                 f"{path}: a track needs object; not every declared row of {method} has it"
             )
-        for n in np.flatnonzero(~np.isfinite(rows[:, 4:6]).all(axis=1))[:1]:
+        for n in np.flatnonzero(~np.isfinite(rows["range_m"] + rows["bearing_deg"]))[:1]:
             raise SonarrecError(
                 f"{path} line {line_number(path, first + int(chosen[n]))}: no position: neither "
                 "x_px,y_px nor range_m,bearing_deg"
             )
-        parts.append(rows)
-    rows = np.concatenate(parts)
-    number, landmark, track = rows[:, :3].astype(np.int64).T
-    sigma, row = np.where(rows[:, 7:] > 0, rows[:, 7:], UNSTATED), np.searchsorted(frame, number)
-    return DeclaredEstimates(row, landmark, track, rows[:, 3], rows[:, 4:7], sigma, count)
+        for name in wanted:
+            parts[name].append(rows[name])
+    found = {name: np.concatenate(of_name) for name, of_name in parts.items()}
+    sigma = np.stack([found[name] for name in SIGMAS], axis=1)
+    return DeclaredEstimates(
+        row=np.searchsorted(frame, found["frame"].astype(np.int64)),
+        landmark=found["landmark"].astype(np.int64),
+        track=found["object"].astype(np.int64),
+        score=found["score"],
+        polar=np.stack([found[name] for name in POLAR], axis=1),
+        sigma=np.where(sigma > 0, sigma, UNSTATED),
+        rows=count,
+    )
 
 
 def find_passes(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -31,16 +31,17 @@ from sonarrec.tables.outputs import (
     writing,
 )
 
-_POSITION = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2")
-_ORIENTATION = ("orientation_deg", "orientation_sigma_deg")
-MAP_COLUMNS = (
-    *("number", "landmark", *_POSITION, *_ORIENTATION, "passes", "frames", "logs", "mean_score"),
-    *("near_m", "far_m", "first_ns", "last_ns", "other_frames"),
+_MAP_HEADER = (
+    "number,landmark,x_m,y_m,xx_m2,xy_m2,yy_m2,orientation_deg,orientation_sigma_deg,passes,frames,"
+    "logs,mean_score,near_m,far_m,first_ns,last_ns,other_frames"
 )
-PASS_COLUMNS = (
-    *("number", "log", "landmark", "track", "first_frame", "last_frame", "frames", "mean_score"),
-    *(*_POSITION, *_ORIENTATION, "near_m", "far_m", "sonar_x_m", "sonar_y_m", "sonar_yaw_deg"),
+_PASS_HEADER = (
+    "number,log,landmark,track,first_frame,last_frame,frames,mean_score,x_m,y_m,xx_m2,xy_m2,yy_m2,"
+    "orientation_deg,orientation_sigma_deg,near_m,far_m,sonar_x_m,sonar_y_m,sonar_yaw_deg"
 )
+MAP_COLUMNS, PASS_COLUMNS = _MAP_HEADER.split(","), _PASS_HEADER.split(",")
+Cells = dict[str, object]
+"""A row: its cells by column."""
 GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
 """How files of this program are recognised; readers of GeoJSON ignore unknown members."""
 MOST_POINTS = 2_000  # points of a path in GeoJSON, at most
@@ -91,68 +92,89 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
     check_no_recording(folder, headers)
     with writing(folder):
-        write_csv(folder / "map.csv", MAP_COLUMNS, map_rows(site))
-        write_csv(folder / "passes.csv", PASS_COLUMNS, pass_rows(site))
+        write_csv(folder / "map.csv", MAP_COLUMNS, _in_order(MAP_COLUMNS, map_rows(site)))
+        write_csv(folder / "passes.csv", PASS_COLUMNS, _in_order(PASS_COLUMNS, pass_rows(site)))
         draw_map(picture, site)
         earth.unlink(missing_ok=True)  # of a map before, with an origin
         if origin is not None:
             write_text(earth, json.dumps(geojson(site, origin), allow_nan=False) + "\n")
 
 
-def _pose_cells(site: SiteMap, one: Landmark | Pass, landmark: int) -> list[str]:
-    """The cells of _POSITION and _ORIENTATION, in the axes of the poses. landmark: its ID."""
+def _pose_cells(site: SiteMap, one: Landmark | Pass, landmark: int) -> Cells:
+    """Position, its covariance and orientation, in the axes of the poses. landmark: its ID."""
+    x, y = site.position(one.position)
     (xx, xy), (_, yy) = site.covariance(one.covariance)
-    cells = [f"{v:.4f}" for v in site.position(one.position)]
-    cells += [f"{v:.3e}" for v in (xx, xy, yy)]
     orientation = site.orientation(one.orientation_deg, landmark)
-    if math.isnan(orientation):
-        return [*cells, "", ""]
-    return [*cells, f"{orientation:.2f}", f"{one.orientation_sigma_deg:.2f}"]
+    known = not math.isnan(orientation)
+    return {
+        "x_m": f"{x:.4f}",
+        "y_m": f"{y:.4f}",
+        "xx_m2": f"{xx:.3e}",
+        "xy_m2": f"{xy:.3e}",
+        "yy_m2": f"{yy:.3e}",
+        "orientation_deg": f"{orientation:.2f}" if known else "",
+        "orientation_sigma_deg": f"{one.orientation_sigma_deg:.2f}" if known else "",
+    }
 
 
-def map_rows(site: SiteMap) -> list[list[object]]:
+def map_rows(site: SiteMap) -> list[Cells]:
     """The rows of map.csv, one per landmark."""
-    rows: list[list[object]] = []
+    rows: list[Cells] = []
     for number, landmark in enumerate(site.landmarks, 1):
         passes = landmark.members
         times = [one.path.timestamp_ns[one.row] for one in passes]
         score = np.average([one.score for one in passes], weights=[len(one.row) for one in passes])
-        rows.append(
-            [
-                *(number, landmark.id, *_pose_cells(site, landmark, landmark.id)),
-                *(len(passes), frames_of(passes), len({one.path for one in passes})),
-                f"{score:.4f}",
-                f"{min(one.near_m for one in passes):.3f}",
-                f"{max(one.far_m for one in passes):.3f}",
-                *(min(int(ns[0]) for ns in times), max(int(ns[-1]) for ns in times)),
-                frames_of(landmark.others),
-            ]
-        )
+        cells: Cells = {
+            "number": number,
+            "landmark": landmark.id,
+            "passes": len(passes),
+            "frames": frames_of(passes),
+            "logs": len({one.path for one in passes}),
+            "mean_score": f"{score:.4f}",
+            "near_m": f"{min(one.near_m for one in passes):.3f}",
+            "far_m": f"{max(one.far_m for one in passes):.3f}",
+            "first_ns": min(int(ns[0]) for ns in times),
+            "last_ns": max(int(ns[-1]) for ns in times),
+            "other_frames": frames_of(landmark.others),
+        }
+        rows.append(cells | _pose_cells(site, landmark, landmark.id))
     return rows
 
 
-def pass_rows(site: SiteMap) -> list[list[object]]:
+def pass_rows(site: SiteMap) -> list[Cells]:
     """The rows of passes.csv, one per pass, also of landmarks that were left out."""
     number = {
         one: n
         for n, landmark in enumerate(site.landmarks, 1)
-        for one in (*landmark.members, *landmark.others)
+        for passes in (landmark.members, landmark.others)
+        for one in passes
     }
-    rows: list[list[object]] = []
+    rows: list[Cells] = []
     for log in site.logs:
         for one in log.passes:
-            yaw, *position = log.path.pose[one.middle].tolist()
-            rows.append(
-                [
-                    *(number.get(one, ""), log.name, one.landmark, one.track),
-                    *log.path.frame[one.row[[0, -1]]],
-                    *(frames_of([one]), f"{one.score:.4f}", *_pose_cells(site, one, one.landmark)),
-                    *(f"{one.near_m:.3f}", f"{one.far_m:.3f}"),
-                    *(f"{v:.4f}" for v in site.position(np.array(position))),
-                    f"{-yaw if site.ros_axes else yaw:.3f}",
-                ]
-            )
+            pose = log.path.pose[one.middle]
+            sonar_x, sonar_y = site.position(pose[1:])
+            cells: Cells = {
+                "number": number.get(one, ""),
+                "log": log.name,
+                "landmark": one.landmark,
+                "track": one.track,
+                "first_frame": log.path.frame[one.row[0]],
+                "last_frame": log.path.frame[one.row[-1]],
+                "frames": frames_of([one]),
+                "mean_score": f"{one.score:.4f}",
+                "near_m": f"{one.near_m:.3f}",
+                "far_m": f"{one.far_m:.3f}",
+                "sonar_x_m": f"{sonar_x:.4f}",
+                "sonar_y_m": f"{sonar_y:.4f}",
+                "sonar_yaw_deg": f"{-pose[0] if site.ros_axes else pose[0]:.3f}",
+            }
+            rows.append(cells | _pose_cells(site, one, one.landmark))
     return rows
+
+
+def _in_order(columns: Sequence[str], rows: Iterable[Cells]) -> Iterator[list[object]]:
+    return ([row[name] for name in columns] for row in rows)
 
 
 def geojson(site: SiteMap, origin: GeographicOrigin) -> dict[str, object]:
@@ -250,14 +272,20 @@ def map_landmarks(
     )
     if out is not None:
         write_all(Path(local(out)), site)
-    found = _table(MAP_COLUMNS, map_rows(site)), _table(PASS_COLUMNS, pass_rows(site))
-    told = site.diagnostics
-    return LandmarkMap(*found, len(site.logs), tuple(told.notes), tuple(told.problems))
+    return LandmarkMap(
+        landmarks=_table(MAP_COLUMNS, map_rows(site)),
+        passes=_table(PASS_COLUMNS, pass_rows(site)),
+        logs=len(site.logs),
+        notes=tuple(site.diagnostics.notes),
+        unused=tuple(site.diagnostics.problems),
+    )
 
 
-def _table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> pd.DataFrame:
+def _table(columns: Sequence[str], rows: Iterable[Cells]) -> pd.DataFrame:
     """The cells of a CSV as numbers where they are numbers."""
     text = StringIO()
-    csv.writer(text).writerows([header, *rows])
+    table = csv.DictWriter(text, columns)
+    table.writeheader()
+    table.writerows(rows)
     text.seek(0)
     return pd.read_csv(text, dtype={"log": str})

@@ -167,8 +167,12 @@ def _container(source: Source) -> Container:
     decoders = image_decoders(log)
     channels = [
         Channel(
-            *(c.topic, c.schema, c.schema_encoding, c.message_encoding),
-            *(log.counts.get(number, 0), number in decoders),
+            topic=c.topic,
+            schema=c.schema,
+            schema_encoding=c.schema_encoding,
+            message_encoding=c.message_encoding,
+            messages=log.counts.get(number, 0),
+            images=number in decoders,
         )
         for number, c in sorted(log.channels.items(), key=lambda c: (c[1].topic, c[0]))
     ]

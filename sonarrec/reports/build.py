@@ -185,7 +185,10 @@ def _of_sightings(passes: Sequence[JudgedSighting]) -> Iterator[Picture]:
         if not is_best:
             caption += f", declared in {number_of(s.sighting.frames_declared, 'frame')}"
         yield Picture(
-            *(s.log.name, s.log.tracker, s.log.frame_of(s.surest)),
-            *("surest" if is_best else "rarest", f"{caption}."),
-            f"False claim: {s.wrong}." if s.wrong else "",
+            log=s.log.name,
+            method=s.log.tracker,
+            frame=s.log.frame_of(s.surest),
+            group="surest" if is_best else "rarest",
+            caption=f"{caption}.",
+            wrong=f"False claim: {s.wrong}." if s.wrong else "",
         )

@@ -333,17 +333,17 @@ def episodes(logs: Sequence[Matched], method: str, protocol: str) -> list[Episod
     ordered = grouped.join(worst).sort_values("sum", ascending=False, kind="stable")
     return [
         Episode(
-            *(
-                protocol,
-                method,
-                row.kind,
-                row.landmark,
-                logs[row.log],
-                row.first,
-                row.last,
-                row.frame,
-            ),
-            *(row.times, float(row.wrongness), row.which),
+            protocol=protocol,
+            method=method,
+            kind=row.kind,
+            landmark=row.landmark,
+            matched=logs[row.log],
+            first=row.first,
+            last=row.last,
+            worst=row.frame,
+            times=row.times,
+            wrongness=float(row.wrongness),
+            which=row.which,
         )
         for row in ordered.itertuples()
     ]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import groupby
@@ -100,21 +101,40 @@ def _line(columns: Sequence[Column], blank: int = 0) -> str:
     return ",".join(cells) + "\n"
 
 
-_STILL, _MOVED, _MEASURED = (_line(FRAME_COLUMNS, blank) for blank in (6, 3, 0))
+def line_of(columns: Sequence[Column], values: Mapping[str, Any]) -> str:
+    """The line of a table by the names of its columns; what is missing, None or NaN is empty."""
+    cells = []
+    for column in columns:
+        value = values.get(column.name)
+        known = value is not None and not (isinstance(value, float) and math.isnan(value))
+        cells.append(column.form % value if known else "")
+    return ",".join(cells) + "\n"
 
 
 def frame_line(result: FrameResult, stamps: Stamps) -> str:
     """The line of frames.csv; the motion is empty if there is none, its errors if poses gave it."""
-    times = ("" if t is None else t for t in (stamps.log, stamps.publish, stamps.header))
-    cells = (result.index, result.timestamp_ns, result.candidates, result.tracks, *times)
-    motion = result.motion
-    if motion is None:
-        return _STILL % cells
-    moved = motion.right_m, motion.ahead_m, motion.pan_deg
-    if not motion.pan_sigma_deg:
-        return _MOVED % (*cells, *moved)
-    sigmas = motion.right_sigma_m, motion.ahead_sigma_m, motion.pan_sigma_deg
-    return _MEASURED % (*cells, *moved, *sigmas)
+    values: dict[str, Any] = {
+        "frame": result.index,
+        "timestamp_ns": result.timestamp_ns,
+        "candidates": result.candidates,
+        "tracks": result.tracks,
+        "log_time_ns": stamps.log,
+        "publish_time_ns": stamps.publish,
+        "header_stamp_ns": stamps.header,
+    }
+    if (motion := result.motion) is not None:
+        values |= {
+            "dx_m": motion.right_m,
+            "dy_m": motion.ahead_m,
+            "dyaw_deg": motion.pan_deg,
+        }
+        if motion.pan_sigma_deg:
+            values |= {
+                "dx_sigma_m": motion.right_sigma_m,
+                "dy_sigma_m": motion.ahead_sigma_m,
+                "dyaw_sigma_deg": motion.pan_sigma_deg,
+            }
+    return line_of(FRAME_COLUMNS, values)
 
 
 class EstimateLines:
@@ -133,10 +153,8 @@ class EstimateLines:
         """The lines of a frame's estimates."""
         lines, before, after = [], self._before, self._after
         for e in result.estimates:
-            cells = (
-                *(result.index, result.timestamp_ns, text_cell(e.method), *before(e)),
-                *(*e.probabilities.tolist(), *after(e)),
-            )
+            of_frame = result.index, result.timestamp_ns, text_cell(e.method)
+            cells = (*of_frame, *before(e), *e.probabilities.tolist(), *after(e))
             if self._corners and e.corners is not None:
                 lines.append(self._seen % (*cells, *e.corners.ravel().tolist()))
             else:

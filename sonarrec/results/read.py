@@ -336,43 +336,46 @@ def _estimates_in(
         whole = np.isfinite(in_table).all(axis=1)
         beliefs[whole] = in_table[whole]
     corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
-    existence = np.nan_to_num(table.get("existence", blank), nan=1.0)
-    objects = table.get("object", np.full(count, -1))
-    measured = [table.get(name, blank) for name in ("orientation_deg", *SIGMAS)]
-    numbers = np.stack([*positions(table, fan), existence, score, *measured], axis=1)
-    for n in rows.tolist():
-        x_px, y_px, range_m, bearing_deg, exists, p, orientation, *sigmas = numbers[n].tolist()
+    of_estimates = {
+        **positions(table, fan),
+        **{name: table.get(name, blank) for name in ("orientation_deg", *SIGMAS)},
+        "existence": np.nan_to_num(table.get("existence", blank), nan=1.0),
+        "object": table.get("object", np.full(count, -1)),
+        "landmark": table["landmark"],
+        "score": score,
+        "declared": table["declared"],
+    }
+    numbers: dict[str, list[Any]] = {name: v[rows].tolist() for name, v in of_estimates.items()}
+    for k, n in enumerate(rows.tolist()):
         estimate = Estimate(
-            *(str(methods[n]), int(objects[n]), x_px, y_px, range_m, bearing_deg),
-            *(orientation, exists, beliefs[n], int(table["landmark"][n]), p),
-            declared=bool(table["declared"][n]),
+            method=str(methods[n]),
+            probabilities=beliefs[n],
             corners=None if np.isnan(corners[n]).any() else corners[n],
-            **dict(zip(SIGMAS, sigmas, strict=True)),
+            **{name: values[k] for name, values in numbers.items()},
         )
         yield n, int(table["frame"][n]), estimate
 
 
-def positions(
-    table: Table, fan: Fan | None
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def positions(table: Table, fan: Fan | None) -> dict[str, FloatArray]:
     """x_px, y_px, range_m and bearing_deg, (rows,) each; NaN if not known.
 
     If the table has only one of the two pairs, the fan gives the other.
     """
     blank = np.full(len(table["frame"]), np.nan)
-    x_px, y_px, range_m, bearing_deg = (table.get(name, blank) for name in POSITION_KINDS)
+    stated = {name: table.get(name, blank) for name in POSITION_KINDS}
     if fan is None:
-        return x_px, y_px, range_m, bearing_deg
+        return stated
+    x_px, y_px, range_m, bearing_deg = (stated[name] for name in POSITION_KINDS)
     in_pixels = np.isfinite(x_px) & np.isfinite(y_px)
     in_polar = np.isfinite(range_m) & np.isfinite(bearing_deg)
-    pixels = pixel_from_polar(fan, range_m, bearing_deg)
-    polar = polar_from_pixel(fan, x_px, y_px)
-    return (
-        np.where(in_pixels, x_px, pixels[0]),
-        np.where(in_pixels, y_px, pixels[1]),
-        np.where(in_polar, range_m, polar[0]),
-        np.where(in_polar, bearing_deg, polar[1]),
-    )
+    column, row = pixel_from_polar(fan, range_m, bearing_deg)
+    slant, bearing = polar_from_pixel(fan, x_px, y_px)
+    return {
+        "x_px": np.where(in_pixels, x_px, column),
+        "y_px": np.where(in_pixels, y_px, row),
+        "range_m": np.where(in_polar, range_m, slant),
+        "bearing_deg": np.where(in_polar, bearing_deg, bearing),
+    }
 
 
 class CountedOnce:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import PoseTable, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import Estimate, Fan, follows
-from sonarrec.results.columns import SIGHTING_COLUMNS, Column, text_cell
+from sonarrec.results.columns import SIGHTING_COLUMNS, Column, line_of, text_cell
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
 
@@ -50,12 +51,8 @@ class Sighting:
 
     def line(self) -> str:
         """The line of sightings.csv; what is not known is empty."""
-        cells = [text_cell(self.method)]
-        for column in SIGHTING_COLUMNS[1:]:
-            value = getattr(self, column.name)
-            known = value is not None and not math.isnan(value)
-            cells.append(column.form % value if known else "")
-        return ",".join(cells) + "\n"
+        values = {column.name: getattr(self, column.name) for column in SIGHTING_COLUMNS}
+        return line_of(SIGHTING_COLUMNS, values | {"method": text_cell(self.method)})
 
 
 def check_follows(method: str) -> None:
@@ -76,8 +73,9 @@ class _Pass:
         self.last_frame, self._end_ns = -1, timestamp_ns
         self._frames, self._best = 0, 0.0
         self._first_orientation_deg = math.nan
-        # Sums of the known values in the order of `add`, and how many these are.
-        self._total, self._count = [0.0] * 10, [0] * 10
+        # By name, as in `add`: the sums of the known values, and how many these are.
+        self._total = defaultdict[str, float](float)
+        self._count = defaultdict[str, int](int)
 
     def add(
         self, frame: int, timestamp_ns: int, estimate: Estimate, position: tuple[float, float]
@@ -90,29 +88,53 @@ class _Pass:
             self._first_orientation_deg = estimate.orientation_deg
         # Scaled so that rotations after which the symbol looks the same are equal.
         rotation = math.radians(estimate.orientation_deg * 360 / self._period_deg)
-        values = (
-            *(estimate.score, estimate.range_m, estimate.bearing_deg),
-            *(math.cos(rotation), math.sin(rotation)),
-            *(estimate.range_sigma_m**2, estimate.bearing_sigma_deg**2),
-            *(estimate.orientation_sigma_deg**2, *position),
-        )
-        for k, value in enumerate(values):
+        values = {
+            "score": estimate.score,
+            "range_m": estimate.range_m,
+            "bearing_deg": estimate.bearing_deg,
+            "cos": math.cos(rotation),
+            "sin": math.sin(rotation),
+            "range_variance": estimate.range_sigma_m**2,
+            "bearing_variance": estimate.bearing_sigma_deg**2,
+            "orientation_variance": estimate.orientation_sigma_deg**2,
+            "x_m": position[0],
+            "y_m": position[1],
+        }
+        for name, value in values.items():
             if not math.isnan(value):
-                self._total[k] += value
-                self._count[k] += 1
+                self._total[name] += value
+                self._count[name] += 1
+
+    def _mean(self, name: str) -> float:
+        """Of the known values; NaN if there is none."""
+        return self._total[name] / self._count[name] if self._count[name] else math.nan
 
     def sighting(self) -> Sighting:
         """The pass as a row of sightings.csv."""
-        means = [a / n if n else math.nan for a, n in zip(self._total, self._count, strict=True)]
-        score, range_m, bearing, cos, sin, *squares, x, y = means
+        mean, (method, landmark, track) = self._mean, self._key
         # Of equivalent directions the one nearest to the first orientation.
-        mean = math.degrees(math.atan2(sin, cos)) * self._period_deg / 360
+        direction = math.degrees(math.atan2(mean("sin"), mean("cos"))) * self._period_deg / 360
         first = self._first_orientation_deg
-        orientation = (first + math.remainder(mean - first, self._period_deg)) % 360
+        orientation = (first + math.remainder(direction - first, self._period_deg)) % 360
         return Sighting(
-            *(*self._key, self.first_frame, self.last_frame, self._start_ns, self._end_ns),
-            *(self._frames, score, self._best),
-            *(range_m, bearing, orientation, *map(math.sqrt, squares), x, y),
+            method=method,
+            landmark=landmark,
+            track=track,
+            first_frame=self.first_frame,
+            last_frame=self.last_frame,
+            start_ns=self._start_ns,
+            end_ns=self._end_ns,
+            frames_declared=self._frames,
+            mean_score=mean("score"),
+            best_score=self._best,
+            range_m=mean("range_m"),
+            bearing_deg=mean("bearing_deg"),
+            orientation_deg=orientation,
+            range_sigma_m=math.sqrt(mean("range_variance")),
+            bearing_sigma_deg=math.sqrt(mean("bearing_variance")),
+            orientation_sigma_deg=math.sqrt(mean("orientation_variance")),
+            x_m=mean("x_m"),
+            y_m=mean("y_m"),
         )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -180,21 +180,22 @@ def message_type(schema_name: str) -> str:
     return schema_name.replace(".", "/").replace("/msg/", "/")
 
 
-@dataclass(frozen=True, slots=True)
 class Decoder:
-    """Decodes a message's bytes; raises UnusableError if they cannot be used. senders:
-    the frame_ids of the messages so far."""
+    """Decodes a channel's messages. polar: whether they are pings. senders: the frame_ids of the
+    messages so far."""
 
-    fields: Decode
-    read: Read
-    polar: bool
-    senders: set[str]
+    def __init__(self, name: str, fields: Decode) -> None:
+        """name: of the message type, a key of MESSAGES. fields: of a message by its bytes."""
+        self._fields, self._read = fields, MESSAGES[name]
+        self.polar = name in PINGS
+        self.senders = set[str]()
 
     def __call__(self, message: memoryview) -> Decoded:
+        """What a message holds. Raises UnusableError if it cannot be used."""
         with np.errstate(all="ignore"):  # damaged numbers overflow; results are checked
-            fields = Fields(self.fields(message))
+            fields = Fields(self._fields(message))
             self.senders.update(fields.sender())
-            return self.read(fields)
+            return self._read(fields)
 
 
 def decoder_for(
@@ -207,7 +208,7 @@ def decoder_for(
     if name not in MESSAGES:
         return None
     fields = fields_decoder(name, schema_encoding, schema_data, message_encoding)
-    return None if fields is None else Decoder(fields, MESSAGES[name], name in PINGS, set())
+    return None if fields is None else Decoder(name, fields)
 
 
 def fields_decoder(

@@ -9,7 +9,6 @@ against a keyframe where it is slow, else from frame to frame.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -49,7 +48,6 @@ USUAL_STEP_S = 0.25  # between frames whose times do not rise
 SCALE_ERROR = 0.005  # share of a shift, from an uncertain height and a floor that is not flat
 
 
-@dataclass(slots=True)
 class _Evidence:
     """The evidence for a translation in the last frames; that of older frames fades.
 
@@ -58,9 +56,10 @@ class _Evidence:
     frame); None before the first frame.
     """
 
-    vector: FloatArray = field(default_factory=lambda: np.zeros(2))
-    matrix: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
-    sigma: FloatArray | None = None
+    def __init__(self) -> None:
+        self.vector: FloatArray = np.zeros(2)
+        self.matrix: FloatArray = np.zeros((2, 2))
+        self.sigma: FloatArray | None = None
 
     def add(self, registration: Registration) -> float:
         """Add a frame. Returns the chi-square, of 2 degrees of freedom, of the mean translation."""
