@@ -41,7 +41,7 @@ MOST_LINES = {
     "mapping": 1227,
     "overlays": 450,
     "readers": 5627,
-    "recogniser": 6490,
+    "recogniser": 6532,
     "reports": 1524,
     "results": 1743,
     "runs": 1555,

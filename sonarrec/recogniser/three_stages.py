@@ -71,7 +71,7 @@ class ThreeStages(ABC):
 
     plane: Plane
     odometry: Odometry
-    _method: str
+    method: str  # name of the framework in the estimates
     _select: CandidateSelector
     _measurement: Measurement
     _estimates: Estimates
@@ -108,7 +108,7 @@ class ThreeStages(ABC):
         # Judge the evidence, and pool the beliefs along the tracks (Eq. 5 to 8).
         groups, evidence = [f.groups for f in frames], joined([f.evidence for f in frames])
         beliefs = self._measurement.beliefs(groups, evidence)
-        tracked = self._estimates.of_groups(self._method, groups, evidence.episodes, beliefs)
+        tracked = self._estimates.of_groups(self.method, groups, evidence.episodes, beliefs)
         # The estimates of all frames, divided among them: of candidates, then of groups.
         of_candidates, of_groups = iter(self.single_frames(frames)), iter(tracked)
         return [
@@ -155,7 +155,7 @@ class DiscStages(ThreeStages):
         select, features = config.candidates, config.features
         plane = working_plane(select.plane, fan, landmarks.radius_m, select.disc_radius_px)
         beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
-        self.plane, self._method, self._smi = plane, method, smi
+        self.plane, self.method, self._smi = plane, method, smi
         self._select = CandidateSelector(select, plane, landmarks, beam_width_deg)
         self.odometry = Odometry(plane, config.continuity, poses)
         self._track = ContinuityFilter(config.continuity, plane, np.random.default_rng(config.seed))

@@ -48,7 +48,7 @@ class PlateStages(ThreeStages):
         beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
         # A plate may be held: how the floor moves in the images says nothing of it.
         continuity = replace(config.continuity, motion="random_walk")
-        self.plane, self._method = plane, method
+        self.plane, self.method = plane, method
         self._select = CandidateSelector(
             config.candidates, plane, landmarks, beam_width_deg, PlateScore(plane)
         )

@@ -24,6 +24,53 @@ from sonarrec.records import Fan, Frame, FrameResult
 FRAMES_AT_ONCE = 16
 
 
+class _Preset:
+    """One configuration: its stages and, where past results are revised, its hindsight.
+
+    method: name of the framework in its estimates. stages: its own, or those of an earlier preset
+    that differs only in hindsight. hindsight: None if results are final at once.
+    """
+
+    def __init__(
+        self, number: int, method: str, stages: ThreeStages, hindsight: Hindsight | None
+    ) -> None:
+        """number: of the preset; its result is at that index of the results of a frame."""
+        self.method, self.stages, self.hindsight = method, stages, hindsight
+        self._number = number
+        self._unrevised = deque[list[FrameResult]]()
+
+    def own(self, result: FrameResult) -> FrameResult:
+        """The result by that of its stages, which may be those of another preset."""
+        theirs = self.stages.method
+        if theirs == self.method:
+            return result
+        estimates = (e for e in result.estimates if e.method == theirs)
+        return replace(result, estimates=tuple(replace(e, method=self.method) for e in estimates))
+
+    def learn(self, results: list[FrameResult]) -> None:
+        """Take in the results of a frame, and revise the one that is as old as the lag.
+
+        Each preset has a lag of its own, so that its results do not depend on the others.
+        """
+        if self.hindsight is not None:
+            self.hindsight.learn(results[self._number])
+            self._unrevised.append(results)
+            self._revise(self.hindsight.lag)
+
+    def finish(self) -> None:
+        """Revise all results that wait: no more frames follow."""
+        if self.hindsight is not None:
+            self.hindsight.finish()
+            self._revise(0)
+
+    def _revise(self, most: int) -> None:
+        """Revise the oldest results until at most so many wait for it."""
+        assert self.hindsight is not None
+        while len(self._unrevised) > most:
+            results = self._unrevised.popleft()
+            results[self._number] = self.hindsight.revised(results[self._number])
+
+
 class SideBySide:
     """Several configurations over the same frames, with one result for each frame.
 
@@ -42,51 +89,37 @@ class SideBySide:
         model: Classifier | None = None,
         poses: PoseTable | None = None,
     ) -> None:
-        drawn = isinstance(landmarks, DrawnSet)  # plates have no single-frame method
-        suffixes = [f":{c.preset}" if len(configs) > 1 else "" for c in configs]
-        self.tracking = [FRAMEWORK + suffix for suffix in suffixes]
-        # The ring detector's candidates depend on the beam width as well.
-        candidates = [
-            (c.candidates, c.smi, c.candidates.detector == "ring" and c.features.beam_width_deg)
-            for c in configs
-        ]
-        single = [
-            SMI + suffix if same not in candidates[:i] and not drawn else None
-            for i, (same, suffix) in enumerate(zip(candidates, suffixes, strict=True))
-        ]
-        both = zip(single, self.tracking, strict=True)
-        self.methods = [name for pair in both for name in pair if name is not None]
-        # Configurations that differ only in hindsight share the stages of the first of them.
-        alike = [replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs]
-        self._stages_of = [alike.index(one) for one in alike]
-        self._stages: dict[int, ThreeStages] = {}
-        for i in dict.fromkeys(self._stages_of):
-            config, method = configs[i], self.tracking[i]
-            if isinstance(landmarks, DrawnSet):
-                # Imported where it is needed: most sets are of discs, and it takes a while.
-                from sonarrec.recogniser.drawn.three_stages import PlateStages
-
-                stages: ThreeStages = PlateStages(
-                    config, fan, landmarks, method=method, poses=poses
+        self.methods: list[str] = []
+        self._presets: list[_Preset] = []
+        by_smi, by_stages = set[object](), dict[Config, ThreeStages]()
+        for number, config in enumerate(configs):
+            suffix = f":{config.preset}" if len(configs) > 1 else ""
+            method, smi = FRAMEWORK + suffix, None
+            # The candidates of the ring detector depend on the beam width as well.
+            ring = config.candidates.detector == "ring"
+            candidates = config.candidates, ring and config.features.beam_width_deg
+            if (candidates, config.smi) not in by_smi and not isinstance(landmarks, DrawnSet):
+                by_smi.add((candidates, config.smi))
+                smi = SMI + suffix
+                self.methods.append(smi)
+            self.methods.append(method)
+            features = replace(config.features, lag_frames=0)
+            but_hindsight = replace(config, preset="", features=features)
+            if but_hindsight not in by_stages:
+                by_stages[but_hindsight] = stages_of(
+                    config, fan, landmarks, model, method=method, smi=smi, poses=poses
                 )
-            else:
-                stages = DiscStages(
-                    config, fan, landmarks, model, method=method, smi=single[i], poses=poses
-                )
-            self._stages[i] = stages
-        self._hindsight: dict[int, Hindsight] = {}
-        for i, (config, method) in enumerate(zip(configs, self.tracking, strict=True)):
-            if config.features.lag_frames:
-                look = None
-                if looks_again(config) and not drawn:
-                    look = SecondLook(method, config, fan, landmarks, model)
-                self._hindsight[i] = Hindsight(method, config, landmarks, look)
+            hindsight = hindsight_of(method, config, fan, landmarks, model)
+            preset = _Preset(number, method, by_stages[but_hindsight], hindsight)
+            self._presets.append(preset)
+        self.tracking = [preset.method for preset in self._presets]
+        self._stages = list(by_stages.values())
         self._lag = max(config.features.lag_frames for config in configs)
-        self._tracked: list[dict[int, Tracked]] = []  # frames that wait for stage 3
-        # Ctrl-C may come at any moment; `waiting` goes on from there.
+        self._tracked: list[dict[ThreeStages, Tracked]] = []  # frames that wait for stage 3
+        # Ctrl-C may come at any moment; `waiting` goes on from there. An element is the results of
+        # a frame, one of each preset.
         self._new: deque[list[FrameResult]] = deque()  # out of stage 3
-        self._pending: deque[list[FrameResult]] = deque()  # which the hindsights have had
-        self._unrevised = {i: deque[list[FrameResult]]() for i in self._hindsight}
+        self._pending: deque[list[FrameResult]] = deque()  # which the presets have learned
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
 
@@ -107,61 +140,44 @@ class SideBySide:
         if broken:
             raise broken[0]
 
-    def _track(self, frame: Frame) -> dict[int, Tracked]:
+    def _track(self, frame: Frame) -> dict[ThreeStages, Tracked]:
         """Stages 1 and 2 of a frame."""
         tracked = {}
-        for i, stages in self._stages.items():
+        for stages in self._stages:
             image = stages.working_image(frame)
             candidates = stages.stage1(image)
-            tracked[i] = stages.stage2(frame, image, candidates)
-            for k, hindsight in self._hindsight.items():
-                if self._stages_of[k] == i:
-                    hindsight.see(tracked[i], image, candidates)
+            tracked[stages] = stages.stage2(frame, image, candidates)
+            for preset in self._presets:
+                if preset.hindsight is not None and preset.stages is stages:
+                    preset.hindsight.see(tracked[stages], image, candidates)
         return tracked
 
     def _settled(self) -> Iterator[FrameResult]:
         """Stage 3 of the frames that wait for it; the results that are final by then."""
         tracked, self._tracked = self._tracked, []
         if tracked:
-            found = {i: s.stage3([f[i] for f in tracked]) for i, s in self._stages.items()}
+            found = {s: s.stage3([frame[s] for frame in tracked]) for s in self._stages}
             self._new.extend(
-                [self._result_of(k, found[i][n]) for k, i in enumerate(self._stages_of)]
+                [preset.own(found[preset.stages][n]) for preset in self._presets]
                 for n in range(len(tracked))
             )
         while self._new:
             self._pending.append(self._new[0])  # if stopped here, it is there twice, but not lost
             results = self._new.popleft()
-            for i, hindsight in self._hindsight.items():
-                hindsight.learn(results[i])
-                self._unrevised[i].append(results)
-                # Each at its own lag, so that a preset's results do not depend on the others.
-                self._revise(i, hindsight.lag)
+            for preset in self._presets:
+                preset.learn(results)
             yield from self._final(self._lag)
-
-    def _result_of(self, k: int, result: FrameResult) -> FrameResult:
-        """The result of configuration k by that of its stages, which may be another's."""
-        if self._stages_of[k] == k:
-            return result
-        own = (e for e in result.estimates if e.method == self.tracking[self._stages_of[k]])
-        return replace(result, estimates=tuple(replace(e, method=self.tracking[k]) for e in own))
-
-    def _revise(self, i: int, most: int) -> None:
-        """Revise the oldest results by a hindsight until at most so many wait for it."""
-        while len(self._unrevised[i]) > most:
-            results = self._unrevised[i].popleft()
-            results[i] = self._hindsight[i].revised(results[i])
 
     def waiting(self) -> Iterator[FrameResult]:
         """Yield the results that wait at the end of the frames, revised by all frames so far."""
         yield from self._settled()
-        for i, hindsight in self._hindsight.items():
-            hindsight.finish()
-            self._revise(i, 0)
+        for preset in self._presets:
+            preset.finish()
         yield from self._final(0)
 
     def tell(self, diagnostics: Diagnostics) -> None:
         """Report what is wrong with the poses of the frames so far."""
-        for stages in self._stages.values():
+        for stages in self._stages:
             stages.odometry.tell(diagnostics)
 
     @property
@@ -179,6 +195,37 @@ class SideBySide:
                 motion=next((r.motion for r in results if r.motion is not None), None),
             )
             self._pending.popleft()  # now it has arrived
+
+
+def stages_of(
+    config: Config,
+    fan: Fan,
+    landmarks: LandmarkSet,
+    model: Classifier | None,
+    *,
+    method: str,
+    smi: str | None,
+    poses: PoseTable | None,
+) -> ThreeStages:
+    """The three stages for the set's kind of landmark. The arguments are those of DiscStages."""
+    if isinstance(landmarks, DrawnSet):  # plates have no single-frame method
+        # Imported where it is needed: most sets are of discs, and it takes a while.
+        from sonarrec.recogniser.drawn.three_stages import PlateStages
+
+        return PlateStages(config, fan, landmarks, method=method, poses=poses)
+    return DiscStages(config, fan, landmarks, model, method=method, smi=smi, poses=poses)
+
+
+def hindsight_of(
+    method: str, config: Config, fan: Fan, landmarks: LandmarkSet, model: Classifier | None
+) -> Hindsight | None:
+    """What revises a preset's results; None if they are final at once."""
+    if not config.features.lag_frames:
+        return None
+    look = None
+    if looks_again(config) and not isinstance(landmarks, DrawnSet):
+        look = SecondLook(method, config, fan, landmarks, model)
+    return Hindsight(method, config, landmarks, look)
 
 
 def _until_broken(frames: Iterable[Frame], broken: list[BaseException]) -> Iterator[Frame]:
