@@ -54,9 +54,9 @@ class Log:
         self._reading = settle(about, ())
         self.beam_width_deg = stated.beam_width_deg
         self.untimed = False
-        self._timed = 0, 0  # number and time of the last frame that carried one
-        self._unset = False  # whether header times were asked for and nobody set them
-        self._jumped = False  # whether it was told that times jump ahead
+        self._last_timed = 0, 0  # number and time of the last frame that carried one
+        self._header_unset = False  # whether header times were asked for and nobody set them
+        self._jump_noted = False  # whether there is a note that times jump
         hz, playback_hz = stated.frame_rate_hz, raw.playback_hz
         if hz and playback_hz and abs(hz / playback_hz - 1) > 0.05:
             self.diagnostics.note(
@@ -121,22 +121,25 @@ class Log:
         """
         self.diagnostics.begin_pass()
         self._raw.passed_over = range(0)  # an earlier pass may have set it
-        numbered = enumerate(self._settled())
+        numbered = enumerate(self._stored())
         used, before, repeats = 0, None, Counter[str]()
         for index, stored in islice(numbered, span[1]):
             if stored.is_lost or (used and index < span[0]):
                 continue
+            # Grey pixels in the fan, and the time.
             try:
                 frame = self._frame(index, stored)
             except UnusableError as error:
                 self.diagnostics.skip(stored.name, error)
                 continue
+            # What the first usable one alone says.
             if not used and stored.ping is not None and self.stated.beam_width_deg is None:
                 self.beam_width_deg = stored.ping.beam_width_deg
             used += 1
             if index < span[0]:
                 self._raw.passed_over = range(span[0])
                 continue
+            # Is it another picture, and another time, than the frame before?
             if before is not None:
                 repeats["at once"] += int(frame.timestamp_ns == before.timestamp_ns)
                 same = frame.pixels.data == before.pixels.data  # stops early
@@ -147,18 +150,18 @@ class Log:
             self.diagnostics.end_pass()
             if not used:
                 raise SonarrecError(f"{self.path}: not one frame could be used{self._why()}")
-        self._tell_repeats(repeats)
+        self._note_repeats(repeats)
 
-    def _settled(self) -> Iterator[StoredFrame]:
-        """The stored frames, after the first few have decided how all are read."""
+    def _stored(self) -> Iterator[StoredFrame]:
+        """The frames as the log holds them, once the first few have decided how all are read."""
         frames = self._observed()
         first = _first_of(frames)
         if self._reading.layout is None:  # else an earlier pass has settled it
             self._reading = settle(self._reading.stated, first)
-        self._timed = 0, 0
+        self._last_timed = 0, 0
         stamped = [frame.stamps.header for frame in first if frame.pixels is not None]
-        self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
-        if self._unset:
+        self._header_unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
+        if self._header_unset:
             self.diagnostics.note(
                 "the header stamps of its first frames are 0; --time log is used instead"
             )
@@ -172,7 +175,7 @@ class Log:
         fan, polar = reading.layout.fan, reading.layout.polar
         return Frame(index, self._time_of(index, stored), pixels, fan, stored.stamps, polar)
 
-    def _tell_repeats(self, repeats: Counter[str]) -> None:
+    def _note_repeats(self, repeats: Counter[str]) -> None:
         if count := repeats["pictures"]:
             self.diagnostics.note(
                 f"{number_of(count, 'picture')} the same as the one before: each counts as one "
@@ -200,11 +203,11 @@ class Log:
 
     def _time_of(self, index: int, frame: StoredFrame) -> int:
         """The time that names a frame, ns. Raises UnusableError if the frame has no such time."""
-        clock = "log" if self._unset else self._time
+        clock = "log" if self._header_unset else self._time
         stamp: int | None = frame.time_ns if clock == "log" else getattr(frame.stamps, clock)
         if stamp is None and self._time != "log":
             raise UnusableError(f"without a {self._time} time; --time log needs none")
-        number, before = self._timed
+        number, before = self._last_timed
         if stamp is None:
             self.untimed = self.sonar.frame_rate_hz is None
             return before + round((index - number) * 1e9 / (self.sonar.frame_rate_hz or 1.0))
@@ -216,8 +219,8 @@ class Log:
         # Recorders of messages may swap some; a sonar's own file has them in order.
         least = CLEARLY_BACK_NS if self._source.reader.has_topics else 0
         is_back = clock == "log" and step < -least
-        if before > 0 and (step > YEAR_NS or is_back) and not self._jumped:
-            self._jumped = True
+        if before > 0 and (step > YEAR_NS or is_back) and not self._jump_noted:
+            self._jump_noted = True
             how = f"jump ahead by {step / YEAR_NS:.1f} years"
             how = f"go back by {-step / 1e9:.1f} s" if is_back else how
             why = "were two recordings joined, or " if is_back else ""
@@ -225,7 +228,7 @@ class Log:
                 f"times {how} at frame {index} ({why}was the clock set?); truth and poses by "
                 "time fit one side of that"
             )
-        self._timed = index, stamp
+        self._last_timed = index, stamp
         return stamp
 
     def digest_source(self) -> tuple[int, str]:
@@ -272,10 +275,10 @@ def _first_of(frames: Iterator[StoredFrame]) -> list[StoredFrame]:
         if enough or (held > SETTLING_BYTES and len(first) >= SETTLING_FRAMES):
             break
     ((usual, _),) = (+shown or +sizes).most_common(1) or [(None, 0)]
-    return [frame if usual is None else _if_of(usual, frame) for frame in first]
+    return [frame if usual is None else _unless_of_other_size(usual, frame) for frame in first]
 
 
-def _if_of(usual: tuple[int, ...], frame: StoredFrame) -> StoredFrame:
+def _unless_of_other_size(usual: tuple[int, ...], frame: StoredFrame) -> StoredFrame:
     """The frame; without pixels if they are of another size."""
     if frame.pixels is None or frame.ping is not None or frame.pixels.shape[:2] == usual:
         return frame

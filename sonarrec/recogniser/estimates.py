@@ -11,7 +11,7 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3 import Beliefs, likeliest, settled
+from sonarrec.recogniser.stage3 import Beliefs, likeliest, rounded
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, whole_steps
 from sonarrec.recogniser.stage3.smi import Identification
 from sonarrec.records import Estimate, Groups
@@ -23,7 +23,7 @@ POSITION_SHARE = 0.33
 
 def declared(score: FloatArray | float, threshold: float) -> BoolArray:
     """Whether an ID of this score is declared; the score's shape."""
-    return settled(np.asarray(score)) >= threshold
+    return rounded(np.asarray(score)) >= threshold
 
 
 def wins(probabilities: FloatArray) -> BoolArray:
@@ -31,7 +31,7 @@ def wins(probabilities: FloatArray) -> BoolArray:
 
     probabilities: (n, K + 1) as in Beliefs. Of equal ones the first wins.
     """
-    beliefs = settled(probabilities[:, :-1])
+    beliefs = rounded(probabilities[:, :-1])
     if not len(beliefs):
         return np.empty(0, bool)
     return np.asarray(beliefs.argmax(axis=0)[beliefs.argmax(axis=1)] == np.arange(len(beliefs)))
@@ -56,7 +56,7 @@ class Estimates:
             ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
             won = np.concatenate([wins(p) for p in np.split(beliefs.probabilities, ends)])
             scores = np.where(won, scores, 0.0)
-            beliefs = replace(beliefs, earned=beliefs.earned & won)
+            beliefs = replace(beliefs, enough_evidence=beliefs.enough_evidence & won)
         least = self._config.features.declare
         return self._estimates(method, joined(groups), episodes, beliefs, scores, least)
 
@@ -105,7 +105,7 @@ class Estimates:
         _, left_deg = whole_steps(objects.sight_deg)
         orientation_deg = (90 - bearing_deg - left_deg + beliefs.rotation * STEP_DEG) % 360
         orientation_sigma = beliefs.rotation_sigma * STEP_DEG
-        claimed = declared(scores, threshold) & beliefs.earned
+        claimed = declared(scores, threshold) & beliefs.enough_evidence
         corners: Sequence[FloatArray | None] = [None] * len(positions)
         if beliefs.corners is not None:
             corners = [None if np.isnan(of_one).any() else of_one for of_one in beliefs.corners]

@@ -199,7 +199,7 @@ def _shrunk(values: npt.NDArray[Any], factor: int) -> npt.NDArray[Any]:
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA))
 
 
-def enlarged(coarse: FloatImage, shape: tuple[int, int], step: int = 1) -> FloatImage:
+def upsample(coarse: FloatImage, shape: tuple[int, int], step: int = 1) -> FloatImage:
     """Values on the coarse grid interpolated to every pixel, or every block of step x step:
     `shape` (rows, columns) of them."""
     factor = COARSE // step
@@ -313,10 +313,10 @@ class RingScore:
         """Contrast is in standard deviations of the relief around each pixel."""
         step, shape = self._step, self._inside.shape
         grey = levels.half if step == SEARCHED else _whole(image) * self._inside
-        relief = grey - enlarged(levels.mean, shape, step) * self._inside
+        relief = grey - upsample(levels.mean, shape, step) * self._inside
         score = self._correlate(relief)
         score *= self._gain * self._scale
-        score /= enlarged(levels.sigma, shape, step)
+        score /= upsample(levels.sigma, shape, step)
         exact = partial(self._on_pixels, image, levels) if step > 1 else None
         return ScoreMaps(score, score, score, levels.sigma, step, exact)
 

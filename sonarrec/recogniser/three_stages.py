@@ -110,7 +110,7 @@ class ThreeStages(ABC):
         beliefs = self._measurement.beliefs(groups, evidence)
         tracked = self._estimates.of_groups(self.method, groups, evidence.episodes, beliefs)
         # The estimates of all frames, divided among them: of candidates, then of groups.
-        of_candidates, of_groups = iter(self.single_frames(frames)), iter(tracked)
+        of_candidates, of_groups = iter(self.single_frame_estimates(frames)), iter(tracked)
         return [
             FrameResult(
                 index=f.index,
@@ -126,7 +126,7 @@ class ThreeStages(ABC):
             for f in frames
         ]
 
-    def single_frames(self, frames: Sequence[Tracked]) -> list[Estimate]:  # noqa: ARG002
+    def single_frame_estimates(self, frames: Sequence[Tracked]) -> list[Estimate]:  # noqa: ARG002
         """The estimates of all candidates by the single-frame method; none if there is none."""
         return []
 
@@ -204,7 +204,7 @@ class DiscStages(ThreeStages):
             shapes=(grey[:n], seen[:n]),
         )
 
-    def single_frames(self, frames: Sequence[Tracked]) -> list[Estimate]:
+    def single_frame_estimates(self, frames: Sequence[Tracked]) -> list[Estimate]:
         if self._smi is None:
             return []
         grey, seen = zip(*(f.shapes for f in frames), strict=True)

@@ -51,9 +51,9 @@ def run_job(job: Job, observe: Observe | None = None, report: Report = str) -> O
         with at_hand(job) as local:
             outcome = run_log(local, observe, report)
             if is_url(job.out) and not outcome.up_to_date:
-                from sonarrec.runs.remote import put  # with fsspec, only where needed
+                from sonarrec.runs.remote import upload  # with fsspec, only where needed
 
-                put(local.folder, f"{job.out.rstrip('/')}/{job.name}")
+                upload(local.folder, f"{job.out.rstrip('/')}/{job.name}")
     except SonarrecError as error:
         outcome = Outcome("failed", error=type(error)(local.shown(error)))
     return replace(outcome, seconds=monotonic() - start_s)
@@ -129,7 +129,7 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
         collector = Sightings(run.landmarks, run.fan, run.poses)
         with ResultsWriter(job.folder, run.landmarks, run.table, collector) as writer:
             _recognise(run, writer, plausibility, observe)
-            run.recogniser.tell(diagnostics)
+            run.recogniser.report(diagnostics)
             problems = [job.shown(line) for line in diagnostics.problems]
             about_folder = writer.finish(problems, diagnostics.unusable)
         # Sum up.

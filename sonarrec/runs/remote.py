@@ -75,7 +75,7 @@ def local_copy(job: Job) -> Iterator[Job]:
             job = replace(job, log=str(log), urls={folder: url})
         if is_url(job.out):
             folder, url = stack.enter_context(TemporaryDirectory(prefix="sonarrec-")), job.out
-            get(f"{url.rstrip('/')}/{job.name}", Path(folder, job.name))
+            download(f"{url.rstrip('/')}/{job.name}", Path(folder, job.name))
             job = replace(job, out=folder, urls={**job.urls, folder: hidden(url.rstrip("/"))})
         yield job
 
@@ -94,7 +94,7 @@ def _fetched(url: str, folder: Path) -> Path:
     return log
 
 
-def get(url: str, place: Path) -> None:
+def download(url: str, place: Path) -> None:
     """Fetch a file or folder, if it is there."""
     with _in_one_line(url):
         fs, path = _opened(url)
@@ -102,7 +102,7 @@ def get(url: str, place: Path) -> None:
             fs.get(path, str(place), recursive=True)
 
 
-def put(place: Path, url: str) -> None:
+def upload(place: Path, url: str) -> None:
     """Replace a file or folder on a server; what is there stays until the new one is whole."""
     with _in_one_line(url):
         fs, path = _opened(url)

@@ -304,14 +304,14 @@ def _folder_of(out: str | Path) -> Iterator[Path]:
     if not is_url(out):
         yield Path(out)
         return
-    from sonarrec.runs.remote import check_out, get, put  # with fsspec, only where needed
+    from sonarrec.runs.remote import check_out, download, upload  # with fsspec, only where needed
 
     check_out(str(out))
     url = f"{str(out).rstrip('/')}/{NAME}"
     with TemporaryDirectory(prefix="sonarrec-") as folder:
-        get(url, Path(folder, NAME))  # with the rows of other calls
+        download(url, Path(folder, NAME))  # with the rows of other calls
         yield Path(folder)
-        put(Path(folder, NAME), url)
+        upload(Path(folder, NAME), url)
 
 
 def _outdated(out: Path, outcomes: Sequence[Outcome]) -> tuple[str, ...]:

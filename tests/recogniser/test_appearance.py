@@ -400,10 +400,16 @@ def test_an_id_is_earned_by_frames_and_by_more_of_a_disc_few_beams_wide(width_de
     centre = np.stack(PLANE.from_polar(np.array([2.0]), np.array([0.0])), axis=-1)
     track = dataclasses.replace(groups(1), positions=centre)
     grey = np.zeros((1, LINES, ANGLES))
-    earned = [
-        bool(measurement.beliefs([track], measurement.gather(track, grey, grey == 0)).earned[0])
+    enough_evidence = [
+        bool(
+            measurement.beliefs(
+                [track], measurement.gather(track, grey, grey == 0)
+            ).enough_evidence[0]
+        )
         for _ in range(10)
     ]
-    assert earned == [frame >= needed for frame in range(1, 11)]
+    assert enough_evidence == [frame >= needed for frame in range(1, 11)]
     track = dataclasses.replace(track, in_view=np.zeros(1, bool))
-    assert not measurement.beliefs([track], measurement.gather(track, grey, grey == 0)).earned[0]
+    assert not measurement.beliefs(
+        [track], measurement.gather(track, grey, grey == 0)
+    ).enough_evidence[0]

@@ -86,7 +86,7 @@ def test_logs_and_results_on_s3(tmp_path: Path, s3: Any, monkeypatch: pytest.Mon
     fs = type(remote._opened("s3://dives/results")[0])
     monkeypatch.setattr(fs, "find", stopped)
     with pytest.raises(KeyboardInterrupt):
-        remote.put(tmp_path / "local" / "a", "s3://dives/results/a")
+        remote.upload(tmp_path / "local" / "a", "s3://dives/results/a")
     assert keys(s3) == before
 
 

@@ -89,7 +89,7 @@ class PlateMeasurement:
         row, _ = likeliest(probabilities)
         turn = evidence.turn_deg[np.arange(len(row)), row] - evidence.beyond_deg
         sigma = np.full(len(row), ANGLE_SIGMA_DEG / STEP_DEG)
-        earned = (evidence.frames >= LEAST_FRAMES) & tracked.in_view
+        enough_evidence = (evidence.frames >= LEAST_FRAMES) & tracked.in_view
         corners = np.stack(
             self._fitter.plane.to_polar(*np.moveaxis(evidence.corners, 2, 0)), axis=2
         )
@@ -97,7 +97,7 @@ class PlateMeasurement:
         edges = corners[:, :, 0] + np.roll(corners[:, :, 0], -1, axis=1)
         order = (np.arange(4) + edges.argmax(axis=1)[:, None]) % 4
         corners = np.take_along_axis(corners, order[:, :, None], axis=1)
-        return Beliefs(probabilities, turn / STEP_DEG, sigma, earned, corners)
+        return Beliefs(probabilities, turn / STEP_DEG, sigma, enough_evidence, corners)
 
     def _corners(self, of_frame: tuple[Fit, int] | None) -> FloatArray:
         if of_frame is None:

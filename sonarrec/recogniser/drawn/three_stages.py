@@ -20,7 +20,7 @@ from sonarrec.recogniser.estimates import Estimates
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import Plane, working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
-from sonarrec.recogniser.stage1 import CandidateSelector, Levels, ScoreMaps, enlarged
+from sonarrec.recogniser.stage1 import CandidateSelector, Levels, ScoreMaps, upsample
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
 from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages, Tracked
@@ -114,7 +114,7 @@ class PlateScore:
 
     def __call__(self, image: ByteImage, levels: Levels) -> ScoreMaps:
         """As of `Detector`."""
-        around, sigma = enlarged(levels.mean, image.shape), levels.whole
+        around, sigma = upsample(levels.mean, image.shape), levels.whole
         relief = (image - around) * self._inside
         fine, broad = (cv2.blur(relief, (size, size)) for size in self._sizes)
         inner = np.maximum(self._mean((fine - broad) ** 2), 0)

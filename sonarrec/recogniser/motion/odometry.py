@@ -53,7 +53,7 @@ class Odometry:
             return by_poses
         return self._images.step(image, None if before is None else (timestamp_ns - before) / 1e9)
 
-    def tell(self, diagnostics: Diagnostics) -> None:
+    def report(self, diagnostics: Diagnostics) -> None:
         """Report what is wrong with the table: bad rows, frames without a pose, contradictions."""
         if self._poses is None:
             return

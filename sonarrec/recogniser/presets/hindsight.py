@@ -67,7 +67,7 @@ class Hindsight:
                 found = estimate.score, orientation, estimate.orientation_sigma_deg
                 opinion.orientations[estimate.landmark] = found
         # No result that still waits is of an older track.
-        self._opinions.forget(self._frame - 2 * self.lag)
+        self._opinions.drop_before(self._frame - 2 * self.lag)
 
     def revised(self, result: FrameResult) -> FrameResult:
         """A past result, which `learn` has had, with its tracks' beliefs by now."""

@@ -21,7 +21,7 @@ LEAST_WEIGHT = 2.0  # frames in a pixel that is searched
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """The sonar's place over the mosaic: yaw (rad), x and y (pixels, right and ahead of yaw 0)."""
+    """The sonar's pose over the mosaic: yaw (rad), x and y (pixels, right and ahead of yaw 0)."""
 
     yaw: float = 0.0
     x: float = 0.0
@@ -55,7 +55,7 @@ class Block:
     """A part of the mosaic, with a margin around the pixels that are its own.
 
     total, count: of each pixel the sum of the pictures, and the number of frames that show it.
-    corner: the first pixel's place in the mosaic. own: that of the first of its own.
+    corner: the first pixel's position in the mosaic. own: that of the first of its own.
     """
 
     total: FloatImage
@@ -64,7 +64,7 @@ class Block:
     own: tuple[int, int]
 
     def owns(self, positions: FloatArray) -> BoolArray:
-        """(n,) whether places in the mosaic, (n, 2), are among its own pixels."""
+        """(n,) whether positions in the mosaic, (n, 2), are among its own pixels."""
         end = np.array(self.own) + BLOCK_TILES * SIDE
         return np.asarray(((positions >= self.own) & (positions < end)).all(axis=1))
 
@@ -125,10 +125,10 @@ class Mosaic:
 
     def fade(self, share: float) -> None:
         """Weigh all pictures so far by a share; tiles in which little is left are forgotten."""
-        for place, tile in list(self._tiles.items()):
+        for index, tile in list(self._tiles.items()):
             tile *= share
             if tile[1].max() < LEAST_KEPT:
-                del self._tiles[place]
+                del self._tiles[index]
 
     def clear(self) -> None:
         self._tiles.clear()

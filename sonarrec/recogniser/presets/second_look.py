@@ -20,7 +20,7 @@ from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.presets.mosaic import LEAST_WEIGHT, SIDE, Block, Mosaic, Pose
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
-from sonarrec.recogniser.stage1 import CandidateSelector, enlarged
+from sonarrec.recogniser.stage1 import CandidateSelector, upsample
 from sonarrec.recogniser.stage3 import Evidence, likeliest
 from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
 from sonarrec.recogniser.stage3.model import built_in_model
@@ -127,8 +127,8 @@ class SecondLook:
         self._move(motion)
         self._now.poses.append(self._pose)
         self._seen[index] = self._pose, self._now
-        picture = image - enlarged(candidates.mean, image.shape)
-        picture /= enlarged(candidates.sigma, image.shape)
+        picture = image - upsample(candidates.mean, image.shape)
+        picture /= upsample(candidates.sigma, image.shape)
         picture *= self._inside
         self._mosaic.add(picture, self._inside, self._pose.to_mosaic(self._plane.apex))
         if len(self._now.poses) == self._half:
@@ -169,12 +169,12 @@ class SecondLook:
         select = CandidateSelector(self._select, plane, self._landmarks, self._beam_width_deg)
         pixels = select(image * inside).positions
         pixels = pixels[block.owns(pixels + block.corner)]
-        n, places = len(pixels), pixels + block.corner
+        n, in_mosaic = len(pixels), pixels + block.corner
         if not n:
             return []
         # Which frames show each candidate, and in which direction the sonar looks at it on average.
         poses = self._before.poses + self._now.poses
-        in_frames = np.array([pose.to_frame(places, self._plane.apex) for pose in poses])
+        in_frames = np.array([pose.to_frame(in_mosaic, self._plane.apex) for pose in poses])
         shown = np.array([self._shares(positions) >= LEAST_SHARE for positions in in_frames])
         directions = [
             np.exp(1j * (self._plane.line_of_sight(positions) - pose.yaw))
@@ -206,12 +206,14 @@ class SecondLook:
         )
         beliefs = self._measurement.beliefs([groups], evidence)
         best, scores = likeliest(beliefs.probabilities)
-        claimed = declared(scores, max(self._features.declare, DECLARE_ALONE)) & beliefs.earned
+        claimed = (
+            declared(scores, max(self._features.declare, DECLARE_ALONE)) & beliefs.enough_evidence
+        )
         orientation = np.degrees(sight) + beliefs.rotation * STEP_DEG
         return [
             Disc(
-                number=self._number(places[i]),
-                position=places[i],
+                number=self._number(in_mosaic[i]),
+                position=in_mosaic[i],
                 probabilities=beliefs.probabilities[i],
                 index=int(best[i]),
                 score=float(scores[i]),
@@ -246,8 +248,8 @@ class SecondLook:
         own = [i for i, e in enumerate(estimates) if e.method == self._method]
         polar = np.array([(estimates[i].range_m, estimates[i].bearing_deg) for i in own])
         tracks = np.column_stack(self._plane.from_polar(*polar.reshape(-1, 2).T))
-        places = np.array([disc.position for disc in half.discs])
-        positions = pose.to_frame(places, self._plane.apex)
+        in_mosaic = np.array([disc.position for disc in half.discs])
+        positions = pose.to_frame(in_mosaic, self._plane.apex)
         shown = self._shares(positions) >= LEAST_SHARE
         distance = np.linalg.norm(positions[:, None] - tracks, axis=2) / (2 * self._plane.axes[0])
         both: list[tuple[int, Disc]] = []  # a disc, and the estimate of its track

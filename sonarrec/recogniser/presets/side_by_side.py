@@ -135,7 +135,7 @@ class SideBySide:
         for frame in self._levels.restored(self._unchanging.filled(whole)):
             self._tracked.append(self._track(frame))
             if len(self._tracked) == FRAMES_AT_ONCE:
-                yield from self._settled()
+                yield from self._after_stage3()
         yield from self.waiting()
         if broken:
             raise broken[0]
@@ -152,7 +152,7 @@ class SideBySide:
                     preset.hindsight.see(tracked[stages], image, candidates)
         return tracked
 
-    def _settled(self) -> Iterator[FrameResult]:
+    def _after_stage3(self) -> Iterator[FrameResult]:
         """Stage 3 of the frames that wait for it; the results that are final by then."""
         tracked, self._tracked = self._tracked, []
         if tracked:
@@ -170,15 +170,15 @@ class SideBySide:
 
     def waiting(self) -> Iterator[FrameResult]:
         """Yield the results that wait at the end of the frames, revised by all frames so far."""
-        yield from self._settled()
+        yield from self._after_stage3()
         for preset in self._presets:
             preset.finish()
         yield from self._final(0)
 
-    def tell(self, diagnostics: Diagnostics) -> None:
+    def report(self, diagnostics: Diagnostics) -> None:
         """Report what is wrong with the poses of the frames so far."""
         for stages in self._stages:
-            stages.odometry.tell(diagnostics)
+            stages.odometry.report(diagnostics)
 
     @property
     def restored(self) -> tuple[float, float]:

@@ -25,7 +25,7 @@ class Beliefs:
     shape matrix."""
     rotation_sigma: FloatArray
     """(n,) its standard error in steps, NaN where unknown."""
-    earned: BoolArray
+    enough_evidence: BoolArray
     """(n,) whether enough has been seen for an ID to be declared."""
     corners: FloatArray | None = None
     """(n, 4, 2) slant range (m) and bearing (deg) of a drawn plate's corners, those of the far edge
@@ -47,7 +47,7 @@ class Evidence:
     begins a new one. 0 in the published measurement, which keeps no pictures."""
 
 
-def settled(values: FloatArray) -> FloatArray:
+def rounded(values: FloatArray) -> FloatArray:
     """Values rounded to the tables' six digits, so that all processors choose the same maximum.
 
     Two IDs may fit equally well, for example where half of a disc is seen. The last digits of
@@ -58,5 +58,5 @@ def settled(values: FloatArray) -> FloatArray:
 
 def likeliest(probabilities: FloatArray) -> tuple[IndexArray, FloatArray]:
     """(n,) index of the likeliest ID by (n, K + 1) beliefs, and (n,) the belief in it."""
-    best = settled(probabilities[:, :-1]).argmax(axis=1)
+    best = rounded(probabilities[:, :-1]).argmax(axis=1)
     return best, probabilities[np.arange(len(best)), best]

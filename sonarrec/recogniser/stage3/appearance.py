@@ -106,13 +106,13 @@ class AppearanceMeasurement:
         best, _ = likeliest(probabilities)
         # A beam is HALF_POWER sigmas wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
-        earned = evidence.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
-        earned &= tracked.in_view
+        enough_evidence = evidence.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
+        enough_evidence &= tracked.in_view
         return Beliefs(
             probabilities,
             judged.rotation[row, best] - steps,
             judged.rotation_sigma[row, best],
-            earned,
+            enough_evidence,
         )
 
     def _judged(

@@ -25,7 +25,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3 import settled
+from sonarrec.recogniser.stage3 import rounded
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, Bands, ShapeSampler
 
 # Typical echo levels relative to the floor, and the noise, dB. Grey levels are logarithms of the
@@ -164,7 +164,7 @@ class ExpectedSymbols:
         np.maximum(products.own, LEAST_VARIATION, out=products.own)
         scale = np.sqrt(products.own)[:, None]
         correlation = (symbols[:, :ids] / scale).reshape(-1, ANGLES, self._ids)
-        rotation = settled(correlation).argmax(axis=1)
+        rotation = rounded(correlation).argmax(axis=1)
         structure = self._structure(products, rotation, steps, seen.sum(axis=1))
         return SymbolFit(
             correlation, symbols[:, ids:].max(axis=1) / scale[:, 0], rotation, structure
@@ -185,7 +185,7 @@ class ExpectedSymbols:
         """
         ids = ANGLES * self._ids
         symbols = products.symbols[objects]
-        likely = settled(symbols[:, ids:])
+        likely = rounded(symbols[:, ids:])
         rank = max(likely.shape[1] - MOST_RIVALS, 0)
         compared = np.ones(symbols.shape, bool)
         compared[:, ids:] = likely >= np.partition(likely, rank, axis=1)[:, rank, None]

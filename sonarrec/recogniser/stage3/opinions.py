@@ -97,7 +97,7 @@ class Opinions:
         """The opinion of a track in an episode, which `current` has returned before."""
         return self._of[track, episode]
 
-    def forget(self, before: int) -> None:
+    def drop_before(self, before: int) -> None:
         """Drop the opinions that were last used before this frame."""
         for key in [k for k, frame in self._last_used.items() if frame < before]:
             del self._of[key], self._last_used[key]
@@ -130,7 +130,7 @@ class TrackBelief:
                 opinion.add(probabilities[i])
                 so_far[i] = opinion.mean()
                 i += 1
-        self._opinions.forget(self._frame - self._remember)
+        self._opinions.drop_before(self._frame - self._remember)
         beliefs = np.exp(
             FRAME_EXPONENT * np.log(np.maximum(probabilities, LEAST_FRAME_BELIEF))
             + TRACK_EXPONENT * so_far
