@@ -15,6 +15,7 @@ from sonarrec.cli import COMMANDS
 FLOORS = (
     {"arrays", "errors"},
     {"records"},
+    {"stretches"},
     {"tables"},
     {"config", "sonar", "landmarks"},
     {"geometry"},

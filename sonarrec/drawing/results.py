@@ -44,21 +44,24 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The estimates of one method in one frame, with the number and time (ns) of the frame."""
+    """The estimates of one method in one frame, with its number, time (ns) and stretch."""
 
     index: int
     timestamp_ns: int
     estimates: tuple[Estimate, ...]
+    stretch: int = 0
 
 
 def trails(history: Sequence[Moment]) -> dict[int, FloatArray]:
-    """(n, 2) fan pixels, oldest first, where each object of the newest frame has been.
+    """(n, 2) fan pixels, oldest first, where each object of the newest frame was in its stretch.
 
     Only of methods that follow objects: numbers of single-frame candidates say nothing.
     """
-    latest = [m for m in history if history[-1].index - m.index <= TRAIL_FRAMES]
+    newest = history[-1]
+    latest = [m for m in history if newest.index - m.index <= TRAIL_FRAMES]
+    latest = [m for m in latest if m.stretch == newest.stretch]
     known = [e for moment in latest for e in moment.estimates]
-    numbers = [e.object for e in history[-1].estimates if e.followed]
+    numbers = [e.object for e in newest.estimates if e.followed]
     return {n: np.array([(e.x_px, e.y_px) for e in known if e.object == n]) for n in numbers}
 
 

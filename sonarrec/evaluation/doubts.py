@@ -60,12 +60,19 @@ def _other_reading(log: Matched, claims: IntArray, rows: IntArray, ends_m: float
     }
     for shift in range(1, MOST_SHIFT + 1):
         frames = number_of(shift, "frame")
-        readings[f"{frames} later"] = frame + shift, position
-        readings[f"{frames} earlier"] = frame - shift, position
+        readings[f"{frames} later"] = _shifted(log, frame, shift), position
+        readings[f"{frames} earlier"] = _shifted(log, frame, -shift), position
     fits = {text: _fit(log, claims, rows, *reading) for text, reading in readings.items()}
     given = _fit(log, claims, rows, frame, position)
     best = max(fits, key=lambda text: fits[text])
     return best if fits[best] > given + BETTER else ""
+
+
+def _shifted(log: Matched, frame: IntArray, shift: int) -> IntArray:
+    """(n,) indices of frames so much later; -1 where that is in another stretch, or none."""
+    moved = frame + shift
+    near = moved.clip(0, len(log.frame) - 1)
+    return np.where((near == moved) & (log.stretch[near] == log.stretch[frame]), moved, -1)
 
 
 def _fit(

@@ -27,6 +27,7 @@ from sonarrec.evaluation.match import (
 )
 from sonarrec.evaluation.pairs import Pair, find_truths_beside, read_pairs, usable_pairs
 from sonarrec.evaluation.write import Evaluation, write_evaluation
+from sonarrec.records import Clock
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import (
     CountedOnce,
@@ -41,6 +42,7 @@ from sonarrec.results.read import (
 )
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
+from sonarrec.stretches import Breaks
 from sonarrec.truth.check import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
@@ -110,6 +112,7 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
     ]
     truth = truths[-1]
     tell_fit(told, table, last, truth)
+    told.note(*_about_clock(last), about=log.name)
     score = LogScore(
         log=log,
         recording=of,
@@ -127,6 +130,16 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
             score.counts.append(count_log(matched, rates_only=len(sides) > 1))
         score.unused[:0] = doubts(table, last, truth, matched)
     return score
+
+
+def _about_clock(log: LogResults) -> Iterator[str]:
+    """A note if the clock was set while the log was recorded."""
+    if log.timestamp_ns is not None:
+        breaks, clock = Breaks(), log.run.input.time
+        for row in zip(log.frame.tolist(), log.timestamp_ns.tolist(), strict=True):
+            breaks.add(*row)
+        others: dict[Clock | None, Clock] = {"log": "header", "header": "log", "publish": "header"}
+        yield from breaks.set_clock(others.get(clock) if log.run.input.topic else None)
 
 
 def _check_comparable(folders: Sequence[Path], sides: Sequence[LogResults]) -> Iterator[str]:

@@ -87,6 +87,7 @@ class Matched:
     Columns ending in _index point into frame, ids or methods. Positions are (n, 2) m in the fan
     plane, orientations deg; both NaN if unknown.
 
+    stretch: (F,) the number of the frame's stretch, which rises.
     truth_positive: (T,) whether enough of it is in view for protocol strict; truth_half_in_view:
     for protocol paper. gate_m: the distance within which a claim is right. score: 0 to 1, to
     six digits. probability: (N, K + 1), one per ID, then none of these; NaN if not stated.
@@ -98,6 +99,7 @@ class Matched:
     ids: tuple[int, ...]
     methods: tuple[str, ...]
     frame: IntArray
+    stretch: IntArray
     truth_frame_index: IntArray
     truth_landmark_index: IntArray
     truth_position: FloatArray
@@ -144,6 +146,7 @@ def match(
         ids=ids,
         methods=methods,
         frame=log.frame,
+        stretch=log.stretch,
         truth_frame_index=truth.frame_index[seen],
         truth_landmark_index=of_id[truth.landmark_index[seen]],
         truth_position=known(truth.position, len(seen), 2)[seen],

@@ -27,7 +27,8 @@ class Passes:
     Passes that overlap by more than half of the shorter one are one unit, since landmarks seen
     together are seen equally well. A truth and its right claims belong to its pass. Everything
     else in a frame (IDs not in view, false claims of any ID) belongs to the unit nearest in time,
-    with the border half-way between neighbours, since a distractor also lasts over many frames.
+    with the border half-way between neighbours, since a distractor also lasts over many frames, or
+    where a stretch begins between them.
     A log without any landmark is one unit.
     """
 
@@ -49,7 +50,8 @@ class Passes:
 
 
 def find_passes(log: Matched) -> Passes:
-    """Runs of frames with the whole landmark in view and gaps of at most PASS_GAP frames.
+    """Runs of frames of one stretch with the whole landmark in view and gaps of at most PASS_GAP
+    frames.
 
     Landmarks of one ID that are in view together are one pass.
     """
@@ -59,6 +61,7 @@ def find_passes(log: Matched) -> Passes:
     frame, landmark = frame[order], landmark[order]
     new = np.ones(len(order), dtype=bool)
     new[1:] = (np.diff(landmark) != 0) | (np.diff(frame) > PASS_GAP + 1)
+    new[1:] |= np.diff(log.stretch[frame]) != 0
     start = np.flatnonzero(new)
     end = np.append(start[1:], len(order))[: len(start)] - 1
     in_time = np.lexsort((frame[end], frame[start]))
@@ -78,7 +81,14 @@ def find_passes(log: Matched) -> Passes:
             spans.append([first, last])
         unit[i] = len(spans) - 1
     ends, starts = np.array([s[1] for s in spans[:-1]]), np.array([s[0] for s in spans[1:]])
-    borders = np.maximum.accumulate((ends + starts) / 2)
+    borders = (ends + starts) / 2
+    # Where stretches begin between two units, the border is at that nearest to half-way.
+    begins = np.flatnonzero(np.diff(log.stretch)) + 0.5
+    for i, (end, start) in enumerate(zip(ends, starts, strict=True)):
+        between = begins[(begins > end) & (begins < start)]
+        if len(between):
+            borders[i] = between[np.abs(between - borders[i]).argmin()]
+    borders = np.maximum.accumulate(borders)
     unit_of_frame = np.searchsorted(borders, np.arange(len(log.frame)))
     unit_of_truth = unit_of_frame[log.truth_frame_index]
     unit_of_truth[of_truth >= 0] = unit[of_truth[of_truth >= 0]]

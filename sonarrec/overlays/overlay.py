@@ -36,6 +36,7 @@ from sonarrec.results.read import (
 )
 from sonarrec.results.run_file import LogOptions, frame_span, read_run, span_text
 from sonarrec.sonar import Sonar, sonar_from
+from sonarrec.stretches import Stretches
 from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_output, replaced, writing
 from sonarrec.truth.check import misfit, without_rows
 from sonarrec.truth.match import match_truth
@@ -113,6 +114,7 @@ def overlay(
             truth = _truth_marks(truth_file, folder, landmarks, recording.sonar, first.fan, told)
         rows = read_estimates(folder / "estimates.csv", method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
+        begins, stretch = Stretches().begins, 0
         write: WriteFrame | None = None
         index, of_index, written = -1, tuple[Estimate, ...](), 0
         for frame in chain([first], rest):
@@ -122,7 +124,8 @@ def overlay(
                 index, of_index = next(rows, (sys.maxsize, ()))
             estimates = of_index if index == frame.index else ()
             # Frames before the span only show in the first strips.
-            history.append(Moment(frame.index, frame.timestamp_ns, estimates))
+            stretch += begins(frame.index, frame.timestamp_ns)
+            history.append(Moment(frame.index, frame.timestamp_ns, estimates, stretch))
             if observe:
                 observe(recording.frame_count)
             if frame.index >= begin:

@@ -16,6 +16,7 @@ from sonarrec.readers.open import Source, find_log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.raw import RawLog, StoredFrame
 from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.stretches import Rate
 
 Observe = Callable[[int | None], None]
 
@@ -56,8 +57,8 @@ class Images:
     topic: None outside of MCAP and bags. frames: number of frames; None if the container does not
     say. usable: how many `sonarrec run` can use once the geometry is complete; None if they were
     not read. rows, columns, pixels: the commonest stored size, and the type ("uint8", "3 x uint8").
-    start_ns, end_ns: time of the first and last frame. rate_hz: frames per second between them.
-    These three are None if frames carry no time.
+    start_ns, end_ns: time of the first and last frame. rate_hz: frames per second, as the median
+    step from frame to frame has it. These three are None if frames carry no time.
     layout: "fan" or "polar". polar_messages: whether messages state their own geometry. header:
     other values in the headers of a sonar's own file, by name and unit; else empty. geometry: its
     keys, as stated or from the first ping. origins: where each of these keys, and the layout, comes
@@ -203,13 +204,14 @@ def _images(
     complete = sonar.updated(sonar_from_table({k: stand_ins[k] for k in lacks}, "stand-ins"))
     found = Images(raw.topic, lacks=lacks, polar_messages=raw.polar)
     sizes, types, times = Counter[tuple[int, ...]](), Counter[str](), list[int]()
-    timed = count = usable = 0
+    count = usable = 0
+    rate = Rate()
 
     def look(frame: StoredFrame) -> None:
-        nonlocal timed, count
+        nonlocal count
         count += 1
         if frame.time_ns is not None:
-            timed += 1
+            rate.add(frame.time_ns)
             times[1:] = [frame.time_ns]  # the first and the last
         if frame.pixels is not None:
             shape, name = frame.pixels.shape, frame.pixels.dtype.newbyteorder("=").name
@@ -235,8 +237,7 @@ def _images(
         found.rows, found.columns, found.pixels = rows, columns, types.most_common(1)[0][0]
     if times and not quick:
         found.start_ns, found.end_ns = times[0], times[-1]
-        if times[-1] > times[0]:
-            found.rate_hz = (timed - 1) / (times[-1] - times[0]) * 1e9
+        found.rate_hz = rate.hz
     geometry = log.sonar.as_table()
     theirs = "header" if raw.header_info.values else "message" if raw.polar else "default"
     for key in (key for key in geometry if key not in lacks):
@@ -255,7 +256,7 @@ def _images(
             found.assumed["metres_per_pixel"] = fan.metres_per_pixel
             found.assumed["apex_px"] = [fan.apex_column, fan.apex_row]
         found.assumed |= {"tilt_deg": fan.tilt_deg, "height_m": floor_depth(fan)}
-        if not timed:
+        if not times:
             found.assumed["frame_rate_hz"] = 1.0
         found.assumed = {k: v for k, v in found.assumed.items() if getattr(log.sonar, k) is None}
     return found

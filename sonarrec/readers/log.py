@@ -13,11 +13,11 @@ from sonarrec.errors import SonarrecError, number_of
 from sonarrec.readers.decode.layout import Stated
 from sonarrec.readers.decode.reading import apply, settle
 from sonarrec.readers.open import Source
-from sonarrec.readers.raw import CLEARLY_BACK_NS, RawLog, StoredFrame, UnusableError
-from sonarrec.records import Clock, Fan, Frame
+from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
+from sonarrec.records import Clock, Fan, Frame, Stamps
 from sonarrec.sonar import Sonar
+from sonarrec.stretches import CLEARLY_BACK_NS, Breaks
 
-YEAR_NS = 31_556_952 * 10**9
 SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
 # The three are looked for among so many frames and bytes: the frames of a whole chunk may be lost,
 # and a sonar may send blank ones until it has its settings.
@@ -56,7 +56,6 @@ class Log:
         self.untimed = False
         self._last_timed = 0, 0  # number and time of the last frame that carried one
         self._header_unset = False  # whether header times were asked for and nobody set them
-        self._jump_noted = False  # whether there is a note that times jump
         hz, playback_hz = stated.frame_rate_hz, raw.playback_hz
         if hz and playback_hz and abs(hz / playback_hz - 1) > 0.05:
             self.diagnostics.note(
@@ -122,7 +121,7 @@ class Log:
         self.diagnostics.begin_pass()
         self._raw.passed_over = range(0)  # an earlier pass may have set it
         numbered = enumerate(self._stored())
-        used, before, repeats = 0, None, Counter[str]()
+        used, before, repeats, breaks = 0, None, Counter[str](), self._breaks()
         for index, stored in islice(numbered, span[1]):
             if stored.is_lost or (used and index < span[0]):
                 continue
@@ -145,12 +144,25 @@ class Log:
                 same = frame.pixels.data == before.pixels.data  # stops early
                 repeats["pictures"] += int(same and frame.pixels.any())
             before = frame
+            breaks.add(index, frame.timestamp_ns)
             yield frame
         if next(numbered, None) is None:  # the end of the log
             self.diagnostics.end_pass()
             if not used:
                 raise SonarrecError(f"{self.path}: not one frame could be used{self._why()}")
         self._note_repeats(repeats)
+        other = None if before is None else self._other_clock(before.stamps)
+        self.diagnostics.note(*breaks.pauses(), *breaks.set_clock(other))
+
+    def _breaks(self) -> Breaks:
+        # Recorders of messages may swap some; a sonar's own file has them in order.
+        ordered = self._time == "log" and not self._source.reader.has_topics
+        return Breaks(0 if ordered else CLEARLY_BACK_NS)
+
+    def _other_clock(self, stamps: Stamps) -> Clock | None:
+        """A clock that could name the frames in place of this one; None: there is none."""
+        others: tuple[Clock, ...] = ("header", "log")
+        return next((c for c in others if c != self._time and getattr(stamps, c) is not None), None)
 
     def _stored(self) -> Iterator[StoredFrame]:
         """The frames as the log holds them, once the first few have decided how all are read."""
@@ -215,19 +227,6 @@ class Log:
             raise UnusableError("its header stamp is 0, as if not set; --time log needs none")
         if not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
-        step = stamp - before
-        # Recorders of messages may swap some; a sonar's own file has them in order.
-        least = CLEARLY_BACK_NS if self._source.reader.has_topics else 0
-        is_back = clock == "log" and step < -least
-        if before > 0 and (step > YEAR_NS or is_back) and not self._jump_noted:
-            self._jump_noted = True
-            how = f"jump ahead by {step / YEAR_NS:.1f} years"
-            how = f"go back by {-step / 1e9:.1f} s" if is_back else how
-            why = "were two recordings joined, or " if is_back else ""
-            self.diagnostics.note(
-                f"times {how} at frame {index} ({why}was the clock set?); truth and poses by "
-                "time fit one side of that"
-            )
         self._last_timed = index, stamp
         return stamp
 

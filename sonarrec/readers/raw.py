@@ -15,10 +15,9 @@ from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics
 from sonarrec.records import NO_STAMPS, BeamOrder, Stamps
 from sonarrec.sonar import MIN_WINDOW_M, Sonar
+from sonarrec.stretches import CLEARLY_BACK_NS
 
 MAX_FRAME_BYTES = 48 * 2**20  # also of a message: 4096 x 4096 pixels of three bytes
-CLEARLY_BACK_NS = 10**9
-"""Threads of a recorder may swap messages, but not those so far apart."""
 _BLOCK = 2**20
 
 
@@ -234,8 +233,8 @@ class Recording(ABC):
             latest = max(latest, last)
         if back_ns > CLEARLY_BACK_NS:
             self.diagnostics.note(
-                f"log times go back by {back_ns / 1e9:.1f} s (was the clock set?); frames come in "
-                "the order of log time, so those recorded before and after that may be mixed",
+                f"log times go back by {back_ns / 1e9:.1f} s (was the clock set?); they give "
+                "the frames' order; if that mixes two parts, export images in the file's order",
                 about=self.path,
             )
 

@@ -95,6 +95,11 @@ class ContinuityFilter:
         self._particles = Particles(config, rng)  # of these, in their order
         self._lost: list[_Group] = []  # remembered out of view
 
+    def begin_stretch(self) -> None:
+        """Forget all groups; numbers go on."""
+        self._groups, self._lost = [], []
+        self._particles.take([])
+
     def step(self, selection: Selection, motion: Motion | None = None) -> Groups:
         """The groups after one frame, by rising number.
 

@@ -30,6 +30,7 @@ from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
 from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.records import Estimate, Fan, Frame, FrameResult, Groups, Motion, Selection
+from sonarrec.stretches import Stretches
 
 SMI = "smi"
 FRAMEWORK = "framework"
@@ -76,8 +77,20 @@ class ThreeStages(ABC):
     _measurement: Measurement
     _estimates: Estimates
 
+    def __init__(self) -> None:
+        self._stretches = Stretches()  # for `step` alone
+
+    @abstractmethod
+    def begin_stretch(self) -> None:
+        """Tracks, with their beliefs, and motion end: the next frame begins a stretch.
+
+        All frames before must have been in stage3.
+        """
+
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
+        if self._stretches.begins(frame.index, frame.timestamp_ns):
+            self.begin_stretch()
         image = self.working_image(frame)
         candidates = self.stage1(image)
         tracked = self.stage2(frame, image, candidates)
@@ -152,6 +165,7 @@ class DiscStages(ThreeStages):
         if it is not to run. poses: of the sonar; where they give its motion, that is not measured
         in the images.
         """
+        super().__init__()
         select, features = config.candidates, config.features
         plane = working_plane(select.plane, fan, landmarks.radius_m, select.disc_radius_px)
         beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
@@ -177,6 +191,13 @@ class DiscStages(ThreeStages):
                 config.continuity.remember_frames,
             )
         self._estimates = Estimates(config, plane, landmarks)
+
+    def begin_stretch(self) -> None:
+        self.odometry.begin_stretch()
+        self._track.begin_stretch()
+        # The other measurement goes by the numbers of tracks, and these are new.
+        if isinstance(self._measurement, PublishedMeasurement):
+            self._measurement.begin_stretch()
 
     def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
         # How did the sonar move since the frame before?

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import stat
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import suppress
@@ -41,6 +42,7 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import log_of, part_of
 from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
+from sonarrec.stretches import stretch_numbers
 from sonarrec.tables import natural_order
 from sonarrec.tables.read import (
     POSITION_KINDS,
@@ -93,6 +95,11 @@ class LogResults:
     strays: int
     finished: bool
     run: RunFile
+
+    @property
+    def stretch(self) -> IntArray:
+        """(F,) the number of each frame's stretch."""
+        return stretch_numbers(self.frame, self.timestamp_ns)
 
 
 def find_logs(results: Path) -> list[Path]:
@@ -282,14 +289,17 @@ def read_estimates(
 def declared_by_frame(
     folder: Path, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[tuple[int, int, tuple[Estimate, ...]]]:
-    """(frame, its time in ns, declared estimates of all methods) of the frames that have any."""
+    """(frame, its time in ns, declared estimates of all methods) of each frame, by number."""
     run, frames = read_run(folder / "run.toml"), read_frames(folder)
     times = frames.get("timestamp_ns", np.zeros_like(frames["frame"]))
-    time_of = dict(zip(frames["frame"].tolist(), times.tolist(), strict=True))
+    order = np.argsort(frames["frame"], kind="stable")
     path, of = folder / "estimates.csv", (run.landmark_set(landmarks), run.fan(sonar))
-    for frame, estimates in _by_frame(path, *of, lambda table: table["declared"], False):
-        if frame in time_of:
-            yield frame, time_of[frame], estimates
+    declared = _by_frame(path, *of, lambda table: table["declared"], False)
+    found, estimates = next(declared, (-1, ()))
+    for frame, time in zip(frames["frame"][order].tolist(), times[order].tolist(), strict=True):
+        while found < frame:  # it is not listed
+            found, estimates = next(declared, (sys.maxsize, ()))
+        yield frame, time, estimates if found == frame else ()
 
 
 def _by_frame(

@@ -17,9 +17,10 @@ from sonarrec.records import Estimate, Fan, follows
 from sonarrec.results.columns import SIGHTING_COLUMNS, Column, line_of, text_cell
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
+from sonarrec.stretches import Stretches
 
 PASS_GAP = 10
-"""A pass ends after so many frames without a declaration."""
+"""A pass ends after so many frames without a declaration, or where its stretch ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,10 +149,12 @@ class Sightings:
         self._fan, self._poses = fan, poses
         self._period_deg = dict(zip(landmarks.ids, landmarks.periods_deg().tolist(), strict=True))
         self._open: dict[tuple[str, int, int | None], _Pass] = {}
+        self._stretches = Stretches()
 
     def add(self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate]) -> list[Sighting]:
         """Add the next frame; returns the passes that ended before it, in order of their ends."""
-        ended = [k for k, p in self._open.items() if frame - p.last_frame > PASS_GAP]
+        begins = self._stretches.begins(frame, timestamp_ns)
+        ended = [k for k, p in self._open.items() if begins or frame - p.last_frame > PASS_GAP]
         passes = [self._open.pop(key) for key in ended]
         for e in estimates:
             if not e.declared:

@@ -20,6 +20,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.results.folders import possible_names
+from sonarrec.stretches import stretch_numbers
 from sonarrec.tables.read import line_numbers
 from sonarrec.truth.match import ReadLog, Truth, match_times, share_in_image
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
@@ -176,7 +177,7 @@ def check_truth(
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
     lines = np.fromiter(line_numbers(path), np.int64, len(table.at))
     line, landmark, visible = lines[row].tolist(), table.landmark[row], table.visible[row]
-    frame, faults = _frames(table, row, line, log)
+    frame, stretch, faults = _frames(table, row, line, log)
     known = ", ".join(map(str, landmarks.ids))
     for strange in np.setdiff1d(landmark, landmarks.ids):
         found = np.flatnonzero(landmark == strange)
@@ -207,7 +208,7 @@ def check_truth(
                 where = f"range {range_m[n]:.2f} m, bearing {bearing_deg[n]:.1f} deg"
                 kind, text = "outside", f"the whole disc is outside the fan ({where})"
             faults.append(Fault(line[n], kind, text))
-        columns = (landmark, frame, range_m, bearing_deg, floor, share)
+        columns = (landmark, frame, stretch, range_m, bearing_deg, floor, share)
         rows = [_Row(*c) for c in zip(line, *(v.tolist() for v in columns), strict=True)]
         faults += _overlaps(rows, radius_m)
         faults += _changes(rows, radius_m)
@@ -221,8 +222,9 @@ def check_truth(
 
 def _frames(
     table: TruthTable, row: IntArray, line: list[int], log: Log
-) -> tuple[IntArray, list[Fault]]:
-    """(the frame numbers of these rows, -1 if the log has no such frame; the faults)."""
+) -> tuple[IntArray, IntArray, list[Fault]]:
+    """(the frame numbers of these rows, -1 if the log has no such frame; their stretches; the
+    faults)."""
     numbers, stamps = np.array([(f.index, f.timestamp_ns) for f in log], dtype=np.int64).T
     at, last = table.at[row], int(numbers.max())
     if table.key == "frame":
@@ -240,16 +242,17 @@ def _frames(
         elif 0 <= at[n] <= last:
             text = f"frame {at[n]} of the log cannot be read"
         faults.append(Fault(line[n], "frame", text))
-    return frames, faults
+    return frames, stretch_numbers(numbers, stamps)[np.searchsorted(numbers, frames)], faults
 
 
 class _Row(NamedTuple):
-    """A row with a position. frame: -1 if the log has no such frame. floor: m on the floor, to the
-    right and ahead of the sonar. share: of the disc in the fan image."""
+    """A row with a position. frame: -1 if the log has no such frame. stretch: of that frame. floor:
+    m on the floor, to the right and ahead of the sonar. share: of the disc in the fan image."""
 
     line: int
     landmark: int
     frame: int
+    stretch: int
     range_m: float
     bearing_deg: float
     floor: list[float]
@@ -282,7 +285,7 @@ def _changes(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
     for frame, group in frames.items():
         before, ids = frames.get(frame - 1, []), {row.landmark for row in group}
         for b in group:
-            near = [(dist(a.floor, b.floor), a) for a in before]
+            near = [(dist(a.floor, b.floor), a) for a in before if a.stretch == b.stretch]
             if any(a.landmark == b.landmark and distance < 3 * radius_m for distance, a in near):
                 continue  # it moved here, its neighbour left
             for distance, a in near:
@@ -293,7 +296,7 @@ def _changes(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
 
 
 def _jumps(rows: Sequence[_Row], radius_m: float, max_pan_deg: float) -> Iterator[Fault]:
-    """Rows too far from every row of the same ID in the last frame that has one.
+    """Rows too far from every row of the same ID in the last frame that has one, in one stretch.
 
     A pan leaves ranges as they are; a disc radius a frame is allowed for heave and drift. One that
     is partly outside the fan may be a second landmark of the ID, which enters.
@@ -309,7 +312,7 @@ def _jumps(rows: Sequence[_Row], radius_m: float, max_pan_deg: float) -> Iterato
         for before, group in pairwise(groups):
             for b in group:
                 a = min(before, key=partial(step, b=b))
-                if b.share == 1 and step(a, b) > 1:
+                if b.share == 1 and a.stretch == b.stretch and step(a, b) > 1:
                     pan, shift = b.bearing_deg - a.bearing_deg, b.range_m - a.range_m
                     text = f"ID.{landmark} jumps by {pan:+.1f} deg and {shift:+.2f} m from frame "
                     text += f"{a.frame} (line {a.line}) to {b.frame}"

@@ -55,8 +55,8 @@ def propose(
 
     A track is proposed from its first to its last frame if it declared one ID in LEAST_DECLARED
     frames or more and its best score reaches `min_score`. Gaps of up to `max_gap` frames are filled
-    in, linear in range and bearing. `visible` is the share of the disc in the fan image.
-    Returns every track that declared an ID, and what of the results is not used.
+    in, linear in range and bearing, but not over a pause. `visible` is the share of the disc in the
+    fan image. Returns every track that declared an ID, and what of the results is not used.
     Raises SonarrecError if no log can be read, the results cannot be used or `out` exists,
     UsageError on invalid numbers. method: None: the leading one.
     """
@@ -149,7 +149,9 @@ def _propose(
     seen, first = np.unique(log.frame_index[estimates], return_index=True)
     rows: list[tuple[object, ...]] = []
     if not left_out:
-        gaps = [np.arange(a, b) for a, b in pairwise(seen) if b - a <= max_gap + 1]
+        stretch = log.stretch
+        near = ((a, b) for a, b in pairwise(seen) if b - a <= max_gap + 1)
+        gaps = [np.arange(a, b) for a, b in near if stretch[a] == stretch[b]]
         index = np.unique(np.concatenate([seen, *gaps]))
         range_m, bearing_deg = (
             np.interp(index, seen, values)

@@ -24,6 +24,7 @@ def matched(
     claims: Sequence[tuple],
     *,
     methods: tuple[str, ...] = ("a", "b"),
+    stretch: Sequence[int] | None = None,
 ) -> Matched:
     """truth: (frame, ID, x, y, positive) and, if wanted, orientation, which is 0 for all claims.
     claims: (method, frame, ID, x, y, score, declared), then, if wanted, the probabilities of the
@@ -36,6 +37,7 @@ def matched(
         ids=IDS,
         methods=methods,
         frame=np.arange(frames),
+        stretch=np.zeros(frames, int) if stretch is None else np.array(stretch),
         truth_frame_index=t[:, 0].astype(int),
         truth_landmark_index=t[:, 1].astype(int) - 1,
         truth_position=t[:, 2:4],

@@ -60,6 +60,11 @@ class Plates:
         self._ages: dict[int, int] = {}
         self._searched: dict[int, int] = {}
 
+    def begin_stretch(self) -> None:
+        """Forget the groups and their plates; numbers go on."""
+        self._plates, self._ages, self._searched = {}, {}, {}
+        self._groups.begin_stretch()
+
     def step(self, image: ByteImage, selection: Selection, motion: Motion | None) -> Groups:
         """The groups after one frame, each in the middle of its plate.
 

@@ -43,6 +43,7 @@ class PlateStages(ThreeStages):
         poses: PoseTable | None = None,
     ) -> None:
         """The arguments are those of DiscStages."""
+        super().__init__()
         fitter = pose_fitter(config, fan, landmarks)
         plane, features = fitter.plane, config.features
         beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
@@ -59,6 +60,10 @@ class PlateStages(ThreeStages):
             fitter, features.memory_frames, continuity.remember_frames
         )
         self._estimates = Estimates(config, plane, landmarks)
+
+    def begin_stretch(self) -> None:
+        self.odometry.begin_stretch()
+        self._plates.begin_stretch()
 
     def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
         # How did the sonar move since the frame before?

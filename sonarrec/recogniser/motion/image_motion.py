@@ -84,6 +84,12 @@ class ImageMotion:
             plane.fan, self.pan.range_m, self.pan.bearing_deg, self.pan.seen
         )
         self._keyframes = Keyframes(self._registration)
+        self.begin_stretch()
+
+    def begin_stretch(self) -> None:
+        """The next image is as the first of a log."""
+        self.pan.begin_stretch()
+        self._keyframes.clear()
         self._evidence = _Evidence()
         self._usual_match = FIRST_USUAL
         self._speed: FloatArray | None = None  # (3,) m, m and rad a second; None: it stands

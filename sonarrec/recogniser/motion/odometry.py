@@ -23,18 +23,27 @@ class Odometry:
         self._images = ImageMotion(plane) if config.motion == "image" else None
         self._poses = poses
         self._before_ns: int | None = None
+        self._begins = True  # whether the next image is the first of its stretch
         # To check the table: the frames' first and last time, how many frames have no pose, and in
         # how many the images show a pan, and another one.
         self._span: tuple[int, int] | None = None
         self._frames = self._without_pose = self._compared = self._differing = 0
 
+    def begin_stretch(self) -> None:
+        """No image before the next one is compared with it; poses may give its motion."""
+        self._begins = True
+        if self._images is not None:
+            self._images.begin_stretch()
+
     def step(self, image: ByteImage, timestamp_ns: int) -> Motion | None:
         """The motion since the last frame. `known` is False where neither source gives it.
 
-        None for the first frame; also where no pose is known and the motion is not measured in
-        images. image: the working image. timestamp_ns: of the frame.
+        None for the first frame; also where no pose is known and the image is the first of its
+        stretch, or the motion is not measured in images. image: the working image. timestamp_ns: of
+        the frame.
         """
         before, self._before_ns = self._before_ns, timestamp_ns
+        begins, self._begins = self._begins, False
         by_poses = None
         if self._poses is not None:
             self._frames += 1
@@ -51,7 +60,8 @@ class Odometry:
                 self._compared += 1
                 self._differing += abs(by_poses.pan_deg - pan_deg) > 0.5 * larger
             return by_poses
-        return self._images.step(image, None if before is None else (timestamp_ns - before) / 1e9)
+        seconds = None if begins or before is None else (timestamp_ns - before) / 1e9
+        return self._images.step(image, seconds)
 
     def report(self, diagnostics: Diagnostics) -> None:
         """Report what is wrong with the table: bad rows, frames without a pose, contradictions."""

@@ -61,6 +61,10 @@ class PanEstimator:
         self._shift = shift = np.arange(-MOST_SHIFT, MOST_SHIFT + 1)
         # The beams [low, high) of the later frame that overlap the earlier one at each shift.
         self._low, self._high = np.maximum(-shift, 0), np.minimum(BEARINGS - shift, BEARINGS)
+        self.begin_stretch()
+
+    def begin_stretch(self) -> None:
+        """The next image is as the first of a log."""
         self._before: _View | None = None
         self._heading = 0.0  # deg, sum of the pans since the first image
         # The heading and the view of each keyframe, the older first.

@@ -49,6 +49,11 @@ class Hindsight:
         if self._look is not None:
             self._look.add(tracked.index, tracked.motion, image, candidates)
 
+    def begin_stretch(self) -> None:
+        """The frames that follow are joined to none before. All of these were revised."""
+        if self._look is not None:
+            self._look.begin_stretch()
+
     def finish(self) -> None:
         """No more frames follow."""
         if self._look is not None:

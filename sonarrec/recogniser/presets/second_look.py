@@ -139,15 +139,19 @@ class SecondLook:
         if self._now.poses:
             self._look()
 
+    def begin_stretch(self) -> None:
+        """Begin a new mean."""
+        self.finish()
+        self._mosaic.clear()
+        self._pose, self._now, self._before = Pose(), _HalfLook(), _HalfLook()
+
     def _move(self, motion: Motion | None) -> None:
         """Update the pose by a motion; where that is too uncertain, begin a new mean."""
         sigma = np.full(3, np.inf)
         if motion is not None and motion.known:
             sigma = np.array([motion.pan_sigma_deg, motion.right_sigma_m, motion.ahead_sigma_m])
         if motion is None or np.linalg.norm(self._error_of * sigma) > MOST_STEP_ERROR:
-            self.finish()
-            self._mosaic.clear()
-            self._pose, self._now, self._before = Pose(), _HalfLook(), _HalfLook()
+            self.begin_stretch()
         else:
             self._pose = self._pose.after(motion, self._pixel_m)
 

@@ -19,6 +19,7 @@ from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages, ThreeStages, Tracked
 from sonarrec.records import Fan, Frame, FrameResult
+from sonarrec.stretches import Stretches
 
 # Frames that stage 3 takes at once: one by one a frame costs a sixth more, more would save nothing.
 FRAMES_AT_ONCE = 16
@@ -122,6 +123,7 @@ class SideBySide:
         self._pending: deque[list[FrameResult]] = deque()  # which the presets have learned
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
+        self._stretches = Stretches()
 
     def recognise(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
         """Yield the results in the log's order, each when it is final.
@@ -133,6 +135,12 @@ class SideBySide:
         broken: list[BaseException] = []
         whole = _until_broken(frames, broken)
         for frame in self._levels.restored(self._unchanging.filled(whole)):
+            if self._stretches.begins(frame.index, frame.timestamp_ns):
+                yield from self.waiting()
+                for stages in self._stages.values():
+                    stages.begin_stretch()
+                for hindsight in self._hindsight.values():
+                    hindsight.begin_stretch()
             self._tracked.append(self._track(frame))
             if len(self._tracked) == FRAMES_AT_ONCE:
                 yield from self._after_stage3()

@@ -84,10 +84,14 @@ class FeatureEstimator:
         """model: (H, H) measurement model, rows = true, columns = measured."""
         self._config = config
         self._model = model
+        self.begin_stretch()
+
+    def begin_stretch(self) -> None:
+        """Forget all objects."""
         self._numbers: list[int] = []
         # Of the objects in view, which come first; remembered ones have no position.
         self._positions: FloatArray = np.empty((0, 2))
-        self._beliefs: FloatArray = np.empty((0, len(model)))
+        self._beliefs: FloatArray = np.empty((0, len(self._model)))
 
     def step(self, groups: Groups, measured: FloatArray) -> FloatArray:
         """(n, H) beliefs after this frame. measured: (n, H) q of Eq. 8."""
@@ -132,6 +136,10 @@ class PublishedMeasurement:
         self._least_ring = config.least_ring
         self._identify = identify
         self._estimator = FeatureEstimator(config, measurement_model(landmarks, window_m))
+
+    def begin_stretch(self) -> None:
+        """Forget all objects."""
+        self._estimator.begin_stretch()
 
     def gather(
         self,
