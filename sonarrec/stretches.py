@@ -124,7 +124,7 @@ def duration(length_ns: int) -> str:
     seconds = length_ns / 1e9
     if seconds < 100:
         return f"{seconds:.3g} s"
-    if seconds < 6_000:
+    if seconds < 3_600:
         return f"{seconds / 60:.3g} min"
     hours = seconds / 3_600
     return f"{hours:.3g} h" if hours < 100 else f"{hours / 24:.3g} days"
