@@ -161,7 +161,8 @@ def lines(info: LogInfo) -> list[str]:
         for images in info.images:
             out += _recorded(images.start_ns, images.end_ns)
     else:
-        out += _container_lines(info.container)
+        by_topic = {images.topic: images.rate_hz for images in info.images}
+        out += _container_lines(info.container, by_topic)
     for images in info.images:
         out += _images_lines(images)
     if not info.images:
@@ -198,12 +199,15 @@ def _recorded(start_ns: int | None, end_ns: int | None) -> list[str]:
     return _entry("recorded", [f"{start}, {(end_ns - start_ns) / 1e9:.1f} s long"])
 
 
-def _container_lines(container: Container) -> list[str]:
+def _container_lines(container: Container, by_topic: dict[str | None, float | None]) -> list[str]:
+    """by_topic: rates of images, which pauses do not change."""
     start, end, rows = container.start_ns, container.end_ns, list[list[str]]()
     for channel in container.channels:
         intervals = channel.messages - 1
         rate = ""
-        if start is not None and end is not None and end > start and intervals > 0:
+        if hz := by_topic.get(channel.topic):
+            rate = f"{hz:.4g} Hz"
+        elif start is not None and end is not None and end > start and intervals > 0:
             rate = f"{intervals / (end - start) * 1e9:.4g} Hz"
         rows.append(
             [

@@ -16,15 +16,17 @@ from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.mapping.landmarks import (
     Landmark,
     MappedLog,
+    Pass,
     find_passes,
     frames_of,
     join,
+    on_path,
     read_declared,
 )
 from sonarrec.mapping.path import (
     NO_DRIFT,
     Drift,
-    measured_motion_path,
+    measured_motion_paths,
     path_from_poses,
     read_frames,
 )
@@ -37,20 +39,32 @@ from sonarrec.sonar import Sonar
 
 @dataclass(frozen=True, slots=True)
 class SiteMap:
-    """The positions of the landmarks of a site, in the axes of the poses or of the first frame.
+    """The positions of the landmarks of a site, in the axes of the poses or of a first frame.
 
     x is to the right and y ahead of a sonar whose yaw is 0. left_out: number of landmarks with too
-    few frames. logs: those that could be used, each recording once. ros_axes: whether the poses'
-    own axes, in which the files are written, are x ahead and y to the left, and yaw
-    counter-clockwise; else they are the map's.
+    few frames. logs: those that could be used, each recording once; a paused one without poses has
+    a part for each path. count: of logs, not of parts. ros_axes: whether the poses' own axes, in
+    which the files are written, are x ahead and y to the left, and yaw counter-clockwise; else they
+    are the map's.
     """
 
     landmark_set: LandmarkSet
     landmarks: list[Landmark]
     left_out: int
     logs: list[MappedLog]
+    count: int
     diagnostics: Diagnostics
     ros_axes: bool
+
+    @property
+    def parts(self) -> list[list[MappedLog]]:
+        """The logs that have common axes: all with poses, else each path alone."""
+        return [self.logs] if self.logs[0].path.from_poses else [[log] for log in self.logs]
+
+    def path_of(self, one: Pass) -> int:
+        """The number of the part in whose axes a pass lies, from 1."""
+        own = ([log.path for log in logs] for logs in self.parts)
+        return next(n for n, paths in enumerate(own, 1) if one.path in paths)
 
     def position(self, position: FloatArray) -> FloatArray:
         """(..., 2) positions in the poses' axes, m."""
@@ -95,7 +109,7 @@ def make_map(
         load_landmarks(landmarks)  # so that a fault is not one of each log
     told, copies = Diagnostics(), Diagnostics()
     found = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
-    logs: list[MappedLog] = []
+    logs, used = list[MappedLog](), list[Path]()
     landmark_set: LandmarkSet | None = None
     given = None if odometry is None else read_poses(odometry)
     once = CountedOnce("used", copies)
@@ -110,18 +124,19 @@ def make_map(
                     "others"
                 )
             poses = given or _poses_of_run(folder, run)
-            log = _read_log(folder, run, own_set, poses, drift, method, sonar)
+            parts = _read_log(folder, run, own_set, poses, drift, method, sonar)
         except SonarrecError as error:
             if len(found) == 1:
                 raise
             told.problem(str(error))
             continue
         if once.add(folder, recording(folder, run)):
-            logs.append(log)
+            logs += parts
+            used.append(folder)
     if landmark_set is None or not logs:
         raise SonarrecError("\n".join(["no log can be mapped", *told.problems]))
-    alone = [log.name for log in logs if not log.path.from_poses]
-    if alone and len(logs) > 1:
+    alone = list(dict.fromkeys(log.name for log in logs if not log.path.from_poses))
+    if alone and len(used) > 1:
         raise UsageError(
             f"without poses each log has a coordinate frame of its own ({', '.join(alone)}): give "
             "poses with --odometry, or map the logs one by one"
@@ -129,10 +144,12 @@ def make_map(
     for of in (*(log.diagnostics for log in logs), copies):
         told.note(*of.notes)
         told.problem(*of.problems)
-    every = join(logs, landmark_set)
+    # Without poses each path has axes of its own.
+    of_axes = [[log] for log in logs] if alone else [logs]
+    every = [landmark for part in of_axes for landmark in join(part, landmark_set)]
     kept = [one for one in every if frames_of(one.members) >= min_frames]
     ros_axes = all(log.ros_axes for log in logs)
-    return SiteMap(landmark_set, kept, len(every) - len(kept), logs, told, ros_axes)
+    return SiteMap(landmark_set, kept, len(every) - len(kept), logs, len(used), told, ros_axes)
 
 
 def _read_log(
@@ -143,19 +160,19 @@ def _read_log(
     drift: Drift,
     method: str | None,
     sonar: Sonar | None,
-) -> MappedLog:
-    """One log. Raises SonarrecError if it is unusable."""
+) -> list[MappedLog]:
+    """One log, in a part for each of its paths. Raises SonarrecError if it is unusable."""
     told, frames, ros_axes = Diagnostics(), read_frames(folder), False
     if poses is None:
         if drift != NO_DRIFT:
             raise UsageError("--drift applies to given poses, and there are none; give --odometry")
-        path = measured_motion_path(folder, frames, told)
+        paths = measured_motion_paths(folder, frames, told)
     elif "timestamp_ns" not in frames:
         raise SonarrecError(
             f"{folder}: frames.csv has no timestamp_ns, which is needed to find poses"
         )
     else:
-        path = path_from_poses(frames["frame"], frames["timestamp_ns"], poses, drift)
+        paths = [path_from_poses(frames["frame"], frames["timestamp_ns"], poses, drift)]
         ros_axes = "topic" in poses.source
     fan = run.fan(sonar)
     if fan is None:
@@ -163,20 +180,24 @@ def _read_log(
     table = folder / "estimates.csv"
     method = choose_method(table, method)
     check_follows(method)
-    declared = read_declared(table, method, landmarks, fan, path.frame)
-    passes = find_passes(declared, path, landmarks, fan)
+    declared = read_declared(table, method, landmarks, fan, frames["frame"])
+    logs, first = list[MappedLog](), 0
+    for path in paths:
+        passes = find_passes(on_path(declared, first, path), path, landmarks, fan)
+        logs.append(MappedLog(folder.resolve().name, path, passes, fan, ros_axes, told))
+        first += len(path.frame)
     if not run.finished:
-        told.problem(cut_short(str(folder), len(path.frame), "used"))
+        told.problem(cut_short(str(folder), len(frames["frame"]), "used"))
     elif lost := rows_lost(folder, run.input):
         told.problem(*(f"{folder}: {line}" for line in lost))
-    used = sum(len(one.row) for one in passes)
+    used = sum(len(one.row) for log in logs for one in log.passes)
     if used < declared.rows:
         told.problem(
             f"{folder}: {declared.rows - used} of {declared.rows} declared estimates left out: no "
             "pose is known in their frames, they are nearer than the floor, or frames.csv does not "
             "list their frames"
         )
-    return MappedLog(folder.resolve().name, path, passes, fan, ros_axes, told)
+    return logs
 
 
 def _poses_of_run(folder: Path, run: RunFile) -> PoseTable | None:

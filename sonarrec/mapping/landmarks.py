@@ -156,10 +156,19 @@ def read_declared(
     )
 
 
+def on_path(estimates: DeclaredEstimates, first: int, path: SonarPath) -> DeclaredEstimates:
+    """The estimates in the frames of a path, whose first one has this index among all."""
+    row = estimates.row - first
+    there = (row >= 0) & (row < len(path.frame))
+    names = "landmark", "track", "score", "polar", "sigma"
+    columns = {name: getattr(estimates, name)[there] for name in names}
+    return replace(estimates, row=row[there], **columns)
+
+
 def find_passes(
     estimates: DeclaredEstimates, path: SonarPath, landmarks: LandmarkSet, fan: Fan
 ) -> list[Pass]:
-    """The passes of a log, placed on the floor, in order of their first frames.
+    """The passes on a path, placed on the floor, in order of their first frames.
 
     Estimates are left out if their frame has no pose, or if they are nearer than the floor.
     """
@@ -168,6 +177,7 @@ def find_passes(
     order = np.lexsort([estimates.row, estimates.track, estimates.landmark])
     order = order[usable[order]]
     gap = np.diff(path.frame[estimates.row[order]]) > PASS_GAP
+    gap |= np.diff(path.stretch[estimates.row[order]]) != 0
     ends = gap | np.any([np.diff(v[order]) for v in (estimates.landmark, estimates.track)], axis=0)
     periods_deg = dict(zip(landmarks.ids, landmarks.periods_deg().tolist(), strict=True))
     passes = [
@@ -239,8 +249,8 @@ def _mean_orientation(
 
 @dataclass(frozen=True, slots=True)
 class MappedLog:
-    """One log of a map. name: of its results folder. ros_axes: whether its poses have x ahead and
-    y to the left."""
+    """One log of a map, or the part on one path. name: of its results folder. ros_axes: whether its
+    poses have x ahead and y to the left."""
 
     name: str
     path: SonarPath

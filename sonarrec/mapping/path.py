@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.errors import Diagnostics, SonarrecError
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.geometry import PoseTable
+from sonarrec.stretches import MOST_TOLD, stretch_numbers
 from sonarrec.tables.read import Kind, Table, read_table
 
 # Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
@@ -47,7 +48,7 @@ NO_DRIFT = Drift()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SonarPath:
-    """Where the sonar was in every frame of one log.
+    """Where the sonar was in every frame of one log, or of a part of it.
 
     frame: (F,) numbers, rising. timestamp_ns: (F,). pose: (F, 3) yaw (deg, positive to the right),
     x and y (m; to the right and ahead of a sonar whose yaw is 0); NaN if not known. from_poses:
@@ -65,6 +66,11 @@ class SonarPath:
     sums: FloatArray
     common: FloatArray
     origin: FloatArray
+
+    @property
+    def stretch(self) -> IntArray:
+        """(F,) the number of each frame's stretch."""
+        return stretch_numbers(self.frame, self.timestamp_ns)
 
     @property
     def known(self) -> IntArray:
@@ -174,9 +180,11 @@ def read_frames(folder: Path) -> Table:
     return {name: column[first] for name, column in table.items()}
 
 
-def measured_motion_path(folder: Path, table: Table, diagnostics: Diagnostics) -> SonarPath:
-    """The path from the first frame on, by the measured motion. table: from `read_frames`.
+def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) -> list[SonarPath]:
+    """The paths by the measured motion. table: from `read_frames`.
 
+    One begins with the first frame, and one with each stretch whose first step is not known: only
+    poses give that, and they have no standard errors.
     Raises SonarrecError if no motion was measured.
     """
     missing = [name for name in ("dyaw_deg", "dyaw_sigma_deg") if name not in table]
@@ -193,12 +201,27 @@ def measured_motion_path(folder: Path, table: Table, diagnostics: Diagnostics) -
         for names in (MOVED, MOVED_SIGMA)
     )
     # Motion from poses has no standard errors.
+    by_poses = np.isfinite(moved).all(axis=1) & ~np.isfinite(sigma).any(axis=1)
     sigma = np.where(np.isfinite(moved), np.nan_to_num(sigma), np.nan)
-    path = measured_path(frame, table.get("timestamp_ns", still), moved, sigma)
-    unknown = ~np.isfinite(path.pose).all(axis=1)
-    if unknown.any():
-        diagnostics.note(
-            f"{folder}: the motion to frame {frame[np.argmax(unknown)]} is not known; what was "
-            "seen from there on is not placed"
+    times = table.get("timestamp_ns", still)
+    begins = np.diff(stretch_numbers(frame, times), prepend=0).astype(bool) & ~by_poses
+    ends = np.append(np.flatnonzero(begins), len(frame)).tolist()
+    if ends[:-1]:
+        begun = ", ".join(map(str, frame[ends[:-1]][:MOST_TOLD])) + " ..." * (
+            len(ends) - 1 > MOST_TOLD
         )
-    return path
+        diagnostics.note(
+            f"{folder}: the motion over {number_of(len(ends) - 1, 'pause')} is not known; each "
+            f"begins a path with axes of its own, at frame {begun}"
+        )
+    paths = []
+    for part in map(slice, [0, *ends[:-1]], ends):
+        path = measured_path(frame[part], times[part], moved[part], sigma[part])
+        unknown = ~np.isfinite(path.pose).all(axis=1)
+        if unknown.any():
+            diagnostics.note(
+                f"{folder}: the motion to frame {path.frame[np.argmax(unknown)]} is not known; "
+                "what was seen from there on is not placed"
+            )
+        paths.append(path)
+    return paths

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +21,38 @@ from sonarrec.tables.outputs import plain, write_figure
 
 LINES = "#333333"
 """Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""
+MOST_PARTS = 9  # of a paused log without poses that are drawn, each by itself
 MOST_FANS = 150  # fans that are drawn for each log, at most, to show the floor in view
 
 
 def draw_map(path: Path, site: SiteMap) -> None:
     """Write the map as a PNG."""
     figure = Figure(figsize=(8, 8), dpi=120, layout="constrained")
-    axes = figure.add_subplot()
-    for log in site.logs:
+    shown = site.parts[:MOST_PARTS]
+    side = math.ceil(math.sqrt(len(shown)))
+    for n, logs in enumerate(shown, 1):
+        axes = figure.add_subplot(math.ceil(len(shown) / side), side, n)
+        _draw_part(axes, site, logs, n)
+        if len(site.parts) > 1:
+            first, last = logs[0].path.frame[[0, -1]]
+            axes.set_title(f"path {n} of {len(site.parts)}, frames {first} to {last}", fontsize=9)
+    if len(site.parts) > 1:
+        figure.suptitle(_title(site), fontsize=10)
+        entries = figure.axes[0].get_legend_handles_labels()
+        figure.legend(*entries, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    else:
+        axes.set_title(_title(site), fontsize=10)
+        below = (0.5, -0.08)
+        axes.legend(loc="upper center", bbox_to_anchor=below, ncols=2, fontsize=8, frameon=False)
+    write_figure(path, figure)
+
+
+def _draw_part(axes: Any, site: SiteMap, logs: Sequence[MappedLog], part: int) -> None:
+    """Draw what has common axes."""
+    for log in logs:
         fans = [site.position(fan) for fan in _floor_seen(log)]
         axes.add_collection(PolyCollection(fans, facecolors="#e9eef2", edgecolors="none", zorder=0))
-    for n, log in enumerate(site.logs):
+    for n, log in enumerate(logs):
         positions = site.position(log.path.pose[:, 1:])
         label = "path of the sonar" if n == 0 else None
         axes.plot(*positions.T, color="#666666", linewidth=1, zorder=1, label=label)
@@ -40,19 +62,22 @@ def draw_map(path: Path, site: SiteMap) -> None:
     axes.set_aspect("equal")
     axes.autoscale_view()
     for number, landmark in enumerate(site.landmarks, 1):
-        _draw_landmark(axes, site, landmark, number)
+        if site.path_of(landmark.members[0]) == part:
+            _draw_landmark(axes, site, landmark, number)
     axes.autoscale_view()
     axes.plot([], [], color=LINES, linewidth=1.2, label="95 % ellipses")
     axes.plot([], [], color=LINES, linewidth=2, label="where the first sector begins")
     axes.set_xlabel("x, m: ahead at yaw 0" if site.ros_axes else "x, m: to the right at yaw 0")
     axes.set_ylabel("y, m: to the left at yaw 0" if site.ros_axes else "y, m: ahead at yaw 0")
-    count = number_of(len(site.landmarks), "landmark")
-    logs = ", ".join(log.name for log in site.logs[:3]) + (" ..." if len(site.logs) > 3 else "")
-    axes.set_title(plain(f"{count} of {site.landmark_set.name}: {logs}"), fontsize=10)
     axes.grid(color="white", linewidth=0.8, zorder=0)
     axes.set_facecolor("#f8f8f8")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
-    write_figure(path, figure)
+
+
+def _title(site: SiteMap) -> str:
+    count = number_of(len(site.landmarks), "landmark")
+    names = list(dict.fromkeys(log.name for log in site.logs))
+    logs = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+    return plain(f"{count} of {site.landmark_set.name}: {logs}")
 
 
 def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int) -> None:

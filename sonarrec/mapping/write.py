@@ -33,11 +33,11 @@ from sonarrec.tables.outputs import (
 
 _MAP_HEADER = (
     "number,landmark,x_m,y_m,xx_m2,xy_m2,yy_m2,orientation_deg,orientation_sigma_deg,passes,frames,"
-    "logs,mean_score,near_m,far_m,first_ns,last_ns,other_frames"
+    "logs,mean_score,near_m,far_m,first_ns,last_ns,other_frames,path"
 )
 _PASS_HEADER = (
     "number,log,landmark,track,first_frame,last_frame,frames,mean_score,x_m,y_m,xx_m2,xy_m2,yy_m2,"
-    "orientation_deg,orientation_sigma_deg,near_m,far_m,sonar_x_m,sonar_y_m,sonar_yaw_deg"
+    "orientation_deg,orientation_sigma_deg,near_m,far_m,sonar_x_m,sonar_y_m,sonar_yaw_deg,path"
 )
 MAP_COLUMNS, PASS_COLUMNS = _MAP_HEADER.split(","), _PASS_HEADER.split(",")
 Cells = dict[str, object]
@@ -136,6 +136,7 @@ def map_rows(site: SiteMap) -> list[Cells]:
             "first_ns": min(int(ns[0]) for ns in times),
             "last_ns": max(int(ns[-1]) for ns in times),
             "other_frames": frames_of(landmark.others),
+            "path": site.path_of(passes[0]),
         }
         rows.append(cells | _pose_cells(site, landmark, landmark.id))
     return rows
@@ -168,6 +169,7 @@ def pass_rows(site: SiteMap) -> list[Cells]:
                 "sonar_x_m": f"{sonar_x:.4f}",
                 "sonar_y_m": f"{sonar_y:.4f}",
                 "sonar_yaw_deg": f"{-pose[0] if site.ros_axes else pose[0]:.3f}",
+                "path": site.path_of(one),
             }
             rows.append(cells | _pose_cells(site, one, one.landmark))
     return rows
@@ -190,6 +192,8 @@ def geojson(site: SiteMap, origin: GeographicOrigin) -> dict[str, object]:
 
     for number, landmark in enumerate(site.landmarks, 1):
         name: dict[str, object] = {"number": number, "landmark": landmark.id}
+        if len(site.parts) > 1:
+            name["path"] = site.path_of(landmark.members[0])
         facts: dict[str, object] = {"name": f"ID.{landmark.id}", **name}
         # Where the first sector begins, as a compass shows it.
         compass = (90 + origin.heading_deg - landmark.orientation_deg) % 360
@@ -214,7 +218,11 @@ def lines(site: SiteMap) -> list[str]:
     if not site.landmarks:
         return left_out or ["no landmark declared"]
     rows = ["number  landmark       x m       y m  sigma m  orientation  sigma  passes  frames"]
+    path = 1
     for number, landmark in enumerate(site.landmarks, 1):
+        if (own := site.path_of(landmark.members[0])) > path:
+            path = own
+            rows.append(f"path {own}, from frame {site.logs[own - 1].path.frame[0]}")
         x, y = site.position(landmark.position)
         orientation = site.orientation(landmark.orientation_deg, landmark.id)
         angles = (orientation, landmark.orientation_sigma_deg)
@@ -275,7 +283,7 @@ def map_landmarks(
     return LandmarkMap(
         landmarks=_table(MAP_COLUMNS, map_rows(site)),
         passes=_table(PASS_COLUMNS, pass_rows(site)),
-        logs=len(site.logs),
+        logs=site.count,
         notes=tuple(site.diagnostics.notes),
         unused=tuple(site.diagnostics.problems),
     )

@@ -137,10 +137,11 @@ class SideBySide:
         for frame in self._levels.restored(self._unchanging.filled(whole)):
             if self._stretches.begins(frame.index, frame.timestamp_ns):
                 yield from self.waiting()
-                for stages in self._stages.values():
+                for stages in self._stages:
                     stages.begin_stretch()
-                for hindsight in self._hindsight.values():
-                    hindsight.begin_stretch()
+                for preset in self._presets:
+                    if preset.hindsight is not None:
+                        preset.hindsight.begin_stretch()
             self._tracked.append(self._track(frame))
             if len(self._tracked) == FRAMES_AT_ONCE:
                 yield from self._after_stage3()
