@@ -38,16 +38,17 @@ class Stretches:
         if before is None:
             return False
         step = timestamp_ns - before[1]
-        if step < -CLEARLY_BACK_NS or step > YEAR_NS:
-            return True
+        begins = step < -CLEARLY_BACK_NS or step > YEAR_NS
         if step > LEAST_PAUSE_NS and len(self._steps) == KNOWN_STEPS:
             # A log without times is numbered: each time is the frame's number times the period.
             numbered = abs(timestamp_ns * before[0] - before[1] * frame) <= frame + before[0]
-            if step > PAUSE_STEPS * self.longest_ns and not numbered:
-                return True
+            begins |= step > PAUSE_STEPS * self.longest_ns and not numbered
+        if begins:
+            # It counts as the longest so far: in its place there may have been one between bursts.
+            step = self.longest_ns
         if step > 0:
             self._steps.append(step)
-        return False
+        return begins
 
     @property
     def longest_ns(self) -> int:

@@ -84,10 +84,10 @@ def find_passes(log: Matched) -> Passes:
     borders = (ends + starts) / 2
     # Where stretches begin between two units, the border is at that nearest to half-way.
     begins = np.flatnonzero(np.diff(log.stretch)) + 0.5
-    for i, (end, start) in enumerate(zip(ends, starts, strict=True)):
-        between = begins[(begins > end) & (begins < start)]
+    for i, border in enumerate(borders):
+        between = begins[(begins > ends[i]) & (begins < starts[i])]
         if len(between):
-            borders[i] = between[np.abs(between - borders[i]).argmin()]
+            borders[i] = between[np.abs(between - border).argmin()]
     borders = np.maximum.accumulate(borders)
     unit_of_frame = np.searchsorted(borders, np.arange(len(log.frame)))
     unit_of_truth = unit_of_frame[log.truth_frame_index]

@@ -1,0 +1,226 @@
+"""Where stretches begin: made-up clocks, and what must hold for any."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sonarrec.stretches import Breaks, Rate, Stretches, duration, stretch_numbers
+
+START = datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()
+HOUR, YEAR = 3600.0, 31_556_952.0
+RNG = np.random.default_rng(0)
+
+
+def steady(step: float, count: int = 40) -> list[float]:
+    return [step] * count
+
+
+def jittered(step: float, share: float, count: int = 200) -> list[float]:
+    return (step * RNG.uniform(1 - share, 1 + share, count)).tolist()
+
+
+def with_steps(steps: Sequence[float], **at: float) -> list[float]:
+    """Steps, some of them (n3=5.0: the third) of another length."""
+    return [at.get(f"n{n}", step) for n, step in enumerate(steps)]
+
+
+WHOLE = np.diff(np.floor(np.arange(80) / 4)).tolist()
+"""Steps of a clock of whole seconds at 4 Hz."""
+ONE = {
+    "4 Hz": steady(0.25),
+    "15 Hz": steady(1 / 15),
+    ".05 Hz": steady(20.0),
+    "one ping in ten minutes": steady(600.0),
+    "jitter": jittered(0.25, 0.9),
+    "bursts of ten pings": ([0.1] * 9 + [5.0]) * 6,
+    "bursts of three pings": ([0.1] * 2 + [30.0]) * 20,
+    "two sonars in turn": [0.02, 0.48] * 30,
+    "whole seconds": WHOLE,
+    "equal stamps": [0.0, 0.25] * 30,
+    "hiccups of .7 s at 15 Hz": with_steps(steady(1 / 15, 60), n20=0.7, n40=0.7),
+    "hiccup of 1.9 s at 15 Hz": with_steps(steady(1 / 15, 60), n20=1.9),
+    "2.4 s at 4 Hz": with_steps(steady(0.25), n20=2.4),
+    "threads that swap": with_steps(steady(0.25), n20=-0.1, n21=0.6),
+    "1 s back": with_steps(steady(0.25), n20=-1.0),
+    "slower": steady(0.1) + steady(0.9) + steady(8.0),
+    "faster": steady(8.0) + steady(0.1),
+    # Not seen, as `sonarrec help limits` says:
+    "a pause after five frames": with_steps(steady(0.25), n5=60.0),
+    "5 s at 1 Hz": with_steps(steady(1.0), n20=5.0),
+    "8 s at whole seconds": with_steps(WHOLE, n40=8.0),
+}
+MORE: dict[str, tuple[list[float], list[int]]] = {
+    "5 s at 4 Hz": (with_steps(steady(0.25), n20=5.0), [21]),
+    "5.3 s and an hour": (with_steps(steady(0.25, 90), n59=5.3, n80=HOUR), [60, 81]),
+    "30 s soon after an hour": (with_steps(steady(0.25), n20=HOUR, n23=30.0), [21, 24]),
+    "2.6 s at 4 Hz": (with_steps(steady(0.25), n20=2.6), [21]),
+    "a minute at 1 Hz": (with_steps(steady(1.0), n20=60.0), [21]),
+    "an hour at .05 Hz": (with_steps(steady(20.0), n20=HOUR), [21]),
+    "a pause after eleven frames": (with_steps(steady(0.25), n10=60.0), [11]),
+    "15 s at whole seconds": (with_steps(WHOLE, n59=15.0), [60]),
+    "a minute between bursts": (with_steps(([0.1] * 9 + [5.0]) * 6, n39=60.0), [40]),
+    "set back between bursts": (with_steps(([0.1] * 9 + [5.0]) * 6, n39=-HOUR), [40]),
+    "set back by an hour": (with_steps(steady(0.25), n20=-HOUR + 0.25), [21]),
+    "set back by 1.5 s": (with_steps(steady(0.25), n20=-1.5), [21]),
+    "set back at once": (with_steps(steady(0.25), n0=-HOUR), [1]),
+    "set after two frames": (with_steps(steady(0.25), n1=24 * YEAR), [2]),
+    "there and back": (with_steps(steady(0.25), n15=2 * YEAR, n25=-2 * YEAR), [16, 26]),
+}
+
+
+def clock(steps: Sequence[float]) -> np.ndarray:
+    return np.round((START + np.cumsum([0.0, *steps])) * 1e9).astype(np.int64)
+
+
+def begins(times_ns: np.ndarray) -> list[int]:
+    frame = np.arange(len(times_ns))
+    return (np.flatnonzero(np.diff(stretch_numbers(frame, times_ns))) + 1).tolist()
+
+
+@pytest.mark.parametrize("name", ONE)
+def test_one_stretch(name: str) -> None:
+    assert begins(clock(ONE[name])) == []
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_several_stretches(name: str) -> None:
+    steps, expected = MORE[name]
+    assert begins(clock(steps)) == expected
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 4.0, 30000 / 1001, 0.3])
+def test_a_log_without_times_is_one_stretch_though_frames_are_lost(rate_hz: float) -> None:
+    frame = np.delete(np.arange(2000), np.s_[100:1500])
+    times = np.array([round(n * 1e9 / rate_hz) for n in frame.tolist()])
+    assert stretch_numbers(frame, times)[-1] == 0
+    if rate_hz > 1:  # by a clock that began at another time it would be a pause
+        assert stretch_numbers(frame, times + 10**9)[-1] == 1
+    assert stretch_numbers(frame, None).tolist() == [0] * len(frame)
+
+
+STEPS = st.lists(
+    st.one_of(
+        st.integers(1, 10**9),
+        st.sampled_from([0, -(10**8), -(2 * 10**9), 3 * 10**9, 30 * 10**9, 3600 * 10**9]),
+    ),
+    max_size=60,
+)
+
+
+@given(STEPS, st.integers(0, 60))
+def test_the_rule_looks_only_back(steps: list[int], cut: int) -> None:
+    """What follows changes nothing, and frames as they come are as those of a table."""
+    times = 10**18 + np.cumsum([0, *steps])
+    whole = stretch_numbers(np.arange(len(times)), times)
+    begins = Stretches().begins
+    one_by_one = [begins(n, t) for n, t in enumerate(times.tolist())]
+    assert np.cumsum(one_by_one).tolist() == whole.tolist()
+    assert (
+        stretch_numbers(np.arange(len(times))[:cut], times[:cut]).tolist() == whole[:cut].tolist()
+    )
+
+
+@given(STEPS.filter(lambda steps: -(10**8) not in steps), st.integers(2, 50))
+def test_a_slower_sonar_pauses_where_a_faster_one_does(steps: list[int], factor: int) -> None:
+    """The rule is relative but for 2 s and 1 s: all steps longer, and no break is gone; it does not
+    matter when a recording was made."""
+    times = np.cumsum([0, *steps])
+    found = begins(10**18 + times)
+    assert set(found) <= set(begins(10**18 + factor * times))
+    assert found == begins(10**17 + times)
+
+
+@given(STEPS)
+def test_the_rule_as_it_is_stated(steps: list[int]) -> None:
+    """Written again by arrays."""
+    expected, earlier = [], list[int]()
+    for n, step in enumerate(steps, 1):
+        last = earlier[-10:]
+        if step < -(10**9) or (len(last) == 10 and step > max(2 * 10**9, 10 * max(last))):
+            expected.append(n)
+            step = max(last, default=0)
+        if step > 0:
+            earlier.append(step)
+    assert begins(10**18 + np.cumsum([0, *steps])) == expected
+
+
+# --- What is told --------------------------------------------------------------------------------
+
+
+def told(steps: Sequence[float], other: str | None = None) -> list[str]:
+    breaks = Breaks()
+    for n, time in enumerate(clock(steps).tolist()):
+        breaks.add(n, time)
+    return [*breaks.pauses(), *breaks.set_clock(other)]  # type: ignore[arg-type]
+
+
+def test_pauses_are_told_in_one_line() -> None:
+    [line] = told(with_steps(steady(0.25, 150), n59=5.3, n119=HOUR))
+    assert "2 pauses: 5.3 s after frame 59, 1 h after frame 119" in line
+    [line] = told(with_steps(steady(0.25, 300), **{f"n{n}": 60.0 for n in range(20, 270, 20)}))
+    assert "13 pauses: " in line
+    assert "and 10 more" in line
+    assert line.count("after frame") == 3
+    assert told(steady(0.25)) == []
+
+
+def test_a_clock_that_was_set_is_told_with_what_to_do() -> None:
+    [line] = told(with_steps(steady(0.25), n20=-HOUR), "header")
+    assert "go back by 1 h at frame 21" in line
+    assert "`run --time header`" in line
+    [line] = told(with_steps(steady(0.25), n20=2 * YEAR))
+    assert "jump ahead by 2.0 years at frame 21" in line
+    assert "give truth by frame" in line
+
+
+@pytest.mark.parametrize("step", [0.25, 1 / 15, 0.9])
+@pytest.mark.parametrize(("before", "after"), [(48, 72), (400, 15), (12, 400)])
+def test_halves_that_a_clock_exchanged_are_told(step: float, before: int, after: int) -> None:
+    """So many frames before and after it was set back by an hour, in the order of their names."""
+    hole = HOUR - (before + after - 1) * step
+    pause, exchanged = told([*steady(step, after - 1), hole, *steady(step, before - 1)])
+    assert f"after frame {after - 1}" in pause
+    assert f"frames from {after} on" in exchanged
+    for longer in (5.0, -5.0, HOUR):
+        steps = [*steady(step, after - 1), hole + longer, *steady(step, before - 1)]
+        assert len(told(steps)) == 1
+
+
+@pytest.mark.parametrize(
+    ("steps", "hz"),
+    [
+        (with_steps(steady(0.25), n20=HOUR), 4),
+        (with_steps(steady(0.25), n2=60.0), 4),
+        (WHOLE, 4),
+        ([0.0, 0.5] * 30, 4),
+        (([0.1] * 9 + [5.0]) * 6, 10),
+        (jittered(1 / 15, 0.2), 15),
+    ],
+)
+def test_the_rate_is_that_of_the_median_step(steps: list[float], hz: float) -> None:
+    rate = Rate()
+    for time in clock(steps).tolist():
+        rate.add(time)
+    assert rate.hz == pytest.approx(hz, rel=0.03)
+    assert Rate().hz is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (5.3, "5.3 s"),
+        (30, "30 s"),
+        (99, "99 s"),
+        (1800, "30 min"),
+        (3600.25, "1 h"),
+        (1e6, "11.6 days"),
+    ],
+)
+def test_lengths_of_time(seconds: float, text: str) -> None:
+    assert duration(round(seconds * 1e9)) == text
