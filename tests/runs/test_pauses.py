@@ -1,0 +1,342 @@
+"""Recordings that were paused, and clocks that were set back: what ends there, and what is told."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sonarrec import evaluate
+from sonarrec.config import preset
+from sonarrec.landmarks import load_landmarks
+from sonarrec.overlays import overlay as overlays
+from sonarrec.readers import open_log
+from sonarrec.recogniser.presets.side_by_side import SideBySide
+from sonarrec.records import Frame, FrameResult
+from sonarrec.runs.run import run
+from sonarrec.simulation.render import render
+from sonarrec.simulation.scene import scene_fan
+from sonarrec.truth.check import check_truth
+from sonarrec.truth.table import write_truth
+from tests.support.command import sonarrec
+from tests.support.logs import SONAR_TOML, cdr_image, frames, image_folder, mcap_file
+from tests.support.paused import IDS, PERIOD_NS, START_NS, parts, paused, record
+from tests.support.rows import read_rows, write_rows
+
+BASIN = load_landmarks("basin")
+PRESETS = ("default", "offline", "paper")
+FRAMES = 24
+
+
+@cache
+def recognised(pause_ns: int) -> tuple[FrameResult, ...]:
+    """Two parts of FRAMES frames by all presets, with a pause between."""
+    scenes = parts(FRAMES, 2)
+
+    def frames() -> Iterator[Frame]:
+        for part, scene in enumerate(scenes):
+            start_ns = START_NS + part * ((FRAMES - 1) * PERIOD_NS + pause_ns)
+            for one in render(scene):
+                index, time_ns = part * FRAMES + one.index, start_ns + one.index * PERIOD_NS
+                yield Frame(index, time_ns, one.image, scene_fan(scene))
+
+    stages = SideBySide([preset(p) for p in PRESETS], scene_fan(scenes[0]), scenes[0].landmark_set)
+    return tuple(stages.recognise(frames()))
+
+
+def tracks(results: tuple[FrameResult, ...], name: str) -> tuple[set[int], set[int]]:
+    """The tracks before and after the pause."""
+    before, after = (
+        {e.object for r in part for e in r.estimates if e.method == f"framework:{name}"}
+        for part in (results[:FRAMES], results[FRAMES:])
+    )
+    return before, after
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_no_track_goes_over_a_pause(name: str) -> None:
+    before, after = tracks(recognised(5 * 10**9), name)
+    assert before
+    assert after
+    of_stage2 = [n for n in after if n < 1_000_000]  # others are of the second look
+    assert max(n for n in before if n < 1_000_000) < min(of_stage2)
+    assert not before & after
+    going_on = tracks(recognised(PERIOD_NS), name)
+    assert going_on[0] & going_on[1]  # the same frames without a pause
+
+
+@pytest.mark.parametrize("name", PRESETS[:2])
+def test_no_belief_goes_over_a_pause(name: str) -> None:
+    """The discs afterwards are others, in the same places."""
+
+    def claimed(pause_ns: int) -> set[int]:
+        after = recognised(pause_ns)[FRAMES:]
+        found = (e for r in after for e in r.estimates if e.method == f"framework:{name}")
+        return {e.landmark for e in found if e.declared}
+
+    assert claimed(5 * 10**9) == set(IDS.values())
+    assert claimed(PERIOD_NS) & set(IDS)
+
+
+def test_motion_begins_anew() -> None:
+    results = recognised(5 * 10**9)
+    assert [r.index for r in results] == list(range(2 * FRAMES))
+    assert [r.index for r in results if r.motion is None] == [0, FRAMES]
+    assert [r.index for r in recognised(PERIOD_NS) if r.motion is None] == [0]
+
+
+def test_the_paper_begins_with_even_beliefs() -> None:
+    """Eq. 5 spreads the beliefs of all objects of the frame before."""
+    first = recognised(5 * 10**9)[FRAMES]
+    of_paper = [e for e in first.estimates if e.method == "framework:paper"]
+    alone = [e for e in recognised(5 * 10**9)[0].estimates if e.method == "framework:paper"]
+    assert of_paper
+    highest = max(float(e.probabilities.max()) for e in of_paper)
+    assert highest <= max(float(e.probabilities.max()) for e in alone) + 0.1
+
+
+def claims_of(folder: Path, method: str = "framework") -> list[dict[str, str]]:
+    rows = read_rows(folder / "estimates.csv")
+    return [r for r in rows if r["method"] == method and r["declared"] == "1"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["dive", "dive.mcap"])
+@pytest.mark.parametrize("pause_s", [5.0, 30.0, 3600.0])
+@pytest.mark.parametrize("wanted", ["default", "offline"])
+def test_other_discs_after_a_pause_are_not_taken_for_those_before(
+    name: str, pause_s: float, wanted: str, tmp_path: Path
+) -> None:
+    log = paused(tmp_path / name, pause_s)
+    run(log, tmp_path / "out", preset=wanted)
+    scores = evaluate(tmp_path / "out" / "dive")
+    counts = scores.counts.scored_by("framework", "strict").count()
+    assert counts.fp == 0
+    assert counts.tpr > 0.95
+    for row in read_rows(tmp_path / "out" / "dive" / "sightings.csv"):
+        assert int(row["first_frame"]) // 60 == int(row["last_frame"]) // 60
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wanted", ["default", "offline"])
+def test_without_the_pause_they_are(wanted: str, tmp_path: Path) -> None:
+    """So the test above can fail."""
+    run(paused(tmp_path / "dive", 0.25), tmp_path / "out", preset=wanted)
+    counts = evaluate(tmp_path / "out" / "dive").counts.scored_by("framework", "strict").count()
+    assert counts.fp > 40
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An MCAP with two pauses, run: the log, and its results in out/dive."""
+    folder = tmp_path_factory.mktemp("paused")
+    log = paused(folder / "dive.mcap", 5.3, 3600, frames=FRAMES)
+    sonarrec("run", log, "-o", folder / "out")
+    return log
+
+
+def results(log: Path) -> Path:
+    return log.parent / "out" / log.stem
+
+
+def test_pauses_are_told(dive: Path) -> None:
+    line = "2 pauses: 5.3 s after frame 23, 1 h after frame 47"
+    told = sonarrec("info", dive).output
+    assert line in told
+    assert "4 Hz" in told
+    assert " 0." not in told.split("channels")[1].split("\n")[0]  # no mean rate
+    assert line in sonarrec("run", dive, "-o", dive.parent / "out", "--overwrite").stderr
+    (found,) = json.loads(sonarrec("info", dive, "--json").stdout)["logs"]
+    assert found["images"][0]["rate_hz"] == pytest.approx(4)
+
+
+def test_frames_csv_states_no_step_over_a_pause(dive: Path) -> None:
+    rows = read_rows(results(dive) / "frames.csv")
+    assert [r["frame"] for r in rows if not r["dyaw_deg"]] == ["0", "24", "48"]
+
+
+def test_poses_state_the_step_over_a_pause_but_no_track_goes_over(dive: Path) -> None:
+    poses, out = dive.parent / "poses.csv", dive.parent / "posed"
+    start_s = START_NS / 1e9
+    times = [start_s + n / 4 for n in range(20_000)]
+    poses.write_text("\n".join(["timestamp,yaw,x,y", *(f"{t:.2f},3,0,0" for t in times), ""]))
+    sonarrec("run", dive, "-o", out, "--odometry", poses)
+    rows = read_rows(out / "dive" / "frames.csv")
+    assert [r["frame"] for r in rows if not r["dyaw_deg"]] == ["0"]
+    assert (rows[24]["dyaw_deg"], rows[24]["dyaw_sigma_deg"]) == ("0.0000", "")
+    of_parts = [set[str](), set[str](), set[str]()]
+    for row in read_rows(out / "dive" / "estimates.csv"):
+        if row["method"] == "framework":
+            of_parts[int(row["frame"]) // FRAMES].add(row["object"])
+    assert not of_parts[0] & of_parts[1]
+    assert not of_parts[1] & of_parts[2]
+    told = sonarrec("map", out / "dive", "--odometry", poses)
+    assert "path" not in told.stdout.split("number")[1]
+    assert {r["path"] for r in read_rows(out / "dive" / "map" / "map.csv")} == {"1"}
+
+
+@pytest.mark.usefixtures("pictures")
+def test_without_poses_a_map_has_a_path_for_each_stretch(dive: Path) -> None:
+    told = sonarrec("map", results(dive), "-o", dive.parent / "map", "--origin", "54,10,0")
+    assert "begins a path with axes of its own, at frame 24, 48" in told.stderr
+    assert "1 log" in told.stdout
+    rows = read_rows(dive.parent / "map" / "map.csv")
+    assert [(r["path"], r["landmark"]) for r in rows] == [
+        *(("1", "1"), ("1", "3"), ("2", "2"), ("2", "4"), ("3", "1"), ("3", "3"))
+    ]
+    assert all(r["other_frames"] == "0" for r in rows)
+    # The sonar stood and the scenes are the same: each path begins where the first one did.
+    for row, first in zip(rows[2:], rows[:2] * 2, strict=True):
+        assert float(row["x_m"]) == pytest.approx(float(first["x_m"]), abs=0.03)
+        assert float(row["y_m"]) == pytest.approx(float(first["y_m"]), abs=0.03)
+    for row in read_rows(dive.parent / "map" / "passes.csv"):
+        assert int(row["path"]) == 1 + int(row["first_frame"]) // FRAMES
+    features = json.loads((dive.parent / "map" / "map.geojson").read_text())["features"]
+    points = [f["properties"] for f in features if f["geometry"]["type"] == "Point"]
+    assert [p["path"] for p in points] == [1, 1, 2, 2, 3, 3]
+    assert (dive.parent / "map" / "map.png").stat().st_size > 10_000
+
+
+@pytest.fixture
+def joined(dive: Path, tmp_path: Path) -> Path:
+    """Another program's results of that log: one track of ID.1 without an end, but in frames 20 to
+    27, where it is not seen."""
+    folder = tmp_path / "dive"
+    folder.mkdir()
+    for name in ("run.toml", "frames.csv"):
+        (folder / name).write_bytes((results(dive) / name).read_bytes())
+    text = (folder / "run.toml").read_text()
+    (folder / "run.toml").write_text(text.replace("finished = true", "finished = false"))
+    rows = [r for r in claims_of(results(dive)) if r["landmark"] == "1"]
+    every = [n for n in range(3 * FRAMES) if not 20 <= n < 28]
+    stamps = {r["frame"]: r["timestamp_ns"] for r in read_rows(folder / "frames.csv")}
+    found = [rows[0] | {"frame": n, "timestamp_ns": stamps[str(n)], "object": 1} for n in every]
+    write_rows(folder / "estimates.csv", found)
+    return folder
+
+
+def test_sightings_and_passes_of_other_programs_end_there(joined: Path, tmp_path: Path) -> None:
+    from sonarrec.results.sightings import read_sightings
+
+    spans = [(s.first_frame, s.last_frame) for s in read_sightings(joined)]
+    assert spans == [(0, 19), (28, 47), (48, 71)]
+    truth = tmp_path / "gt.csv"
+    write_rows(
+        truth,
+        [
+            {"frame": n, "landmark": 1, "range_m": 2.0, "bearing_deg": 0.0}
+            for n in range(3 * FRAMES)
+        ],
+    )
+    scores = evaluate(joined, truth)
+    passes = scores.counts.passes
+    assert [(int(p["first"]), int(p["last"])) for p in passes] == [(0, 23), (24, 47), (48, 71)]
+    assert scores.counts.units.count == 3
+
+
+def test_propose_fills_no_gap_over_a_pause(joined: Path, tmp_path: Path) -> None:
+    sonarrec("truth", "propose", joined, "-o", tmp_path / "new.csv", "--max-gap", "20", code=3)
+    frames = [int(r["frame"]) for r in read_rows(tmp_path / "new.csv")]
+    assert frames == [n for n in range(3 * FRAMES) if not 20 <= n < 28]
+
+
+def test_trails_begin_anew(dive: Path, joined: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lengths = list[int]()
+
+    def noted(history: object) -> dict[int, np.ndarray]:
+        found = trails(history)
+        lengths.append(max(map(len, found.values()), default=0))
+        return found
+
+    trails = overlays.trails
+    monkeypatch.setattr(overlays, "trails", noted)
+    overlays.overlay(dive, dive.parent / "pictures", results=joined, frames=(40, 60))
+    assert lengths[:8] == [13, 14, 15, 16, 17, 18, 19, 20]
+    assert lengths[8:] == list(range(1, 13))
+
+
+def black(folder: Path, pause_s: float) -> Path:
+    """Twice FRAMES black frames, with a pause between."""
+    images, pause_ns = [np.zeros((300, 560), np.uint8)] * 2 * FRAMES, round(pause_s * 1e9)
+    image_folder(folder, images)
+    for n in range(2 * FRAMES):
+        time_ns = START_NS + n * PERIOD_NS + (pause_ns - PERIOD_NS if n >= FRAMES else 0)
+        (folder / f"frame{n}.png").rename(folder / f"{time_ns}.png")
+    return folder
+
+
+@pytest.mark.parametrize(("pause_s", "faults"), [(5.0, set()), (0.25, {"jump", "changed"})])
+def test_a_truth_may_change_over_a_pause(pause_s: float, faults: set[str], tmp_path: Path) -> None:
+    """Neither a jump nor another ID in one place is a fault there."""
+    rows = [(n, 1 if n < FRAMES else 2, 2.0, 0.0) for n in range(2 * FRAMES)]
+    rows += [(n, 3, *((2.4, -9.0) if n < FRAMES else (1.9, 9.0))) for n in range(2 * FRAMES)]
+    write_truth(tmp_path / "gt.csv", ("frame", "landmark", "range_m", "bearing_deg"), rows)
+    with open_log(black(tmp_path / "dive", pause_s)) as log:
+        found = check_truth(tmp_path / "gt.csv", log, BASIN, max_pan_deg=5.0)[1]
+    assert {fault.kind for fault in found} == faults
+
+
+@pytest.mark.parametrize(("pause_s", "told"), [(5.0, 0), (0.25, 1)])
+def test_a_truth_is_not_shifted_over_a_pause(pause_s: float, told: int, tmp_path: Path) -> None:
+    """Rows in the six last frames of a stretch, claims in the six first of the next."""
+    folder, last = tmp_path / "dive", range(FRAMES - 6, FRAMES)
+    folder.mkdir()
+    (folder / "run.toml").write_text("")
+    gap_ns = round(pause_s * 1e9) - PERIOD_NS
+    times = [START_NS + n * PERIOD_NS + gap_ns * (n >= FRAMES) for n in range(2 * FRAMES)]
+    write_rows(
+        folder / "frames.csv", [{"frame": n, "timestamp_ns": t} for n, t in enumerate(times)]
+    )
+    seen = [{"frame": n, "landmark": 1, "range_m": 2 + n / 50, "bearing_deg": 0.0} for n in last]
+    more = {"method": "framework", "object": 1, "score": 0.9, "declared": 1}
+    write_rows(folder / "estimates.csv", [r | more | {"frame": r["frame"] + 6} for r in seen])
+    write_rows(tmp_path / "gt.csv", seen)
+    scores = evaluate(folder, tmp_path / "gt.csv", sonar={"range_min_m": 1.0, "range_max_m": 4.0})
+    assert sum("6 frames later" in line for line in scores.unused) == told
+
+
+def test_names_in_local_time_as_summer_time_ends(tmp_path: Path) -> None:
+    """At 03:00 the clock shows 02:00 again, so what was recorded last comes first."""
+    three = int(datetime(2024, 10, 27, 3, tzinfo=UTC).timestamp()) * 10**9
+    first, then = parts(FRAMES, 2)
+    starts = three - 3600 * 10**9, three - FRAMES * PERIOD_NS
+    log = record(tmp_path / "dive", [then, first], starts)
+    sonarrec("run", log, "-o", tmp_path / "out")
+    for told in (
+        sonarrec("info", log).output,
+        sonarrec("run", log, "-o", tmp_path / "out", "--overwrite").stderr,
+        sonarrec("evaluate", tmp_path / "out" / "dive").output,
+    ):
+        assert f"frames from {FRAMES} on" in told
+    for row in read_rows(tmp_path / "out" / "dive" / "sightings.csv"):
+        assert int(row["end_ns"]) - int(row["start_ns"]) < 10 * 10**9
+
+
+def test_the_clock_that_names_frames_counts(tmp_path: Path) -> None:
+    """The recorder's clock is steady; the sonar's was set back."""
+    stamps = [(1000 + n if n < 12 else 100 + n) for n in range(24)]
+    sent = [
+        (n * PERIOD_NS, cdr_image(image, stamp=(stamp, 0)))
+        for n, (image, stamp) in enumerate(zip(frames(24), stamps, strict=True))
+    ]
+    log = mcap_file(tmp_path / "dive.mcap", [("/sonar", *message) for message in sent])
+    (tmp_path / "dive.sonar.toml").write_text(SONAR_TOML)
+    with open_log(log) as opened:
+        assert len(list(opened)) == 24
+        assert not opened.diagnostics.notes
+    with open_log(log, time="header") as opened:
+        assert len(list(opened)) == 24
+        [note] = opened.diagnostics.notes
+    assert "go back" in note
+    assert "at frame 12" in note
+    assert "--time log" in note
+    out = tmp_path / "out"
+    for clock, first in (("log", ["0"]), ("header", ["0", "12"])):
+        sonarrec("run", log, "--time", clock, "-o", out, "--overwrite")
+        rows = read_rows(out / "dive" / "frames.csv")
+        assert [r["frame"] for r in rows if not r["dyaw_deg"]] == first
