@@ -201,21 +201,19 @@ def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) 
         for names in (MOVED, MOVED_SIGMA)
     )
     # Motion from poses has no standard errors.
-    by_poses = np.isfinite(moved).all(axis=1) & ~np.isfinite(sigma).any(axis=1)
+    by_poses = np.isfinite(moved).all(axis=1) & ~np.isfinite(sigma[:, 0])
     sigma = np.where(np.isfinite(moved), np.nan_to_num(sigma), np.nan)
     times = table.get("timestamp_ns", still)
     begins = np.diff(stretch_numbers(frame, times), prepend=0).astype(bool) & ~by_poses
-    ends = np.append(np.flatnonzero(begins), len(frame)).tolist()
-    if ends[:-1]:
-        begun = ", ".join(map(str, frame[ends[:-1]][:MOST_TOLD])) + " ..." * (
-            len(ends) - 1 > MOST_TOLD
-        )
+    first = np.flatnonzero(begins)
+    if len(first):
+        at = ", ".join(map(str, frame[first][:MOST_TOLD])) + " ..." * (len(first) > MOST_TOLD)
         diagnostics.note(
-            f"{folder}: the motion over {number_of(len(ends) - 1, 'pause')} is not known; each "
-            f"begins a path with axes of its own, at frame {begun}"
+            f"{folder}: the motion over {number_of(len(first), 'pause')} is not known; each begins "
+            f"a path with axes of its own, at frame {at}"
         )
     paths = []
-    for part in map(slice, [0, *ends[:-1]], ends):
+    for part in map(slice, [0, *first.tolist()], [*first.tolist(), len(frame)]):
         path = measured_path(frame[part], times[part], moved[part], sigma[part])
         unknown = ~np.isfinite(path.pose).all(axis=1)
         if unknown.any():

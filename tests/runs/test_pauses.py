@@ -340,3 +340,19 @@ def test_the_clock_that_names_frames_counts(tmp_path: Path) -> None:
         sonarrec("run", log, "--time", clock, "-o", out, "--overwrite")
         rows = read_rows(out / "dive" / "frames.csv")
         assert [r["frame"] for r in rows if not r["dyaw_deg"]] == first
+
+
+@pytest.mark.parametrize(("named", "pauses"), [(True, 1), (False, 0)])
+def test_lost_frames_are_a_pause_only_where_frames_have_times(
+    named: bool, pauses: int, tmp_path: Path
+) -> None:
+    log = image_folder(tmp_path / "dive", frames(2 * FRAMES))
+    for n in range(2 * FRAMES):
+        image = log / f"frame{n}.png"
+        if 15 <= n < 35:
+            image.write_bytes(b"")
+        if named:
+            image.rename(log / f"{START_NS + n * PERIOD_NS}.png")
+    with open_log(log) as opened:
+        assert len(list(opened)) == 2 * FRAMES - 20
+        assert sum("pause" in note for note in opened.diagnostics.notes) == pauses
