@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,7 @@ from sonarrec.records import Frame, FrameResult
 from sonarrec.runs.run import run
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
+from sonarrec.simulation.simulate import simulate
 from sonarrec.truth.check import check_truth
 from sonarrec.truth.table import write_truth
 from tests.support.command import sonarrec
@@ -356,3 +358,29 @@ def test_lost_frames_are_a_pause_only_where_frames_have_times(
     with open_log(log) as opened:
         assert len(list(opened)) == 2 * FRAMES - 20
         assert sum("pause" in note for note in opened.diagnostics.notes) == pauses
+
+
+@pytest.mark.slow
+def test_plates_are_followed_over_no_pause(tmp_path: Path) -> None:
+    simulate("plates", tmp_path / "plates", frames=6)
+    landmarks = load_landmarks(str(tmp_path / "plates" / "landmarks.toml"))
+    with open_log(tmp_path / "plates") as log:
+        shown = list(log)
+
+    def both(pause_ns: int) -> tuple[set[int], set[int]]:
+        steps = [0, *[PERIOD_NS] * 11]  # twelve frames before the pause, six after it
+        steps += [pause_ns, *[PERIOD_NS] * 5]
+        times = START_NS + np.cumsum(steps)
+        frames = [
+            replace(shown[n % 6], index=n, timestamp_ns=time)
+            for n, time in enumerate(times.tolist())
+        ]
+        stages = SideBySide([preset("default")], shown[0].fan, landmarks)
+        found = [{e.object for e in r.estimates} for r in stages.recognise(frames)]
+        return set().union(*found[:12]), set().union(*found[12:])
+
+    before, after = both(5 * 10**9)
+    assert after
+    assert max(before) < min(after)
+    before, after = both(PERIOD_NS)
+    assert before & after
