@@ -22,7 +22,7 @@ CLEARLY_BACK_NS = 10**9
 YEAR_NS = 31_556_952 * 10**9
 HOUR_NS = 3_600 * 10**9
 NEAR_NS = 2 * 10**9  # of an hour, in which a log ends whose clock was set back by one
-MOST_TOLD = 3  # pauses, one by one
+MOST_LISTED = 3  # pauses, one by one
 
 
 class Stretches:
@@ -67,10 +67,10 @@ def stretch_numbers(frame: IntArray, timestamp_ns: IntArray | None) -> IntArray:
 
 
 class Breaks:
-    """What is to be told about the times of a log's frames."""
+    """The notes on the times of a log's frames."""
 
     def __init__(self, least_back_ns: int = CLEARLY_BACK_NS) -> None:
-        """least_back_ns: by how much times must go back to be told."""
+        """least_back_ns: by how much times must go back for a note."""
         self._least_back_ns = least_back_ns
         self._stretches = Stretches()
         self._first_ns, self._before = 0, (-1, 0)
@@ -91,7 +91,7 @@ class Breaks:
         self._count[is_pause] += begins
         if is_pause:
             self._paused_at = frame
-            if len(self._pauses) < MOST_TOLD:
+            if len(self._pauses) < MOST_LISTED:
                 self._pauses.append(f"{duration(step)} after frame {before}")
         elif not self._jump and (step < -self._least_back_ns or step > YEAR_NS):
             self._jump = f"times jump ahead by {step / YEAR_NS:.1f} years at frame {frame} ("
@@ -103,7 +103,7 @@ class Breaks:
     def pauses(self) -> Iterator[str]:
         """A line on the pauses, if there are any."""
         if count := self._count[True]:
-            more = f" and {count - MOST_TOLD} more" if count > MOST_TOLD else ""
+            more = f" and {count - MOST_LISTED} more" if count > MOST_LISTED else ""
             word = "pause" if count == 1 else "pauses"
             yield f"{count} {word}: {', '.join(self._pauses)}{more}; tracks end there"
 

@@ -17,7 +17,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.geometry import PoseTable
-from sonarrec.stretches import MOST_TOLD, stretch_numbers
+from sonarrec.stretches import MOST_LISTED, stretch_numbers
 from sonarrec.tables.read import Kind, Table, read_table
 
 # Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
@@ -207,7 +207,7 @@ def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) 
     begins = np.diff(stretch_numbers(frame, times), prepend=0).astype(bool) & ~by_poses
     first = np.flatnonzero(begins)
     if len(first):
-        at = ", ".join(map(str, frame[first][:MOST_TOLD])) + " ..." * (len(first) > MOST_TOLD)
+        at = ", ".join(map(str, frame[first][:MOST_LISTED])) + " ..." * (len(first) > MOST_LISTED)
         diagnostics.note(
             f"{folder}: the motion over {number_of(len(first), 'pause')} is not known; each begins "
             f"a path with axes of its own, at frame {at}"
