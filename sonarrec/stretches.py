@@ -113,9 +113,10 @@ class Breaks:
             do = "give truth by frame" if other is None else f"try `run --time {other}`"
             yield f"{self._jump}was the clock set?); truth and poses by time fit one side: {do}"
         span_ns = self._before[1] - self._first_ns + self._stretches.longest_ns
-        if self._count == {True: 1, False: 0} and abs(span_ns - HOUR_NS) <= NEAR_NS:
+        alone = self._count[True] == 1 and not self._count[False]
+        if alone and abs(span_ns - HOUR_NS) <= NEAR_NS:
             yield (
-                f"times fill 1 h but for a pause, as where a clock is set back by 1 h; then frames "
+                f"times fill 1 h but for a pause, as if the clock was set back by 1 h; then frames "
                 f"from {self._paused_at} on came first: name the images by a counter"
             )
 
