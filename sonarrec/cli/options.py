@@ -92,6 +92,18 @@ def frames(text: str) -> Decorator:
     return in_input("--frames", metavar="A:B", callback=_span, help=help_text)
 
 
+def _spans(_: click.Context, __: click.Parameter, text: str | None) -> Any:
+    from sonarrec.results.run_file import frame_spans
+
+    return None if text is None else frame_spans(text)
+
+
+def frame_list(text: str) -> Decorator:
+    """--frames A:B,C:D,N, as spans. text: what is done with these frames."""
+    help_text = f"{text} From A up to, not including, B; N is one frame."
+    return in_input("--frames", metavar="A:B,N,...", callback=_spans, help=help_text)
+
+
 topic = in_input("--topic", help="Image channel of an MCAP or bag that has several.")
 _SONAR_FILE = in_input(
     "--sonar sonar_file",

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import finish, progress
-from sonarrec.cli.groups import ANY, command, file_names
-from sonarrec.errors import number_of
+from sonarrec.cli.groups import ANY, command, file_names, in_input
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
+
+if TYPE_CHECKING:
+    from sonarrec.evaluation.mistakes import Mistake
+    from sonarrec.overlays.overlay import Span
+
+Target = tuple[Path, Path | None, Sequence["Mistake"]]
+"""A log or its results, its truth, and the mistakes that are to be seen."""
 
 
 @command(short_help="Draw results onto the frames of their log.")
 @click.argument("log", shell_complete=file_names)
-@click.argument("results", type=ANY, default=Path("sonarrec_out"))
+@click.argument("results", type=ANY, required=False)
 @options.reading()
 @options.landmarks
 @options.ground_truth("gt.csv, drawn dashed.")
@@ -26,24 +34,34 @@ from sonarrec.errors import number_of
     required=True,
 )
 @options.method
-@options.frames("Draw the frames from A up to, not including, B, in place of those of the run.")
+@options.frame_list("Draw these frames, in place of those of the run.")
+@in_input(
+    "--mistakes",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Draw the worst frame of each of the N longest mistakes, with the truth, as `evaluate` "
+    "finds both.",
+)
 @options.quiet
 def overlay(
     log: str,
-    results: Path,
+    results: Path | None,
     reading: dict[str, Any],
     landmarks: str | None,
     ground_truth: Path | None,
     out: Path,
     method: str | None,
-    frames: tuple[int, int | None] | None,
+    frames: list[Span] | None,
+    mistakes: int | None,
     quiet: bool,
 ) -> None:
     """Draw RESULTS onto the frames of LOG: outlines, IDs, probabilities, trails.
 
     RESULTS is the folder that `sonarrec run LOG` wrote, or one that holds it (default:
-    sonarrec_out). An object is outlined in the colour of its ID if the ID is declared, else in thin
-    grey. Videos and images show the probabilities of each ID below the frame.
+    sonarrec_out). RESULTS alone, in place of LOG, finds the log by its run.toml; if it holds
+    several logs, each gets its folder of images in OUT. An object is outlined in the colour of its
+    ID if the ID is declared, else in thin grey. Videos and images show the probabilities of each ID
+    below the frame.
 
     Open NAME.mcap in Foxglove together with LOG, and show /sonarrec/annotations in the Image panel;
     for polar or flipped logs, folders and videos it also has the fan images, /sonarrec/fan.
@@ -54,21 +72,81 @@ def overlay(
     Examples:
       sonarrec overlay sample_data/pan.mcap -o overlay.mcap
       sonarrec overlay pings/ -o pings.mp4 --ground-truth gt.csv
-      sonarrec overlay log.mcap results/log -o shots --frames 100:120 --method smi
+      sonarrec overlay log.mcap results/log -o shots --frames 60:90,188 --method smi
+      sonarrec overlay sonarrec_out -o shots --mistakes 10
     """
     from sonarrec.overlays import overlay as overlays
 
-    with progress(quiet) as step:
-        report = overlays.overlay(
-            log,
-            out,
-            results=results,
-            method=method,
-            frames=frames,
-            ground_truth=ground_truth,
-            landmarks=landmarks,
-            **reading,
-            observe=step,
+    if mistakes is not None and frames is not None:
+        raise UsageError("--mistakes chooses the frames; leave out --frames")
+    folders = [] if results else overlays.results_in(Path(log))
+    several, told, lines, faults = len(folders) > 1, Diagnostics(), list[str](), list[str]()
+    if several and out.suffix.lower() in overlays.KINDS:
+        raise UsageError(
+            f"{log}: results of {number_of(len(folders), 'log')}, which do not go into one file; "
+            "give those of one, or a folder as -o"
         )
-    line = f"{out}: {number_of(report.frames, 'frame')}, {report.method}"
-    finish(quiet, [line], report.diagnostics.problems, report.diagnostics.notes)
+    targets: list[Target] = [(one, ground_truth, ()) for one in folders or [Path(log)]]
+    if mistakes is not None:
+        place = Path(log) if folders else overlays.find_both(Path(log), results)[1]
+        found = _worst(place, ground_truth, method, landmarks, reading, mistakes, told)
+        targets = [(one if folders else Path(log), of, wrong) for one, of, wrong in found]
+    with progress(quiet) as step:
+        for one, truth, wrong in targets:
+            place = out / one.name if several else out
+            try:
+                report = overlays.overlay(
+                    one,
+                    place,
+                    results=results,
+                    method=method,
+                    frames=[(m.worst_frame, m.worst_frame + 1) for m in wrong] or frames,
+                    ground_truth=truth,
+                    landmarks=landmarks,
+                    **reading,
+                    observe=step,
+                )
+            except SonarrecError as error:
+                if not several:
+                    raise
+                faults.append(f"{error}; not drawn")
+                continue
+            told.problem(*report.diagnostics.problems)
+            told.note(*report.diagnostics.notes)
+            lines.append(f"{place}: {number_of(report.frames, 'frame')}, {report.method}")
+            lines += [f"  frame {m.worst_frame}: {m.in_words}; {m.span}" for m in wrong]
+    told.problem(*faults)
+    finish(quiet, lines or ["no mistake, so nothing is drawn"], told.problems, told.notes)
+
+
+def _worst(
+    results: Path,
+    truth: Path | None,
+    method: str | None,
+    landmarks: str | None,
+    reading: dict[str, Any],
+    most: int,
+    told: Diagnostics,
+) -> list[Target]:
+    """The longest mistakes of a method, at most `most` in all: (results, truth, mistakes) of each
+    log that has one."""
+    from sonarrec.evaluation.evaluate import evaluate_logs
+    from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.sonar import load_sonar
+
+    file = reading["sonar_file"]
+    found = evaluate_logs(
+        results,
+        truth,
+        ScoringOptions(
+            landmarks=landmarks,
+            sonar=load_sonar(file) if file else None,
+            methods=(method,) if method else (),
+        ),
+    )
+    told.problem(*found.unused)
+    first = found.counts.methods[0]
+    wrong = [m for m in found.counts.mistakes if m.method == first and not m.at_start][:most]
+    logs = zip(found.folders, found.truths, found.counts.logs, strict=True)
+    targets = [(f, t, [m for m in wrong if m.log == log]) for f, t, log in logs]
+    return [target for target in targets if target[-1]]

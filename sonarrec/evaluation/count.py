@@ -5,6 +5,7 @@ Scores have six digits, so the histogram of the scores holds every point of a RO
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +20,9 @@ from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.curves import Count, Curve, counted, curve_of
 from sonarrec.evaluation.match import PROTOCOLS, Judged, Matched, distance, judge, truth_beneath
+from sonarrec.evaluation.mistakes import KINDS, Mistake, find_mistakes
 from sonarrec.evaluation.passes import Passes, UnitKind, find_passes
+from sonarrec.records import follows
 from sonarrec.results.columns import chosen
 
 Key = tuple[str | int, ...]
@@ -132,6 +135,7 @@ class LogCounts:
     placed: bool
     """Whether positions are known wherever the strict protocol needs them."""
     frames: int
+    first_frame: int
     positives: int
     """How many truths count as positives under protocol strict."""
     ignored: int
@@ -149,20 +153,27 @@ class LogCounts:
     values: dict[Key, Rows]
     """("claims", protocol, method, k): scores with the effects of claims of the k-th ID.
     ("position" or "orientation", method, k): errors."""
+    mistakes: dict[Key, npt.NDArray[Any]]
+    """(n,) mistakes.ROWS, by protocol and method."""
 
 
 def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
-    """Count one log. rates_only: leave out errors and calibration."""
+    """Count one log. rates_only: leave out errors, calibration and mistakes."""
     passes = find_passes(log)
+    beneath = truth_beneath(log) if log.placed and not rates_only else None
     groups = passes.unit_of_frame, passes.unit_of_truth
     sums: dict[Key, npt.NDArray[Any]] = {}
     outcomes: dict[Key, npt.NDArray[Any]] = {}
     values: dict[Key, Rows] = {}
+    mistakes: dict[Key, npt.NDArray[Any]] = {}
     for protocol in PROTOCOLS if log.placed else PROTOCOLS[:1]:
         for method in (NOBODY, *log.methods):
             judged = judge(log, method, protocol)
             sums["declared", protocol, method] = judged.declared(*groups, passes.units)
             outcomes[protocol, method] = _outcomes(judged, passes)
+            if not rates_only:
+                of = beneath if protocol == "strict" else None
+                mistakes[protocol, method] = find_mistakes(log, judged, of)
             if method == NOBODY:
                 continue
             group = judged.group(*groups)
@@ -173,8 +184,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
             if protocol == "strict" and not rates_only:
                 for (name, k), found in _errors(judged, log, passes.unit_of_truth).items():
                     values[name, method, k] = found
-    if log.placed and not rates_only:
-        beneath = truth_beneath(log)
+    if beneath is not None:
         for m, method in enumerate(log.methods):
             if (stated := calibration(log, beneath, passes, m)) is not None:
                 sums["calibration", method] = stated
@@ -188,6 +198,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         methods=log.methods,
         placed=log.placed,
         frames=len(log.frame),
+        first_frame=int(log.frame[0]),
         positives=int(log.truth_positive.sum()),
         ignored=int((~log.truth_positive).sum()),
         gates=(float(log.gate_m),) if len(log.truth_positive) else (),
@@ -196,6 +207,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         outcomes=outcomes,
         sums=sums,
         values=values,
+        mistakes=mistakes,
     )
 
 
@@ -331,14 +343,8 @@ class Counts:
         """The sums. folders: of the logs; where several have one name it is their names.
 
         methods: those wanted; all if none is named.
-        Raises SonarrecError if IDs differ, or if none has a method.
+        Raises SonarrecError if none has a method.
         """
-        for part in self.parts:
-            if set(part.ids) != set(self.parts[0].ids):
-                raise SonarrecError(
-                    f"logs {self.parts[0].name} and {part.name} were run with different landmark "
-                    "IDs and cannot be pooled; evaluate them one by one, or give --landmarks"
-                )
         many = Counter(part.name for part in self.parts)
         self.logs = tuple(
             part.name if many[part.name] == 1 else str(folder)
@@ -389,6 +395,25 @@ class Counts:
         """(P,) OUTCOME of a method in each pass of `passes`."""
         found = [_of(part.outcomes, protocol, method) for part in self.parts]
         return np.concatenate([of for of in found if of is not None])
+
+    @cached_property
+    def mistakes(self) -> list[Mistake]:
+        """All that is wrong under the stricter protocol, made in the most frames first, then with
+        the highest score."""
+        protocol = self.protocols[-1]
+        found = [
+            Mistake(
+                *(self.logs[n], method, KINDS[kind], self.ids[k]),
+                *(None if other < 0 else self.ids[other], first, last, *rest),
+                protocol=protocol,
+                at_start=int(follows(method) and first == last == part.first_frame),
+            )
+            for method in self.methods
+            for n, part in enumerate(self.parts)
+            if (rows := _of(part.mistakes, protocol, method)) is not None
+            for kind, k, other, first, last, *rest in rows.tolist()
+        ]
+        return sorted(found, key=lambda m: (-m.frames, math.isnan(m.score), -m.score))
 
     @cached_property
     def units(self) -> Units:

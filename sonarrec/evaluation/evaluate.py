@@ -6,8 +6,8 @@ Each log is read, matched and counted by itself, so that memory does not grow wi
 from __future__ import annotations
 
 import warnings
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -40,12 +40,14 @@ from sonarrec.results.read import (
     recording,
     rows_of,
 )
-from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import Breaks
 from sonarrec.truth.check import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
+
+MOST_IDS = 6
+"""That a line names."""
 
 
 class LogToScore(NamedTuple):
@@ -70,6 +72,8 @@ class LogScore:
     rows: tuple[int, int, int, int]
     """Of the truth: all, those about this log, of them unprocessed and between; see Truth."""
     frames: int
+    ids: tuple[int, ...]
+    """Of its landmark set, in the order in which they are counted."""
     fault: str | None
     """Why the truth does not fit the log; None if it does."""
     notes: list[str]
@@ -79,10 +83,14 @@ class LogScore:
     """Of each of its results; empty if the truth does not fit, or once they are added up."""
 
 
-def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) -> LogScore:
+Orders = dict[frozenset[int], tuple[int, ...]]
+"""The IDs of each landmark set, in the order of the first log that has them."""
+
+
+def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogScore:
     """Read, match and count one log, old and new results on their common frames.
 
-    ids: as of `match`. Raises SonarrecError if its results or its truth cannot be read.
+    orders: its own is added. Raises SonarrecError if its results or its truth cannot be read.
     """
     told, unused = Diagnostics(), list[str]()
     table = _truth_table(log.ground_truth)
@@ -119,6 +127,7 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
         has_log_column=table.log is not None,
         rows=(len(table.at), truth.rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
+        ids=orders.setdefault(frozenset(last.landmarks.ids), last.landmarks.ids),
         fault=misfit(table, last, truth),
         notes=told.notes,
         unused=unused,
@@ -126,7 +135,9 @@ def score_log(log: LogToScore, options: ScoringOptions, ids: tuple[int, ...]) ->
     )
     if score.fault is None:
         for side, of_side in zip(sides, truths, strict=True):
-            matched = match(side, of_side, options.min_visible, ids, within_m=options.within_m)
+            matched = match(
+                side, of_side, options.min_visible, score.ids, within_m=options.within_m
+            )
             score.counts.append(count_log(matched, rates_only=len(sides) > 1))
         score.unused[:0] = doubts(table, last, truth, matched)
     return score
@@ -186,7 +197,8 @@ def score_logs(
 
     action: what is done with the logs, such as "scored". one_truth_of: what one truth is for, where
     it is given for all logs. Returns the logs that can be scored, the counts of their results, old
-    and new, on the same frames and passes, and the names of all logs.
+    and new, on the same frames and passes, and the names of all logs. Logs of different landmark
+    sets do not add up: those of the set that most have are scored.
     Raises SonarrecError if no log can be scored.
     """
     read: list[LogScore] = []
@@ -194,23 +206,21 @@ def score_logs(
     unread: list[tuple[str, SonarrecError]] = []  # the others can be scored
     copies = Diagnostics()
     once = CountedOnce(action, copies)
-    sides = [Counts() for _ in logs[0].results]
-    ids: tuple[int, ...] = ()  # of the first log whose run.toml can be read: all follow its order
-    for log in logs:
-        with suppress(SonarrecError):
-            ids = read_run(log.results[-1] / "run.toml").landmark_set(options.landmarks).ids
-            break
+    orders: Orders = {}
+    sides_of = defaultdict[tuple[int, ...], list[Counts]](
+        lambda: [Counts() for _ in logs[0].results]
+    )
     _truth_table.cache_clear()  # the files may have changed since the last call
     for log in logs:
         try:
-            score = score_log(log, options, ids)
+            score = score_log(log, options, orders)
         except SonarrecError as error:
             unread.append((log.name, error))
             continue
         read.append(score)
         if once.add(score.log.results[-1], score.recording):
             kept.append(score)
-            for counts, of_log in zip(sides, score.counts, strict=False):
+            for counts, of_log in zip(sides_of[score.ids], score.counts, strict=False):
                 counts.add(of_log)
         score.counts = []
     if not read:
@@ -229,7 +239,11 @@ def score_logs(
     # A log without a row counts as empty, but only if others have rows.
     if len(scored) < len(kept) and not any(score.rows[1] for score in scored):
         raise SonarrecError(next(str(score.fault) for score in kept if score.fault is not None))
+    ids = Counter(score.ids for score in scored).most_common(1)[0][0]
+    others = [score for score in scored if score.ids != ids]
+    scored, sides = [score for score in scored if score.ids == ids], sides_of[ids]
     told.problem(*(line for score in scored for line in score.unused))
+    told.problem(*_other_sets(others, ids, len(scored), action))
     told.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
     told.problem(*(f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None))
     told.problem(*copies.problems)
@@ -242,6 +256,24 @@ def score_logs(
     for score, name in zip(scored, sides[0].logs, strict=True):
         tell_rows(told, name, score.rows[1], score.rows[3])
     return scored, sides, names
+
+
+def _other_sets(
+    others: Sequence[LogScore], ids: tuple[int, ...], scored: int, action: str
+) -> Iterator[str]:
+    """A line for each landmark set but that of most logs. ids: of the logs that count."""
+    for own in dict.fromkeys(score.ids for score in others):
+        first, *rest = (score.log for score in others if score.ids == own)
+        more = f" and {number_of(len(rest), 'more log')}" if rest else ""
+        yield (
+            f"{first.results[-1]}{more}: landmark IDs {_listed(own)}, where the "
+            f"{number_of(scored, 'log')} {action} have {_listed(ids)}; these do not add up, so not "
+            f"{action}"
+        )
+
+
+def _listed(ids: Sequence[int]) -> str:
+    return ", ".join(map(str, ids[:MOST_IDS])) + ", ..." * (len(ids) > MOST_IDS)
 
 
 def evaluate(
@@ -314,6 +346,7 @@ def evaluate_logs(
         summary=summary,
         min_visible=options.min_visible,
         folders=tuple(score.log.results[-1] for score in scored),
+        truths=tuple(score.log.ground_truth for score in scored),
         notes=(*map(printable, told.notes), *summary.notes),
         unused=tuple(map(printable, told.problems)),
     )

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Hashable, Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from sonarrec.errors import (
     Diagnostics,
-    MissingError,
     SonarrecError,
     UsageError,
-    is_url,
-    name_from_text,
     number_of,
 )
-from sonarrec.readers.open import Source, find_log, log_name
+from sonarrec.readers.open import log_name
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
+from sonarrec.runs.recorded import recorded_at
 from sonarrec.tables.read import read_header, read_table
 from sonarrec.truth.table import HEADER, TRUTH_FILE
 
@@ -121,44 +118,6 @@ def _truth_beside(folder: Path, source: Input) -> Path:
         name = f"{log_name(found.place)}.{TRUTH_FILE}"
         raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")
     return truth
-
-
-def recorded_at(folder: Path, source: Input) -> Source:
-    """The log that results were made from. Raises SonarrecError if it is not there, or replaced."""
-    if source.path is None:
-        raise SonarrecError("run.toml does not say where the log is")
-    if is_url(source.path):
-        raise SonarrecError(f"its log is on a server, {source.path}")
-    found = _log_at(source.path, folder, source.place)
-    if source.bytes not in (None, size := _size(found)):
-        raise SonarrecError(
-            f"{found.path} has changed since the run (it had {source.bytes} bytes and has {size}), "
-            "so what lies beside it may not be its truth"
-        )
-    return found
-
-
-def _log_at(path: str, folder: Path, place: str | None) -> Source:
-    """The log at the path in run.toml, else at the place relative to the results folder.
-
-    In both, bytes that are not UTF-8 are escaped. Raises MissingError if there is no log.
-    """
-    places = [path, name_from_text(path)]
-    if place is not None:  # the path is relative to the folder that `run` was called in
-        places.append(str((folder.resolve() / name_from_text(place)).resolve()))
-    for candidate in places:
-        with suppress(MissingError):
-            return find_log(candidate)
-    return find_log(path)
-
-
-def _size(log: Source) -> int:
-    """Bytes, counted as in run.toml (`readers.log.digest_of`)."""
-    total = 0
-    for file in log.files:
-        with suppress(OSError):  # the run reported it
-            total += file.stat().st_size
-    return total
 
 
 def pair_up(old: Path, new: Path, told: Diagnostics) -> list[tuple[Path, Path]]:

@@ -16,6 +16,7 @@ from sonarrec.evaluation.count import Counts, Scored
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.figures import Summary
 from sonarrec.evaluation.match import PAPER_MIN_VISIBLE
+from sonarrec.evaluation.mistakes import Mistake
 from sonarrec.tables.outputs import (
     check_no_recording,
     check_output,
@@ -37,6 +38,7 @@ HEADERS = {
     "passes": (
         *("log", "landmark", "first_frame", "last_frame", "protocol", "method", "frames", "right"),
     ),
+    "mistakes": Mistake._fields,
 }
 """Columns of each table, which is also a CSV file of that name."""
 
@@ -50,6 +52,8 @@ class Evaluation:
     min_visible: float
     folders: tuple[Path, ...]
     """Results folder of each log, as given."""
+    truths: tuple[Path, ...]
+    """The truth of each log."""
     notes: tuple[str, ...]
     """What is remarkable, a line each."""
     unused: tuple[str, ...]
@@ -85,6 +89,11 @@ class Evaluation:
     def passes(self) -> pd.DataFrame:
         """How each method did in each pass of a landmark."""
         return self._table("passes")
+
+    @property
+    def mistakes(self) -> pd.DataFrame:
+        """What each method got wrong over neighbouring frames, the longest first."""
+        return self._table("mistakes")
 
     def _table(self, name: str) -> pd.DataFrame:
         return pd.DataFrame(_ROWS[name](self), columns=list(HEADERS[name]))
@@ -143,7 +152,14 @@ def _passes(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
             yield counts.logs[log], counts.ids[k], first, last, s.protocol, s.method, *outcome
 
 
-_ROWS = {"confusion": _confusion, "roc": _roc, "figures": _figures, "passes": _passes}
+def _mistakes(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
+    return evaluation.counts.mistakes
+
+
+_ROWS = {
+    **{"confusion": _confusion, "roc": _roc, "figures": _figures},
+    **{"passes": _passes, "mistakes": _mistakes},
+}
 
 
 def write_evaluation(folder: Path, evaluation: Evaluation) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -30,11 +30,13 @@ from sonarrec.results.folders import part_of, possible_names
 from sonarrec.results.read import (
     check_same_log,
     choose_method,
+    find_logs,
     read_estimates,
     read_frames,
     read_log,
 )
 from sonarrec.results.run_file import LogOptions, frame_span, read_run, span_text
+from sonarrec.runs.recorded import recorded_at
 from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.stretches import Stretches
 from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_output, replaced, writing
@@ -42,6 +44,8 @@ from sonarrec.truth.check import misfit, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
 
+Span = tuple[int, int | None]
+"""The first frame and one past the last, None for the log's end."""
 KINDS: dict[str, Kind] = {".mcap": "overlay", ".mp4": "video"}
 """By how the output's name ends; else it is a folder of pictures."""
 
@@ -62,9 +66,9 @@ def overlay(
     log: str | Path,
     out: str | Path,
     *,
-    results: str | Path = "sonarrec_out",
+    results: str | Path | None = None,
     method: str | None = None,
-    frames: tuple[int, int | None] | None = None,
+    frames: Span | Sequence[Span] | None = None,
     ground_truth: str | Path | None = None,
     landmarks: str | None = None,
     sonar: Sonar | Mapping[str, Any] | None = None,
@@ -74,33 +78,30 @@ def overlay(
 ) -> OverlayReport:
     """Draw the results of one log onto its frames, in one pass.
 
-    out: what to write, by its ending: NAME.mcap is annotations for Foxglove, NAME.mp4 a video,
-    anything else a folder of PNGs. results: the folder of this log's results, or one that holds
-    it. method: None: the framework. frames: (first, one past the last; None: to the end); None:
-    those of the run. landmarks, sonar, sonar_file, topic: replace what run.toml says. observe:
-    called after every frame with the number of frames, or None if unknown.
+    log: or the results of one, whose run.toml says where the log is. out: what to write, by its
+    ending: NAME.mcap is annotations for Foxglove, NAME.mp4 a video, anything else a folder of PNGs.
+    results: the folder of this log's results, or one that holds it; None: sonarrec_out. method:
+    None: the framework. frames: (first, one past the last; None: to the end), or several such;
+    None: those of the run. landmarks, sonar, sonar_file, topic: replace what run.toml says.
+    observe: called after every frame with the number of frames, or None if unknown.
     Raises SonarrecError if something cannot be used or the results are of another log, UsageError
     for an invalid option.
     """
-    path, out = Path(log), Path(local(out))
+    source, folder = find_both(Path(log), None if results is None else Path(results))
+    path, out = source.path, Path(local(out))
     truth_file = None if ground_truth is None else Path(local(ground_truth))
     kind = KINDS.get(out.suffix.lower(), "picture")
     if kind == "picture" and out.is_dir():  # then it is checked picture by picture
         check_output(out / "000000.png", kind, [path])
     else:
         check_output(out, kind, [path, truth_file])
-    if (path / "frames.csv").is_file():
-        raise UsageError(f"{path}: holds results; give their log: sonarrec overlay LOG {path}")
-    source = find_log(path)
-    folder = _results_folder(path, source, Path(results))
     run = read_run(folder / "run.toml")
     landmark_set = run.landmark_set(landmarks)
     log_options = run.complete(
         LogOptions(sonar_from(sonar), Path(sonar_file) if sonar_file else None, topic),
         same_log=source.reader.has_topics,  # else a topic in run.toml is another log's
     )
-    # By its text, as of --frames: what that could not state is refused.
-    begin, end = frame_span(span_text(frames)) if frames else run.span() or (0, None)
+    spans = _spans(frames) or [run.span() or (0, None)]
     method, told = choose_method(folder / "estimates.csv", method), Diagnostics()
     with open_log(source, **log_options.arguments()) as recording, ExitStack() as stack:
         check_same_log(recording, folder, run)
@@ -117,8 +118,9 @@ def overlay(
         begins, stretch = Stretches().begins, 0
         write: WriteFrame | None = None
         index, of_index, written = -1, tuple[Estimate, ...](), 0
+        empty = {*spans}
         for frame in chain([first], rest):
-            if end is not None and frame.index >= end:
+            if all(end is not None and frame.index >= end for _, end in spans):
                 break
             while index < frame.index:  # both come in rising order
                 index, of_index = next(rows, (sys.maxsize, ()))
@@ -128,7 +130,10 @@ def overlay(
             history.append(Moment(frame.index, frame.timestamp_ns, estimates, stretch))
             if observe:
                 observe(recording.frame_count)
-            if frame.index >= begin:
+            if hits := {
+                (a, b) for a, b in spans if a <= frame.index and (not b or frame.index < b)
+            }:
+                empty -= hits
                 if write is None:  # an older overlay stays if there is nothing to write
                     write = stack.enter_context(
                         _opened(out, kind, recording, first, landmark_set, folder)
@@ -136,10 +141,12 @@ def overlay(
                 write(frame, history, truth.get(frame.index, ()))
                 written += 1
         told.problem(*recording.diagnostics.problems)
-    if write is None:
-        raise UsageError(
-            f"{path}: no frame lies in --frames {begin}:{end or ''}{recording.why_none()}"
-        )
+    if empty:
+        without = ",".join(span_text(span) for span in spans if span in empty)
+        line = f"{path}: no frame lies in --frames {without}{recording.why_none()}"
+        if write is None:
+            raise UsageError(line)
+        told.problem(line)
     if topic and run.input.topic not in (None, topic):
         told.note(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
     return OverlayReport(method, written, told)
@@ -164,17 +171,45 @@ def _opened(
     )
 
 
-def _results_folder(path: Path, source: Source, results: Path) -> Path:
-    """The folder of the log's results, else of what a stopped run left.
+def _spans(frames: Span | Sequence[Span] | None) -> list[Span]:
+    """By their texts, as of --frames: what that could not state is refused."""
+    several = [] if frames is None else [frames] if isinstance(frames[0], int) else [*frames]
+    return [frame_span(span_text(span)) for span in several]  # type: ignore[arg-type]
 
-    source: the log at `path`. Raises MissingError if there is none.
+
+def results_in(path: Path) -> list[Path]:
+    """The folders of the results in a folder, each of one log; none if the path is a log."""
+    if (path / "frames.csv").is_file():
+        return [path]
+    for find in (find_log, find_logs):
+        with suppress(SonarrecError):
+            found = find(path)
+            return found if isinstance(found, list) else []
+    return []
+
+
+def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
+    """A log and the folder of its results, else of what a stopped run left.
+
+    path: of either. results: the folder, or one that holds it. Raises MissingError if one of them
+    is not found, UsageError for results of both.
     """
+    if (path / "frames.csv").is_file():
+        if results is not None:
+            raise UsageError(f"{path} and {results}: both hold results; leave one out")
+        try:
+            return recorded_at(path, read_run(path / "run.toml").input), path
+        except SonarrecError as error:
+            raise MissingError(
+                f"{path}: its log is not found ({error}); give both: sonarrec overlay LOG {path}"
+            ) from None
+    source, results = find_log(path), results or Path("sonarrec_out")
     # A run of several logs of one name put the names of their folders in front.
     names = possible_names(source.name, source.place.resolve())
     for place in (results, *(results / name for name in names)):
         for folder in (place, part_of(place)):
             if (folder / "frames.csv").is_file():
-                return folder
+                return source, folder
     raise MissingError(
         f"{results}: no results of {path} here (no frames.csv, nor {source.name}/frames.csv); "
         f"`sonarrec run {path}` writes them"

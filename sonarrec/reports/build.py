@@ -12,7 +12,7 @@ from typing import Any
 from sonarrec.errors import Diagnostics, SonarrecError, local, number_of
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.match import ScoringOptions, scoring_options
-from sonarrec.evaluation.pairs import Pair, find_truths_beside, recorded_at
+from sonarrec.evaluation.pairs import Pair, find_truths_beside
 from sonarrec.evaluation.screen import protocols
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
@@ -31,6 +31,7 @@ from sonarrec.reports.logs import (
 from sonarrec.reports.page import MOST_MISTAKES, render
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.results.run_file import read_run
+from sonarrec.runs.recorded import recorded_at
 from sonarrec.sonar import Sonar
 from sonarrec.tables.outputs import check_output, write_page
 from sonarrec.truth.table import read_truth

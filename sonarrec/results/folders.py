@@ -26,7 +26,7 @@ PAGES: dict[str, Kind] = {"report.html": "report"}
 MADE = {
     "evaluation": (
         *("confusion.csv", "roc.csv", "figures.csv", "tests.csv", "passes.csv", "roc.png"),
-        *("compare.csv", "changes.csv", "compare.json", "evaluation.json"),
+        *("mistakes.csv", "compare.csv", "changes.csv", "compare.json", "evaluation.json"),
     ),
     "map": ("passes.csv", "map.png", "map.geojson", "map.csv"),
 }

@@ -196,6 +196,13 @@ def frame_span(text: str) -> tuple[int, int | None]:
     return first, end
 
 
+def frame_spans(text: str) -> list[tuple[int, int | None]]:
+    """The spans of "A:B,C:D,N", where N is one frame. Raises as `frame_span`."""
+    single = re.compile(r"[0-9]{1,18}")
+    parts = text.split(",")
+    return [frame_span(f"{p}:{int(p) + 1}" if single.fullmatch(p) else p) for p in parts]
+
+
 def span_text(span: tuple[int, int | None]) -> str:
     """The text that `frame_span` reads."""
     return f"{span[0]}:{'' if span[1] is None else span[1]}"
