@@ -98,21 +98,26 @@ def check(
         if new_place.is_relative_to(old_place) or old_place.is_relative_to(new_place):
             raise UsageError(f"{folder}: {one.record} has the results on record; write elsewhere")
         logs, partial = _run(_jobs(one, logs, settings, folder), logs, jobs, quiet, update)
-        worse: Sequence[str] = ()
+        worse = list[str]()
         try:
-            compared = _compare(one, logs, one.record, folder)
+            of_set = _compare(one, logs, one.record, folder)
         except SonarrecError as error:
             if not update:
                 again = f"`sonarrec check {file} --update` records the results anew"
                 raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
-            unused = _compare(one, logs, folder, folder).unused  # raises if no truth can be used
+            new_alone = _compare(one, logs, folder, folder)  # raises if no truth can be used
+            unused = [line for compared in new_alone.values() for line in compared.unused]
             tell(unused)
             partial = partial or bool(unused)
         else:
-            judged = _judge(one, compared, limits)
-            _print(judged, compared, out, quiet)
-            partial = partial or bool(compared.unused or (new and not update))
-            worse = () if update else judged.faults
+            for name, compared in of_set.items():
+                judged, place = _judge(one, compared, limits), out and out / "evaluation"
+                if len(of_set) > 1:
+                    place = place and place / name
+                    say(*[f"landmarks {name}"] * (not quiet))
+                _print(judged, compared, place, quiet)
+                partial = partial or bool(compared.unused or (new and not update))
+                worse += [] if update else judged.faults
         if update:
             _update(one, logs, folder, quiet)
     if code := WORSE if worse else PARTLY if partial else 0:
@@ -179,15 +184,17 @@ def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> 
         )
 
 
-def _compare(one: Check, logs: Sequence[LogToRun], old: Path, folder: Path) -> Comparison:
-    """Compare the new results with old ones."""
-    from sonarrec.evaluation.compare import compare
+def _compare(
+    one: Check, logs: Sequence[LogToRun], old: Path, folder: Path
+) -> dict[str, Comparison]:
+    """Compare the new results with old ones, those of each landmark set by themselves."""
+    from sonarrec.evaluation.compare import compare_sets
     from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.evaluation.pairs import Pair
 
     pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
     scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)
-    return compare(old, folder, pairs, scoring)
+    return compare_sets(old, folder, pairs, scoring)
 
 
 def _judge(one: Check, compared: Comparison, limits: Limits) -> Judgement:
@@ -203,16 +210,16 @@ def _judge(one: Check, compared: Comparison, limits: Limits) -> Judgement:
 
 
 def _print(judged: Judgement, compared: Comparison, out: Path | None, quiet: bool) -> None:
-    """Print the judgement and, if the results are kept, write the comparison's files."""
+    """Print the judgement and, if the results are kept, write the comparison's files into `out`."""
     from sonarrec.evaluation.compare import screen, write_comparison
 
     tell(compared.unused)
-    files = () if out is None else write_comparison(out / "evaluation", compared)
+    files = () if out is None else write_comparison(out, compared)
     if quiet:
         tell([judged.sentence] if judged.faults else [])
         return
     click.echo(screen(compared, judged))
     lines = [f"note: {note}" for note in compared.notes]
-    lines += [] if out is None else [f"{out / 'evaluation'}: {', '.join(files)}"]
+    lines += [] if out is None else [f"{out}: {', '.join(files)}"]
     if lines:
         say(*lines)

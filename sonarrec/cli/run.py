@@ -195,6 +195,7 @@ def run_and_print(
     from sonarrec.runs.run import run_jobs
 
     several, frames = len(jobs) > 1, 0
+    goes_by: dict[str, list[str]] = {}  # the logs of each line, told once
     folders = [] if is_url(out) else [Path(out, job.name) for job in jobs]
     # A bar over the logs, or over the frames of the only one.
     bar = (len(jobs), None, "log") if several else (None, jobs[0].name, "frame")
@@ -213,18 +214,26 @@ def run_and_print(
             with above_the_bar():
                 if not isinstance(event, str):
                     _print_faults(event, jobs[i or 0], several)
-                elif not (quiet or briefly):
-                    inform(event if i is None else f"{jobs[i].name}: {event}")
+                elif i is None and not (quiet or briefly):
+                    inform(event)
+                elif i is not None:
+                    same = goes_by.setdefault(_without_path(event, jobs[i]), [])
+                    same.append(jobs[i].name)
+                    if not (same[1:] or quiet or briefly):
+                        inform(f"{jobs[i].name}: {event}")
 
         done = run_jobs(jobs, out, watch, **calling)
-    (error, *others) = (outcome.error for outcome in done.outcomes)
-    failed = [j.path for j, o in zip(jobs, done.outcomes, strict=True) if o.status == "failed"]
+    failed = [(j.path, o) for j, o in zip(jobs, done.outcomes, strict=True) if o.error is not None]
     if done.fault and not failed:
         tell([done.fault])  # else the disk is full, which was reported
-    if error is not None and not others:
+    if not several and (error := done.outcomes[0].error) is not None:
         raise error
     if briefly:
         return done
+    for first, *others in goes_by.values() if not quiet else ():
+        if others:
+            logs = others[0] if not others[1:] else f"{len(others)} more logs"
+            inform(f"{logs}: as {first}")
     if not several and not quiet:
         say(*found_in(done.outcomes[0], jobs[0].results))
     elif not quiet:
@@ -234,10 +243,12 @@ def run_and_print(
         line = ", ".join(f"{counts[how]} {how}" for how in HOW if counts[how])
         if failed:
             more = "; logs.csv lists them" if len(failed) > MOST_FAILED else ""
-            line += more or f": {', '.join(failed)}"
+            line += more or f": {', '.join(path for path, _ in failed)}"
         elif "/" in (folder := jobs[0].results):
             line += f", in {folder.rpartition('/')[0]}"
         click.echo(printable(line), err=bool(failed))
+    if several and not quiet:  # again, for they were told before the table
+        tell(outcome.message for _, outcome in failed[:MOST_FAILED])
     tell((), [*_notes(jobs, done.outcomes), *done.notes])
     return done
 
@@ -294,14 +305,19 @@ def stoppable(folders: Sequence[Path]) -> Iterator[None]:
 
 def _notes(jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> Iterator[str]:
     """Those of a single log as they are; of several each once, with the logs it is on."""
-    named: dict[str, list[str]] = {}
+    named: dict[str, list[tuple[str, str]]] = {}
     for job, outcome in zip(jobs, outcomes, strict=True):
         for note in outcome.notes:
             text = note.removeprefix(f"{job.path}: ") if len(jobs) > 1 else note
-            named.setdefault(text, []).append(job.name)
-    for text, (first, *others) in named.items():
+            named.setdefault(_without_path(text, job), []).append((job.name, text))
+    for (first, text), *others in named.values():
         more = f" and {number_of(len(others), 'more log')}" if others else ""
         yield f"{first}{more}: {text}" if len(jobs) > 1 else text
+
+
+def _without_path(text: str, job: Job) -> str:
+    """A line on a log without the log's path, so that equal lines on several are equal."""
+    return text.replace(str(Path(job.path).with_suffix("")), "")
 
 
 def _table(jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> Iterator[str]:

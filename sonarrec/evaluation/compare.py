@@ -27,6 +27,7 @@ from sonarrec.evaluation.write import write_table
 from sonarrec.records import follows
 from sonarrec.results.columns import chosen
 from sonarrec.results.folders import log_of
+from sonarrec.results.run_file import read_run
 from sonarrec.tables.outputs import check_no_recording, check_tables, writing
 
 FRAMES_FREE = 2
@@ -231,6 +232,42 @@ def compare(
     ground_truth = read_pairs(Path(pairs)) if pairs else ground_truth
     logs = _logs(pair_up(old, new, told), ground_truth, told)
     one_truth_of = new if isinstance(ground_truth, Path) else None
+    return _compared((old, new), logs, options, told, one_truth_of)
+
+
+def compare_sets(
+    old: Path, new: Path, pairs: Sequence[Pair], options: ScoringOptions
+) -> dict[str, Comparison]:
+    """As `compare`, with the logs of each landmark set by themselves; by the name of the set.
+
+    Raises SonarrecError as `compare`, if those of any set cannot be compared.
+    """
+    options.check()
+    told = Diagnostics()
+    logs_of: dict[frozenset[int], list[LogToScore]] = {}
+    name_of: dict[frozenset[int], str] = {}
+    for log in _logs(pair_up(old, new, told), pairs, told):
+        landmarks = read_run(log.results[-1] / "run.toml").landmark_set(options.landmarks)
+        ids = frozenset(landmarks.ids)
+        logs_of.setdefault(ids, []).append(log)
+        taken = landmarks.name in name_of.values()
+        name_of.setdefault(ids, f"{landmarks.name}-{len(logs_of)}" if taken else landmarks.name)
+    found = {}
+    for ids, logs in logs_of.items():
+        found[name_of[ids]] = _compared((old, new), logs, options, told)
+        told = Diagnostics()  # what is on all logs is told with the first
+    return found
+
+
+def _compared(
+    sides: tuple[Path, Path],
+    logs: Sequence[LogToScore],
+    options: ScoringOptions,
+    told: Diagnostics,
+    one_truth_of: Path | None = None,
+) -> Comparison:
+    """The comparison of logs, old and new. sides: their folders, for messages."""
+    old, new = sides
     _, (before, after), _ = score_logs(logs, options, "compared", told, one_truth_of)
     both = [m for m in after.methods if m in before.methods]
     methods = chosen({*before.methods, *after.methods}, options.methods, ", ".join(after.logs))

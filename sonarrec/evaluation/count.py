@@ -402,11 +402,12 @@ class Counts:
         the highest score."""
         protocol = self.protocols[-1]
         found = [
-            Mistake(
-                *(self.logs[n], method, KINDS[kind], self.ids[k]),
-                *(None if other < 0 else self.ids[other], first, last, *rest),
-                protocol=protocol,
-                at_start=int(follows(method) and first == last == part.first_frame),
+            Mistake._make(
+                (
+                    *(self.logs[n], method, KINDS[kind], self.ids[k]),
+                    *(None if other < 0 else self.ids[other], first, last, *rest, protocol),
+                    int(follows(method) and first == last == part.first_frame),
+                )
             )
             for method in self.methods
             for n, part in enumerate(self.parts)
