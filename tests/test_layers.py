@@ -29,7 +29,7 @@ FLOORS = (
 )
 """The rooms from the ground up. A room imports from floors below its own; of its own, itself."""
 PARTS = (
-    *("evaluation.match", "evaluation.passes", "evaluation.curves"),
+    *("evaluation.match", "evaluation.mistakes", "evaluation.passes", "evaluation.curves"),
     *("evaluation.count", "evaluation.uncertainty", "evaluation.figures"),
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
@@ -68,7 +68,6 @@ MAY_IMPORT = {
     "pandas": (
         "tables.read",
         "results.read",
-        "reports.logs",
         "evaluation.write",
         "evaluation.compare",
         "mapping.write",

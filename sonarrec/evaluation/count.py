@@ -406,7 +406,7 @@ class Counts:
                 (
                     *(self.logs[n], method, KINDS[kind], self.ids[k]),
                     *(None if other < 0 else self.ids[other], first, last, *rest, protocol),
-                    int(follows(method) and first == last == part.first_frame),
+                    int(kind == 1 and follows(method) and first == last == part.first_frame),
                 )
             )
             for method in self.methods

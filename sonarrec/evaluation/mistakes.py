@@ -49,7 +49,8 @@ class Mistake(NamedTuple):
     protocol: str
     """By which it is one: strict, or paper if strict is not scored."""
     at_start: int
-    """1 if it is made only in the log's first frame, in which no method with tracks declares."""
+    """1 if a method with tracks, which looks at one in two frames before it declares it, missed
+    only the log's first frame."""
 
     @property
     def span(self) -> str:

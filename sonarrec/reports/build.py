@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import Diagnostics, SonarrecError, local, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, local, number_of
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.match import ScoringOptions, scoring_options
-from sonarrec.evaluation.pairs import Pair, find_truths_beside
-from sonarrec.evaluation.screen import protocols
+from sonarrec.evaluation.pairs import find_truths_beside
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
 from sonarrec.reports.frames import Picture, Shown, open_recording
 from sonarrec.reports.logs import (
-    MOST_LOGS,
-    Episode,
     JudgedSighting,
     LogToShow,
     ReportedLog,
-    episodes,
-    in_words,
     judged_sightings,
     read_logs,
 )
+from sonarrec.reports.overview import SharedMistake, all_logs, shared, worst_first
 from sonarrec.reports.page import MOST_MISTAKES, render
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.results.run_file import read_run
@@ -74,74 +71,113 @@ def report(
     options = options or scoring_options(**scoring)
     path, folders = Path(local(out or Path(results) / "report.html")), find_logs(Path(results))
     truth_file = None if ground_truth is None else Path(local(ground_truth))
-    recordings = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
-    recordings = recordings or [*_recorded(folders)]
-    check_output(path, "report", [truth_file, *recordings])
-    rows: list[Pair] = []
-    with suppress(SonarrecError):  # there is none, or not one for each
-        rows = find_truths_beside(folders, Diagnostics()) if truth_file is None else []
-    evaluation, to_show = None, [LogToShow(folder) for folder in folders]
-    if truth_file is not None or len(rows) == len(folders):
-        evaluation = evaluate_logs(rows or results, truth_file, options)
-        to_show = _scored_logs(evaluation, rows, truth_file)
+    given = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
+    check_output(path, "report", [truth_file, *given])
+    told, left_out = Diagnostics(), dict[Path, str]()
+    evaluation = _evaluate(Path(results), folders, truth_file, options, told, left_out)
+    to_show = _of_one_set(folders, evaluation, options, told, left_out)
     reported, unread = read_logs(to_show, options)
-    mistakes = {} if evaluation is None else _mistakes(reported, evaluation)
+    mistakes = {} if evaluation is None else _mistakes(evaluation, reported[0].tracker)
     sonar = options.sonar or Sonar()
-    pictures, shown, missing = _draw_all(reported, mistakes, recordings, sonar, topic)
-    incomplete = (line for log in reported for line in not_whole(log.results, "shown"))
-    unused = (*(incomplete if evaluation is None else evaluation.unused), *unread, *missing)
-    truth = truth_file or (rows[0].ground_truth if evaluation else None)
-    in_all = len(evaluation.folders if evaluation else folders)
-    write_page(path, render(reported, evaluation, mistakes, truth, pictures, shown, unused, in_all))
+    pictures, shown, missing = _draw_all(reported, mistakes, (given, folders), sonar, topic)
+    if evaluation is None:
+        told.problem(*(line for log in reported for line in not_whole(log.results, "shown")))
+    unused = (*told.problems, *unread, *missing)
+    rows = all_logs(Path(results), folders, evaluation, left_out)
+    page = render(reported, evaluation, mistakes, truth_file, pictures, shown, unused, rows)
+    write_page(path, page)
     return Report(path, len(pictures), sum(len(log["frames"]) for log in shown), unused)
 
 
-def _recorded(folders: Iterable[Path]) -> Iterator[Path]:
-    """The logs that results were made from, those that are there."""
-    for folder in folders:
-        with suppress(SonarrecError):
-            yield Path(recorded_at(folder, read_run(folder / "run.toml").input).path)
+def _evaluate(
+    results: Path,
+    folders: Sequence[Path],
+    truth_file: Path | None,
+    options: ScoringOptions,
+    told: Diagnostics,
+    left_out: dict[Path, str],
+) -> Evaluation | None:
+    """The scores of the logs that have a truth; None if there is none. left_out: gets the others.
+
+    truth_file: that of all logs; None: those beside them.
+    """
+    if truth_file is None:
+        try:
+            pairs = find_truths_beside(folders, told)
+        except UsageError:  # no log has one
+            return None
+        except SonarrecError as error:  # such as one beside several logs that names none of them
+            told.problem(f"{error}; nothing is scored")
+            return None
+        left_out |= dict.fromkeys({*folders} - {pair.results for pair in pairs}, "no ground truth")
+        evaluation = evaluate_logs(pairs, None, options)
+    else:
+        evaluation = evaluate_logs(results, truth_file, options)
+    told.problem(*evaluation.unused)
+    return evaluation
 
 
-def _scored_logs(
-    evaluation: Evaluation, rows: Sequence[Pair], truth_file: Path | None
+def _of_one_set(
+    folders: Sequence[Path],
+    evaluation: Evaluation | None,
+    options: ScoringOptions,
+    told: Diagnostics,
+    left_out: dict[Path, str],
 ) -> list[LogToShow]:
-    """The first logs of an evaluation, which has distinct names, each recording once, and no log
-    that cannot be read. rows: its pairs, or truth_file: the truth of all logs."""
-    truth, to_show = cache(read_truth), list[LogToShow]()
-    pair_of = {row.results: row for row in rows}
-    for folder, name in [*zip(evaluation.folders, evaluation.counts.logs, strict=True)][:MOST_LOGS]:
-        pair = pair_of.get(folder) or Pair(folder, truth_file or folder)
-        to_show.append(LogToShow(folder, truth(pair.ground_truth), pair.log, name))
-    return to_show
+    """The logs of one landmark set, that of the evaluation or of most logs: scored ones first, the
+    worst of them first. left_out: gets the others."""
+    ids: dict[Path, frozenset[int]] = {}
+    for folder in folders:
+        with suppress(SonarrecError):  # told where its tables are read
+            landmarks = read_run(folder / "run.toml").landmark_set(options.landmarks)
+            ids[folder] = frozenset(landmarks.ids)
+    scored: Sequence[Path] = () if evaluation is None else evaluation.folders
+    of_page = Counter(ids[f] for f in scored or folders if f in ids).most_common(1)
+    others = [f for f in folders if f in ids and ids[f] != of_page[0][0]]
+    for folder in others:
+        left_out[folder] = "another landmark set"
+        if evaluation is None:
+            told.problem(f"{folder}: another landmark set than that of most logs; not shown")
+    to_show = []
+    if evaluation is not None:
+        truth = cache(read_truth)
+        for n in worst_first(evaluation.counts):
+            name, gt = evaluation.counts.logs[n], evaluation.truths[n]
+            to_show.append(LogToShow(scored[n], truth(gt), evaluation.counts.parts[n].name, name))
+    return [*to_show, *(LogToShow(f) for f in folders if f not in {*scored, *others})]
 
 
-def _mistakes(logs: Sequence[ReportedLog], evaluation: Evaluation) -> dict[str, list[Episode]]:
-    """The mistakes in some logs by each method that any of them has."""
-    matched = [log.matched for log in logs if log.matched is not None]
-    return {
-        method: episodes(matched, method, protocols(evaluation.counts)[0])
-        for method in evaluation.counts.methods
-        if any(method in log.methods for log in matched)
-    }
+def _mistakes(evaluation: Evaluation, first: str) -> dict[str, list[SharedMistake]]:
+    """The mistakes of each method. first: the method that comes first."""
+    logs = len(evaluation.folders)
+    methods = sorted(evaluation.counts.methods, key=lambda method: method != first)
+    return {method: shared(evaluation.counts.mistakes, method, logs) for method in methods}
 
 
 def _draw_all(
     logs: Sequence[ReportedLog],
-    mistakes: Mapping[str, Sequence[Episode]],
-    recordings: Sequence[Path],
+    mistakes: Mapping[str, Sequence[SharedMistake]],
+    recordings: tuple[Sequence[Path], Sequence[Path]],
     sonar: Sonar,
     topic: str | None,
 ) -> tuple[list[Picture], list[Shown], list[str]]:
-    """Pictures and frames of the recordings given; a line for each recording not found."""
-    sources, missing = frames.match_recordings(logs, recordings)
+    """Pictures and frames of the logs' recordings; a line for each that was given and not found.
+
+    recordings: those given, else they are looked for where they were; and the results of all logs,
+    also of those without panels.
+    """
+    given, folders = recordings
+    sources, missing = (
+        frames.match_recordings(logs, given, folders) if given else (_where(logs), [])
+    )
     recorded = [log for log in logs if log.name in sources]
     passes = [s for log in recorded for s in judged_sightings(log)]
     pictures = [*_of_sightings(passes)]
     for method, of_method in mistakes.items():
-        for e in [e for e in of_method if e.log in sources][:MOST_MISTAKEN]:
-            wrong = f"{in_words(e)}."
-            pictures.append(Picture(e.log, method, e.worst, "mistake", "", wrong))
+        surest = [of.shown(sources) for of in of_method]
+        for m in [m for m in surest if m.log in sources and not m.at_start][:MOST_MISTAKEN]:
+            wrong = f"{m.in_words}."
+            pictures.append(Picture(m.log, method, m.worst_frame, "mistake", "", wrong))
     held = frames.choose(recorded, _named_frames(passes, mistakes, pictures))
     most_bytes = frames.MOST_BYTES // max(1, sum(map(len, held.values())))  # for each frame
     shown = []
@@ -152,16 +188,25 @@ def _draw_all(
     return pictures, shown, missing
 
 
+def _where(logs: Sequence[ReportedLog]) -> dict[str, Path]:
+    """The recordings that results were made from, those that are there, by the log's name."""
+    found = {}
+    for log in logs:
+        with suppress(SonarrecError):
+            found[log.name] = Path(recorded_at(log.folder, log.results.run.input).path)
+    return found
+
+
 def _named_frames(
     passes: Sequence[JudgedSighting],
-    mistakes: Mapping[str, Sequence[Episode]],
+    mistakes: Mapping[str, Sequence[SharedMistake]],
     pictures: Sequence[Picture],
 ) -> Iterator[tuple[str, int]]:
     """(log, frame) of all frames that the page names, the most interesting first."""
     yield from ((picture.log, picture.frame) for picture in pictures)
     yield from ((s.log.name, s.log.frame_of(s.surest)) for s in passes)
     for of_method in mistakes.values():
-        yield from ((e.log, e.worst) for e in of_method[:MOST_MISTAKES])
+        yield from ((m.log, m.worst_frame) for of in of_method[:MOST_MISTAKES] for m in of.of)
     for s in passes:
         yield s.log.name, s.sighting.first_frame
         yield s.log.name, s.sighting.last_frame

@@ -77,30 +77,30 @@ def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None
 
 
 def match_recordings(
-    logs: Sequence[ReportedLog], paths: Sequence[Path]
+    logs: Sequence[ReportedLog], paths: Sequence[Path], folders: Sequence[Path]
 ) -> tuple[dict[str, Path], list[str]]:
     """The recording of each log, by the log's name, and a line for each that was not found.
 
     paths: recordings, or folders with recordings; of one log alone the recording may have any name.
-    Whether it is that log is checked when it is read. Raises UsageError for a path that is and
-    holds no recording of these logs.
+    Whether it is that log is checked when it is read. folders: of the results of all logs, also of
+    those that are not shown. Raises UsageError for a path that is and holds no recording of these.
     """
     sources: dict[str, Path] = {}
-    folders = []
+    searched = []
     for path in paths:
         inside, own = _inside(path), _possible_names(path)
         found = {log.name: inside[name] for log in logs for name in _names(log) if name in inside}
         if not found:
             named = [log for log in logs if log.name in own]
             named = named or [log for log in logs if own & {*_names(log)}]
-            found = {log.name: path for log in named or ([] if inside or logs[1:] else logs)}
-        if not found:
+            found = {log.name: path for log in named or ([] if inside or folders[1:] else logs)}
+        if not found and not {*own, *inside} & {name_as_text(f.resolve().name) for f in folders}:
             listed = ", ".join(log.name for log in logs)
             raise UsageError(f"--log {path}: neither one of these logs nor holds any: {listed}")
-        folders += [str(path)] if inside else []
+        searched += [str(path)] if inside else []
         sources = found | sources
-    unfound = [log.name for log in logs if folders and log.name not in sources]
-    where = ", ".join(folders)
+    unfound = [log.name for log in logs if searched and log.name not in sources]
+    where = ", ".join(searched)
     lines = [
         f"--log {where}: no log of the name {n} in it; the page has no frames of it"
         for n in unfound

@@ -1,19 +1,18 @@
-"""One log's results for the page: sightings, tracks, mistakes, and the truth near estimates."""
+"""One log's results for the page: sightings, tracks, and the truth near estimates."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.match import Matched, ScoringOptions, judge, match, truth_beneath
+from sonarrec.evaluation.match import Matched, ScoringOptions, match, truth_beneath
 from sonarrec.records import follows
 from sonarrec.results.columns import chosen, leading
 from sonarrec.results.folders import log_of
@@ -22,7 +21,6 @@ from sonarrec.results.sightings import Sighting, read_sightings
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable
 
-GAP = 4  # an episode of mistakes may have gaps of so many frames: neighbouring ones are alike
 MOST_LOGS = 8  # logs with panels of their own: each adds some 40 kB to the page
 
 
@@ -163,12 +161,6 @@ def read_logs(
         logs.append(ReportedLog(one.folder, results, tracker, matched, passes))
     if not logs:
         raise unread[0][1]
-    for log in logs:
-        if log.ids != logs[0].ids:
-            raise SonarrecError(
-                f"logs {logs[0].name} and {log.name} were run with different landmark IDs; "
-                "report them one by one, or give --landmarks"
-            )
     chosen(there, options.methods, logs[0].folder)  # raises for one that no log has
     return logs, [f"{error}; {name} is not shown" for name, error in unread]
 
@@ -279,130 +271,3 @@ def true_landmark(log: ReportedLog, track: Track) -> int | None:
     beneath = log.truth_near[track.estimates]
     beneath = beneath[beneath >= 0]
     return log.ids[int(np.bincount(beneath).argmax())] if len(beneath) else None
-
-
-# Mistakes
-
-
-class Episode(NamedTuple):
-    """One mistake over neighbouring frames, as one method made it.
-
-    kind: "claim" (a false claim) or "miss" (in view and not declared). landmark: the ID claimed or
-    missed. first, last, worst: frame numbers. times: mistakes in it. wrongness: of the worst frame,
-    0 to 1; of a claim its score, of a miss 1 - the best score that the method gave that ID in that
-    frame. which: of its log's, that claim, or the truth that was missed.
-    """
-
-    protocol: str
-    method: str
-    kind: str
-    landmark: int
-    matched: Matched
-    first: int
-    last: int
-    worst: int
-    times: int
-    wrongness: float
-    which: int
-
-    @property
-    def log(self) -> str:
-        """The log's name."""
-        return self.matched.name
-
-
-def episodes(logs: Sequence[Matched], method: str, protocol: str) -> list[Episode]:
-    """A method's mistakes at its operating point, as a protocol that was scored counts them.
-
-    The worst first: wrongness summed over the episode. The counts of all episodes add up to the
-    FP and FN of the method's table.
-    """
-    found = [_mistakes(log, method, protocol).assign(log=n) for n, log in enumerate(logs)]
-    wrong = pd.concat(found, ignore_index=True)
-    wrong = wrong.sort_values(["kind", "k", "log", "at"], kind="stable")
-    gap = wrong.groupby(["kind", "k", "log"], sort=False)["at"].diff()
-    wrong["episode"] = (~(gap <= GAP + 1)).cumsum()  # the first one of a group has no gap
-    grouped = wrong.groupby("episode").agg(
-        first=("frame", "min"),
-        last=("frame", "max"),
-        times=("at", "size"),
-        sum=("wrongness", "sum"),
-    )
-    worst = wrong.sort_values("wrongness", ascending=False, kind="stable")
-    worst = worst.drop_duplicates("episode").set_index("episode")
-    ordered = grouped.join(worst).sort_values("sum", ascending=False, kind="stable")
-    return [
-        Episode(
-            protocol=protocol,
-            method=method,
-            kind=row.kind,
-            landmark=row.landmark,
-            matched=logs[row.log],
-            first=row.first,
-            last=row.last,
-            worst=row.frame,
-            times=row.times,
-            wrongness=float(row.wrongness),
-            which=row.which,
-        )
-        for row in ordered.itertuples()
-    ]
-
-
-def _mistakes(log: Matched, method: str, protocol: str) -> pd.DataFrame:
-    """A row per false claim, then per landmark in view that was not claimed.
-
-    which, at, k: indices into Matched's claims or truths, its frames and its IDs.
-    """
-    judged = judge(log, method, protocol)
-    false = judged.declared_claim[judged.declared_effect[:, 2] > 0]
-    missed = judged.positive[~judged.positive_is_claimed]
-    best = np.zeros((len(log.frame), len(log.ids)))
-    mine = _of_method(log, method)
-    cell = log.claim_frame_index[mine], log.claim_landmark_index[mine]
-    np.maximum.at(best, cell, log.score[mine])
-    at, k = log.truth_frame_index[missed], log.truth_landmark_index[missed]
-    rows = pd.DataFrame(
-        {
-            "kind": np.repeat(["claim", "miss"], [len(false), len(missed)]),
-            "which": np.append(judged.claim[false], missed),
-            "at": np.append(judged.frame_index[false], at),
-            "k": np.append(judged.landmark_index[false], k),
-            "wrongness": np.append(judged.score[false], 1 - best[at, k]),
-        }
-    )
-    return rows.assign(frame=log.frame[rows["at"]], landmark=np.take(log.ids, rows["k"]))
-
-
-def in_words(episode: Episode) -> str:
-    """A sentence on the worst frame of an episode."""
-    log = episode.matched
-    beneath = truth_beneath(log)
-    if episode.kind == "claim":
-        sentence = f"ID.{episode.landmark} declared ({episode.wrongness:.2f})"
-        if episode.protocol == "paper":
-            return f"{sentence} while it is not in view"
-        truth = beneath[episode.which]
-        if truth < 0:
-            return f"{sentence} where no landmark lies"
-        landmark = log.ids[log.truth_landmark_index[truth]]
-        if landmark == episode.landmark:
-            return f"{sentence} a second time on the same landmark"
-        return f"{sentence} on what is ID.{landmark}"
-    sentence = f"ID.{episode.landmark} in view and not declared"
-    if episode.protocol == "paper":
-        return sentence
-    claims = np.flatnonzero(_of_method(log, episode.method) & (beneath == episode.which))
-    if not len(claims):
-        return f"{sentence}: nothing found there"
-    best = claims[np.argmax(log.score[claims])]
-    guess = "called" if log.declared[best] else "best guess"
-    return (
-        f"{sentence}: {guess} ID.{log.ids[log.claim_landmark_index[best]]} ({log.score[best]:.2f})"
-    )
-
-
-def _of_method(log: Matched, method: str) -> BoolArray:
-    """(N,) which claims are the method's."""
-    index = log.methods.index(method) if method in log.methods else -1
-    return np.asarray(log.method_index == index)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from heapq import nlargest
 from importlib.resources import files
 from itertools import groupby
@@ -27,47 +27,50 @@ from sonarrec.records import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts
 from sonarrec.reports.frames import Picture, Shown
 from sonarrec.reports.logs import (
-    Episode,
     ReportedLog,
     Track,
-    in_words,
     judged_sightings,
     tracks,
     true_landmark,
 )
+from sonarrec.reports.overview import LogRow, SharedMistake
 from sonarrec.results.run_file import RunFile, flat
 from sonarrec.results.sightings import PASS_GAP, Sighting
 
 MOST_TRACKS = 12
 MOST_SIGHTINGS = 40
 MOST_MISTAKES = 20
-MOST_RATES = 40  # logs with a row of rates
+MOST_ROWS = 200  # of the table of all logs
+ROWS_OPEN = 25  # of them; the others are folded
 MOST_LINES = 20  # notes, and lines on what could not be used
 
 
+TRACKS = "Probability over time, per track"
 View = dict[str, Any]  # values of the template that belong together, by name
 
 
 def render(
     logs: Sequence[ReportedLog],
     evaluation: Evaluation | None,
-    wrong: Mapping[str, Sequence[Episode]],
+    wrong: Mapping[str, Sequence[SharedMistake]],
     truth: Path | None,
     pictures: Sequence[Picture],
     shown: Sequence[Shown],
     unused: Sequence[str],
-    logs_in_all: int,
+    rows: Sequence[LogRow],
 ) -> str:
     """The whole page as HTML.
 
-    logs: those with panels. evaluation: of all logs; it and truth are None without ground truth.
-    wrong: the mistakes of each method. pictures, shown: of the recordings. unused: a line for each
-    part of the input that could not be used. logs_in_all: also those without panels.
+    logs: those with panels. evaluation: of all logs; None without ground truth. truth: that of all
+    logs, if one file was given. wrong: the mistakes of each method. pictures, shown: of the
+    recordings. unused: a line for each part of the input that could not be used. rows: of all logs.
     """
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
     methods = evaluation.counts.methods if evaluation else logs[0].results.methods
-    scores = None if evaluation is None else _scores(logs, evaluation, wrong)
+    held = {log["name"]: n for n, log in enumerate(shown)}
+    scores = None if evaluation is None else _scores(evaluation, wrong, held)
+    several = len(rows) > 1
     # That of `sonarrec map` lies in the folder of one log's results, or in that of all.
     homes = {log.results.run.path.parents[len(logs) > 1] for log in logs}
     drawn, map_picture = min(homes) / "map" / "map.png", None
@@ -75,16 +78,23 @@ def render(
         map_picture = f"data:image/png;base64,{b64encode(drawn.read_bytes()).decode()}"
     names = ", ".join(log.name for log in logs[:3]) + (", ..." if logs[3:] else "")
     colours = landmark_colours(landmarks.ids).values()
-    seen = {"seen": "What was seen, when and with what score"}
-    rates = {"rates": "Rates at the operating point"} if scores else {}
-    contents = {
-        # The page of one log begins with what was seen, that of several with the rates.
-        **(rates | seen if logs_in_all > 1 else seen | rates),
-        "sightings": "Sightings",
-        **({"tables": "The paper's tables"} if scores else {}),
+    rated = {
+        "tables": "The paper's tables",
         **({"figures": "Figures and tests"} if scores and scores["others"] else {}),
-        **({"curves": "Curves", "mistakes": "Mistakes, the worst first"} if scores else {}),
-        "tracks": "Probability over time, per track",
+        "curves": "Curves",
+    }
+    mistakes = {"mistakes": "Mistakes, the longest first"}
+    contents = {
+        # The page of one log begins with what was seen, that of several with all logs.
+        **({"logs": "All logs" + ", the worst first" * bool(scores)} if several else {}),
+        **({} if several else {"seen": "What was seen, when and with what score"}),
+        **({"rates": "Rates at the operating point"} if scores else {}),
+        **(mistakes if scores and several else {}),
+        **({"panels": "Log by log"} if several else {}),
+        "sightings": "The surest sightings" if several else "Sightings",
+        **(rated if scores else {}),
+        **(mistakes if scores and not several else {}),
+        **({} if several else {"tracks": TRACKS}),
         **({"map": "Map"} if map_picture else {}),
         "settings": "Settings",
     }
@@ -101,8 +111,16 @@ def render(
         number=lambda value, digits: f"{value:,.{digits}f}",
         time_of_day=time_text,
         version=VERSION,
-        title=f"{logs_in_all} logs" if logs_in_all > len(logs) else names,
+        title=f"{len(rows)} logs" if len(rows) > len(logs) else names,
         contents=contents,
+        several=several,
+        rows=rows[:MOST_ROWS],
+        rows_left=len(rows) - len(rows[:MOST_ROWS]),
+        rows_open=ROWS_OPEN,
+        most_members=ROWS_OPEN,
+        scored=len(evaluation.folders) if evaluation else 0,
+        panels={log.folder: n for n, log in enumerate(logs)},
+        tracks_title=TRACKS,
         pass_gap=PASS_GAP,
         landmarks=landmarks,
         methods=methods,
@@ -114,14 +132,14 @@ def render(
         line_styles=charts.STYLES,
         logs=[_log_view(log, most_tracks) for log in logs],
         tracker=logs[0].tracker,
-        truth=None if truth is None else printable(truth.name),
+        truth=_truth_text(evaluation, truth),
         evaluation=evaluation,
         scores=scores,
         unused=_first(unused),
-        logs_in_all=logs_in_all,
+        logs_in_all=len(rows),
         counts=evaluation and evaluation.counts,
         pictures=pictures,
-        held={log["name"]: n for n, log in enumerate(shown)},
+        held=held,
         shown=shown,
         shown_json=frames.replace("<", "\\u003c"),  # safe inside a script element
         script=script,  # the page allows it by its hash
@@ -136,27 +154,30 @@ def _first(lines: Sequence[str]) -> list[str]:
     return [*lines[:MOST_LINES], *more]
 
 
-def _scores(
-    logs: Sequence[ReportedLog], evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]
-) -> View:
-    """What is known with ground truth.
+def _truth_text(evaluation: Evaluation | None, given: Path | None) -> str:
+    """What was scored against."""
+    if evaluation is None:
+        return ""
+    files = {given} if given else {*evaluation.truths}
+    return printable(files.pop().name) if len(files) == 1 else "the ground truth beside each"
 
-    rates, rates_per_log, others (figures), differences: from `screen`. units: such as "12 passes".
+
+def _scores(
+    evaluation: Evaluation, wrong: Mapping[str, Sequence[SharedMistake]], held: Container[str]
+) -> View:
+    """What is known with ground truth. held: logs of which frames can be shown.
+
+    rates, others (figures), differences: from `screen`. units: such as "12 passes".
     over: the part of captions on intervals. tested: labels of the figures in differences. starred:
     whether a table has a 0/0. curves: per protocol.
     """
     counts, summary = evaluation.counts, evaluation.summary
     methods, protocols = counts.methods, screen.protocols(counts)
-    per_log = screen.rates_per_log(counts)
-    if len(per_log) > MOST_RATES:
-        most_mistakes = sorted(per_log, key=lambda row: -sum(r.missed + r.false for r in row[1]))
-        per_log = most_mistakes[:MOST_RATES]
     others = [name for name in BY_NAME if name not in screen.HEADLINE]
     tables = [screen.paper_table(s, thousands=",") for s in counts.scored]
     return {
         "protocols": protocols,
         "rates": screen.rates(counts, summary),
-        "rates_per_log": per_log,
         "units": units_text(summary.units),
         "over": over_units(summary),
         "others": screen.figures(summary, protocols[0], methods, others),
@@ -168,7 +189,7 @@ def _scores(
         "curves": [
             (p, charts.roc([s for s in counts.scored if s.protocol == p])) for p in protocols
         ],
-        "mistakes": list(_mistakes(logs[0].tracker, counts, wrong)),
+        "mistakes": list(_mistakes(counts, wrong, held)),
     }
 
 
@@ -260,16 +281,16 @@ def _track_view(log: ReportedLog, track: Track) -> View:
     }
 
 
-def _mistakes(first: str, counts: Counts, wrong: Mapping[str, Sequence[Episode]]) -> Iterator[View]:
-    """Each method's episodes, the worst first. first: the method that comes first."""
-    for method in sorted(counts.methods, key=lambda m: m != first):
-        episodes = wrong.get(method, [])  # the method may be in other logs only
-        worst = episodes[:MOST_MISTAKES]
+def _mistakes(
+    counts: Counts, wrong: Mapping[str, Sequence[SharedMistake]], held: Container[str]
+) -> Iterator[View]:
+    """Each method's mistakes, the longest first. held: logs of which frames can be shown."""
+    for method, mistakes in wrong.items():
         yield {
             "method": method,
             "count": counts.scored_by(method, screen.protocols(counts)[0]).count(),
-            "shown": [(e, in_words(e), _span(e.first, e.last)) for e in worst],
-            "left": len(episodes) - len(worst),
+            "shown": [(of, of.shown(held)) for of in mistakes[:MOST_MISTAKES]],
+            "left": len(mistakes[MOST_MISTAKES:]),
         }
 
 

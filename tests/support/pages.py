@@ -10,6 +10,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sonarrec.evaluation.match import ScoringOptions
 from sonarrec.reports.logs import LogToShow, ReportedLog, read_logs
 from sonarrec.sonar import Sonar
@@ -88,3 +90,24 @@ def without_log(results: Path, to: Path) -> None:
     run = (to / "run.toml").read_text(encoding="utf-8")
     run = re.sub(r"^(path|place) = .*", r'\1 = "gone"', run, flags=re.MULTILINE)
     (to / "run.toml").write_text(run, encoding="utf-8")
+
+
+def random_results(folder: Path) -> Path:
+    """Random results of two methods and random truth, with positions."""
+    rng, frames = np.random.default_rng(5), 120
+    places = rng.uniform((1.5, -10), (3.5, 10), (5, 2))
+    rows, truth = [], []
+    for n in range(frames):
+        for range_m, bearing in places[rng.random(5) < 0.5]:
+            near = (range_m + rng.normal(0, 0.05), bearing + rng.normal(0, 1))
+            truth.append(f"{n},{rng.integers(1, 5)},{range_m},{bearing},{rng.choice([0.5, 1])}")
+            for method in ("smi", "framework"):
+                s = round(rng.random(), 2)
+                rows.append(
+                    f"{n},{method},{rng.integers(100, 104)},{near[0]},{near[1]},.1,.2,.3,.2,.2,"
+                    f"{rng.integers(1, 5)},{s},{int(s > 0.4)}"
+                )
+    tables(folder, ((n, n * 250_000_000) for n in range(frames)), PLACED, rows)
+    lines = ["frame,landmark,range_m,bearing_deg,visible", *dict.fromkeys(truth), ""]
+    (folder / "gt.csv").write_text("\n".join(lines))
+    return folder

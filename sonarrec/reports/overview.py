@@ -1,0 +1,142 @@
+"""All logs of a report at a glance: their states and rates, and the mistakes that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from sonarrec.errors import SonarrecError
+from sonarrec.evaluation.count import Counts
+from sonarrec.evaluation.mistakes import Mistake
+from sonarrec.evaluation.screen import OperatingPoint, protocols, rates_per_log
+from sonarrec.evaluation.write import Evaluation
+from sonarrec.results.folders import log_of
+from sonarrec.results.run_file import csv_rows, read_run
+from sonarrec.runs.logs_table import NAME, Row, read_logs
+
+Points = Sequence[OperatingPoint]
+
+
+@dataclass(frozen=True, slots=True)
+class LogRow:
+    """A row of the table of all logs."""
+
+    name: str
+    folder: Path | None
+    """Of its results; None if there are none."""
+    state: str
+    """As in logs.csv, else by run.toml."""
+    frames: int
+    points: Points
+    """Of each method of the evaluation; empty if the log is not scored."""
+    note: str
+    """Why it failed or is not scored, or what of it could not be used."""
+
+
+def all_logs(
+    results: Path,
+    folders: Sequence[Path],
+    evaluation: Evaluation | None,
+    left_out: Mapping[Path, str],
+) -> list[LogRow]:
+    """The rows, the worst first: without results, then by TPR - FPR of the first method, then not
+    scored.
+
+    folders: those of results. left_out: why a log is not scored, where that is known.
+    """
+    told: dict[str, Row] = {}
+    with suppress(SonarrecError):  # a table of another program
+        told = {row.log: row for row in read_logs(results / NAME)}
+
+    def row(
+        folder: Path, frames: int, *, name: str = "", points: Points = (), note: str = ""
+    ) -> LogRow:
+        of = told.get(log_of(folder))
+        state, message = (of.status, of.message) if of else (_state(folder), "")
+        return LogRow(name or log_of(folder), folder, state, frames, points, note or message)
+
+    rows = [
+        LogRow(of.log, None, of.status, of.frames, (), of.message)
+        for of in told.values()
+        if of.log not in {log_of(folder) for folder in folders}
+    ]
+    scored: Sequence[Path] = ()
+    if evaluation is not None:
+        counts, scored = evaluation.counts, evaluation.folders
+        names, frames = rates_per_log(counts), [part.frames for part in counts.parts]
+        for n in worst_first(counts):
+            name, points = names[n]
+            rows.append(row(scored[n], frames[n], name=name, points=points))
+    for folder in folders:
+        if folder not in scored:
+            note = left_out.get(folder, "not scored" if evaluation else "")
+            rows.append(row(folder, _frames(folder), note=note))
+    return rows
+
+
+def worst_first(counts: Counts) -> list[int]:
+    """The logs of an evaluation by TPR - FPR of the first method; a rate of 0/0 is no loss."""
+    leading = counts.scored_by(counts.methods[0], protocols(counts)[0])
+    of_logs = [leading.count(log=n) for n in range(len(counts.logs))]
+    good = [np.nan_to_num(c.tpr, nan=1) - np.nan_to_num(c.fpr) for c in of_logs]
+    return [int(n) for n in np.argsort(good, kind="stable")]
+
+
+def _state(folder: Path) -> str:
+    with suppress(SonarrecError):
+        return "done" if read_run(folder / "run.toml").finished else "cut short"
+    return "unreadable"
+
+
+def _frames(folder: Path) -> int:
+    with suppress(OSError):
+        return csv_rows(folder / "frames.csv")
+    return 0
+
+
+class SharedMistake(NamedTuple):
+    """Mistakes of one method that are of the same kind and IDs, the longest first."""
+
+    of: list[Mistake]
+
+    def shown(self, logs: Container[str]) -> Mistake:
+        """The first in these logs; the first of all, if it is in none."""
+        return next((mistake for mistake in self.of if mistake.log in logs), self.of[0])
+
+    @property
+    def in_words(self) -> str:
+        """A sentence."""
+        if self.of[0].at_start:
+            return "In view in the log's first frame, in which no track is declared"
+        return self.of[0].in_words
+
+    @property
+    def logs(self) -> list[str]:
+        """Each log once, by name."""
+        return sorted({mistake.log for mistake in self.of})
+
+    @property
+    def frames(self) -> str:
+        """In how many frames, and where these are the same in all logs."""
+        spans = {mistake.span for mistake in self.of}
+        total = sum(mistake.frames for mistake in self.of)
+        return spans.pop() if len(spans) == 1 else f"{total} in all"
+
+
+def shared(mistakes: Iterable[Mistake], method: str, logs: int) -> list[SharedMistake]:
+    """A method's mistakes, of several logs those of the same kind and IDs as one, by their frames.
+
+    What no method with tracks can know, in the first frame of a log, is one, and the last.
+    """
+    found: dict[Hashable, list[Mistake]] = {}
+    for n, m in enumerate(mistakes):
+        if m.method == method:
+            what = (m.kind, m.landmark, m.other) if logs > 1 else n
+            found.setdefault("at start" if m.at_start else what, []).append(m)
+    together = [SharedMistake(of) for of in found.values()]
+    return sorted(together, key=lambda s: (s.of[0].at_start, -sum(m.frames for m in s.of)))
