@@ -10,6 +10,7 @@ import pytest
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.reports.build import report
 from sonarrec.reports.logs import MOST_LOGS
+from sonarrec.reports.page import ROWS_OPEN
 from tests.support.command import sonarrec
 from tests.support.made_up import make_logs
 from tests.support.pages import tables
@@ -35,8 +36,10 @@ def test_some_have_panels_the_figures_are_of_all_and_the_page_is_small(tmp_path:
     page, bare = tmp_path / "page.html", tmp_path / "bare.html"
     sonarrec("report", made / "out", "--ground-truth", gt, "-o", page)
     text = page.read_text(encoding="utf-8")
-    assert len(re.findall(r"<h3>(log\d{4})</h3>", section(text, "seen"))) == MOST_LOGS
-    assert section(text, "rates").count('<th scope="row" class="text">log') == 40
+    assert len(re.findall(r"<h3>(log\d{4})</h3>", section(text, "panels"))) == MOST_LOGS
+    listed = section(text, "logs").partition("<details>")
+    rows = [part.count('<tr><th scope="row" class="text">') for part in listed]
+    assert rows == [ROWS_OPEN, 0, MANY - ROWS_OPEN]
     count = evaluate_logs(made / "out", gt).counts.scored_by("framework", "strict").count()
     assert f"framework: {count.fp:,} false claims, {count.fn} missed" in section(text, "mistakes")
     sonarrec("report", made / "out", "-o", bare)
@@ -75,5 +78,6 @@ def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     report(out, page, ground_truth=tmp_path / "gt.csv")
     told = section(page.read_text(encoding="utf-8"), "mistakes")
     assert f"framework: {MOST_LOGS} false claims, 0 missed" in told
-    assert told.count("ID.2 declared (0.80) while it is not in view") == MOST_LOGS
+    assert told.count("ID.2 declared (0.80) while it is not in view") == 1
+    assert f"<summary>{MOST_LOGS} logs</summary>" in told
     assert "ID.1" not in told.partition("smi: ")[0]

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.evaluation import screen
+from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.match import PROTOCOLS
 from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
@@ -165,28 +166,34 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     sonarrec("report", root, "--ground-truth", tmp_path / "gt.csv", "--log", SAMPLE)
     page = Page(root / "report.html")
     assert "2 recorded sonar logs" in page.text
-    first, second = page.tables["Per log, protocol strict"][2:]
-    assert (first[0], second[0]) == ("first", "pan")
-    assert first[1:] == second[1:]
+    first, second = page.named["All logs"][2:]
+    assert (first[:3], second[:3]) == (["first", "done", "128"], ["pan", "done", "128"])
+    assert first[3:] == second[3:]
     found = evaluate(results, SAMPLE / "gt.csv").scored
-    counts = [s.count() for s in found if s.protocol == "strict"]
-    shown = [first[4 * n + 3 : 4 * n + 5] for n in range(len(counts))]
-    assert shown == [[str(c.fn), str(c.fp)] for c in counts]
+    leading, other = (s.count() for s in found if s.protocol == "strict")
+    assert first[3:7] == [*rates(leading), str(leading.fn), str(leading.fp)]
+    assert first[7:] == rates(other)
     assert [name for name, _ in page.elements].count("img") > 6
     other = sonarrec("report", root, "--log", tmp_path, code=2)
     assert "neither one of these logs nor holds any: first, pan" in other.stderr
 
 
-def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Path) -> None:
+def rates(count: Count) -> list[str]:
+    return [f"{count.tpr:.4f}", f"{count.fpr:.4f}"]
+
+
+def test_of_logs_of_different_landmark_sets_one_is_shown(results: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         without_log(results, tmp_path / name)
     run = tmp_path / "b" / "run.toml"
     run.write_text(run.read_text().replace("id = 2\n", "id = 7\n"))
     estimates = tmp_path / "b" / "estimates.csv"
     estimates.write_text(estimates.read_text().splitlines()[0] + "\n")
-    fault = sonarrec("report", tmp_path, code=1).stderr
-    assert fault.startswith("sonarrec: ")
-    assert "logs a and b were run with different landmark IDs" in fault
+    told = sonarrec("report", tmp_path, code=3).stderr
+    assert told.startswith(f"sonarrec: {tmp_path / 'b'}: another landmark set")
+    rows = Page(tmp_path / "report.html").named["All logs"]
+    assert [row[:3] for row in rows[1:3]] == [["a", "done", "128"], ["b", "done", "128"]]
+    assert rows[3] == ["another landmark set"]
 
 
 @pytest.mark.slow

@@ -22,12 +22,14 @@ PLACED = "frame,method,object,range_m,bearing_deg,p_1,p_2,p_3,p_4,p_none,landmar
 
 
 class Page(HTMLParser):
-    """Every element of a page with its attributes, and every table as rows of cells."""
+    """Every element of a page with its attributes, and every table as rows of cells: by its
+    caption, and by the label of the box around it."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.tables: dict[str, list[list[str]]] = {}
+        self.named: dict[str, list[list[str]]] = {}
         self.text = ""
         self._rows: list[list[str]] = []
         self._caption: str | None = None
@@ -37,6 +39,7 @@ class Page(HTMLParser):
         self.elements.append((tag, dict(attrs)))
         if tag == "table":
             self._rows = []
+            self.named[str(self.elements[-2][1].get("aria-label"))] = self._rows
         elif tag == "caption":
             self._caption = ""
         elif tag == "tr":

@@ -1,0 +1,176 @@
+"""The report, evaluate, overlay and check of many logs that exist, some of which make trouble."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.reports.logs import MOST_LOGS
+from tests.support.browser import look
+from tests.support.camp import BROKEN, OTHER_SET, WITHOUT_TRUTH, WORST, make_camp
+from tests.support.command import sonarrec
+from tests.support.pages import Page
+from tests.support.rows import read_rows
+
+
+def results_of(folder: Path, count: int, frames: int, *, trouble: bool, code: int = 0) -> Path:
+    make_camp(folder / "camp", count, frames, trouble)
+    out = folder / "out"
+    sonarrec("run", folder / "camp", "--recursive", "-q", "-j", 1, "-o", out, code=code)
+    return out
+
+
+def test_nine_logs_where_they_lie(tmp_path: Path) -> None:
+    """One more than have panels."""
+    out = results_of(tmp_path, MOST_LOGS + 1, 2, trouble=False)
+    assert sonarrec("report", out).stderr == ""
+    names = sorted(row[0] for row in Page(out / "report.html").named["All logs"][2:])
+    assert names == [f"dive{n:02}" for n in range(1, MOST_LOGS + 2)]
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert len(re.findall(r"<h3>(dive\d\d)</h3>", text)) == MOST_LOGS
+
+
+def test_one_of_two_lacks_truth(tmp_path: Path) -> None:
+    """The other one is scored, and the page says so. One truth beside both that names none of
+    them is told, too."""
+    out = results_of(tmp_path, 2, 6, trouble=False)
+    truth = tmp_path / "camp" / "dive02" / "gt.csv"
+    text = truth.read_text()
+    truth.unlink()
+    told = sonarrec("report", out, code=3)
+    assert "dive02: no ground truth" in told.stderr
+    page = Page(out / "report.html")
+    assert "2 recorded sonar logs, 1 of them scored against gt.csv" in page.text
+    scored, other, note = page.named["All logs"][2:]
+    assert scored[0] == "dive01"
+    assert float(scored[3]) > 0.5
+    assert other == ["dive02", "done", "6", *["-"] * 6]
+    assert note == ["no ground truth"]
+    (tmp_path / "camp" / "dive01" / "gt.csv").unlink()
+    for name in ("dive01", "dive02"):
+        (tmp_path / "camp" / f"{name}.gt.csv").symlink_to("gt.csv")
+    (tmp_path / "camp" / "gt.csv").write_text(text)
+    told = sonarrec("report", out, code=3)
+    assert "needs a log column" in told.stderr
+    assert "nothing is scored" in told.stderr
+    assert "no ground truth was given" in Page(out / "report.html").text
+
+
+@pytest.fixture(scope="module")
+def camp(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of twenty logs and their report."""
+    out = results_of(tmp_path_factory.mktemp("twenty"), 20, 12, trouble=True, code=3)
+    told = sonarrec("report", out, code=3).stderr.splitlines()
+    assert len(told) == 2
+    assert f"{WITHOUT_TRUTH}: no ground truth" in told[0]
+    assert f"{OTHER_SET}: landmark IDs 11, 12, 13, 14" in told[1]
+    return out
+
+
+@pytest.mark.slow
+def test_twenty_logs_are_listed_the_worst_first(camp: Path) -> None:
+    page = Page(camp / "report.html")
+    assert "20 recorded sonar logs, 17 of them scored" in page.text
+    rows = page.named["All logs"][2:]
+    assert [row[:2] for row in rows if len(row) > 1][:2] == [[BROKEN, "failed"], [WORST, "done"]]
+    assert "unreadable image" in rows[1][0]
+    assert rows[-4:] == [
+        *([OTHER_SET, "done", "12", *["-"] * 6], ["another landmark set"]),
+        *([WITHOUT_TRUTH, "done", "12", *["-"] * 6], ["no ground truth"]),
+    ]
+    assert len({row[0] for row in rows if len(row) > 1}) == 20
+    good = [float(row[3]) - float(row[4]) for row in rows if row[3:] and row[3] != "-"]
+    assert good == sorted(good)
+    assert len(good) == 17
+    text = (camp / "report.html").read_text()
+    shown = re.findall(r'<details class="log"( open)?>\s*<summary><h3>(.*?)</h3>', text)
+    assert len(shown) == MOST_LOGS
+    assert [name for is_open, name in shown if is_open] == [WORST]
+
+
+@pytest.mark.slow
+def test_equal_mistakes_are_one_line_and_frames_can_be_known(camp: Path) -> None:
+    page = Page(camp / "report.html")
+    found = evaluate_logs(camp).counts
+    at_start = {m.log for m in found.mistakes if m.at_start}
+    assert len(at_start) > 10
+    rows = page.named["Mistakes of framework"][1:]
+    (unknowable,) = (row for row in rows if "first frame" in row[2])
+    assert unknowable[0].startswith(f"{len(at_start)} logs")
+    assert unknowable[3] == "frame 0"
+    assert len({row[2] for row in rows}) == len(rows)
+    mistakes = page.text[page.text.index("Mistakes, the longest first\n") :]
+    pictured = re.findall(r"(dive\d\d), frame\s+(\d+):\s+(.*)", mistakes.partition("smi: ")[0])
+    assert (WORST, "ID.3 in view and not declared: nothing found there.") in {
+        (log, what) for log, _, what in pictured
+    }
+    assert all(number != "0" for _, number, _ in pictured)
+    total = found.scored_by("framework", "strict").count()
+    assert f"framework: {total.fp} false claims, {total.fn} missed" in page.text
+
+
+@pytest.mark.slow
+def test_evaluate_and_overlay_of_twenty(camp: Path, tmp_path: Path) -> None:
+    told = sonarrec("evaluate", camp, "-q", "-o", tmp_path / "e", code=3).stderr
+    assert len(told.splitlines()) == 2
+    rows = read_rows(tmp_path / "e" / "mistakes.csv")
+    assert len({row["log"] for row in rows}) == 17
+    worst = [row for row in rows if (row["method"], row["at_start"]) == ("framework", "0")]
+    shots = tmp_path / "shots"
+    drawn = sonarrec("overlay", camp, "-o", shots, "--mistakes", 3, code=3).stdout
+    expected = {f"{row['log']}/{int(row['worst_frame']):06d}.png" for row in worst[:3]}
+    assert {str(p.relative_to(shots)) for p in shots.rglob("*.png")} == expected
+    assert drawn.count(": ID.") == min(3, len(worst))
+    refused = sonarrec("overlay", camp, "-o", tmp_path / "x.mp4", code=2).stderr
+    assert "19 logs" in refused
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (420, "dark")])
+def test_twenty_logs_in_a_browser(browser: Any, camp: Path, width: int, scheme: str) -> None:
+    found = look(browser, camp / "report.html", width, scheme)
+    assert (found["console"], found["broken"], found["outside"]) == ([], 0, [])
+    assert found["wide"] <= 0
+    browser.get((camp / "report.html").as_uri())
+    height = browser.execute_script("return document.documentElement.scrollHeight")
+    assert height < 16 * 900
+    second = browser.find_elements("css selector", "#logs a")[1]
+    panel = browser.find_elements("css selector", "details.log")[1]
+    assert panel.get_attribute("open") is None
+    second.click()
+    assert panel.get_attribute("open") is not None
+    assert panel.find_element("css selector", "h3").text == second.text
+
+
+@pytest.mark.slow
+def test_log_names_one_without_a_panel(camp: Path, tmp_path: Path) -> None:
+    rows = [row[0] for row in Page(camp / "report.html").named["All logs"] if len(row) > 3]
+    page = tmp_path / "x.html"
+    alone = sonarrec("report", camp, "--log", camp.parent / "camp" / rows[-3], "-o", page, code=3)
+    assert " 0 pictures" in alone.stdout
+    told = sonarrec("report", camp, "--log", camp / "dive02", "--log", tmp_path, "-o", page, code=2)
+    assert "neither one of these logs nor holds any" in told.stderr
+
+
+@pytest.mark.slow
+def test_a_results_folder_that_cannot_be_read_costs_itself(camp: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(camp, out, ignore=shutil.ignore_patterns("report.html"))
+    (out / "dive20" / "estimates.csv").write_text("frame,method\n0,smi\n")
+    truth = tmp_path / "gt.csv"
+    lines = ["log,frame,landmark,x_px,y_px"]
+    for n in (1, 2, 4, 20):
+        own = camp.parent / "camp" / f"dive{n:02d}" / "gt.csv"
+        lines += [f"dive{n:02d},{','.join(list(r.values())[:4])}" for r in read_rows(own)]
+    truth.write_text("\n".join(lines) + "\n")
+    told = sonarrec(
+        "report", out, "--ground-truth", truth, "-o", tmp_path / "x.html", code=3
+    ).stderr
+    assert "estimates.csv: wrong columns" in told
+    rows = Page(tmp_path / "x.html").named["All logs"]
+    assert ["dive20", "done"] in [row[:2] for row in rows]
