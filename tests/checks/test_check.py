@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from sonarrec import config
+from tests.support.camp import OTHER_SET, make_camp
 from tests.support.command import sonarrec
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
@@ -208,6 +209,24 @@ def test_a_folder_of_logs_with_a_landmark_set_beside_the_file(repository: Path) 
     FILE.write_text('landmarks = "mine.toml"\n[[log]]\npath = "logs/*"\n')
     assert "2 logs" in sonarrec("check", "--update").stdout
     assert {p.name for p in RECORD.iterdir()} == {"a", "b"}
+
+
+def test_logs_of_two_landmark_sets_are_scored_by_set(repository: Path) -> None:
+    """Their rates do not add up; what is worse in either counts."""
+    other = make_camp(repository / "camp", 5, 6) / OTHER_SET
+    FILE.write_text(f'[[log]]\npath = "camp/dive01"\n[[log]]\npath = "camp/{other.name}"\n')
+    assert "2 logs are on record" in sonarrec("check", "--update").stdout
+    same = sonarrec("check", "-o", "new")
+    assert same.stderr == ""
+    basin, camp = same.stdout.split("landmarks camp\n")
+    assert basin.startswith("landmarks basin\nunchanged: ")
+    assert camp.startswith("unchanged: ")
+    assert ("in dive01" in basin, f"in {other.name}" in camp) == (True, True)
+    assert {p.parent.name for p in Path("new").rglob("compare.csv")} == {"basin", "camp"}
+    truth = (other / "gt.csv").read_text()
+    (other / "gt.csv").write_text(truth.replace(",11,", ",12,"))
+    worse = sonarrec("check", "-q", "--least-tpr", "0.5", code=4).stderr
+    assert worse.count("limit not kept") == 1
 
 
 @pytest.mark.slow

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import cv2
 import pytest
 from click.testing import Result
 
+from sonarrec.overlays import overlay as overlays
 from sonarrec.readers import open_log
 from tests.support import command
+from tests.support.camp import make_camp
 from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
 from tests.support.foxglove import messages
 from tests.support.logs import image_folder
@@ -49,6 +53,65 @@ def test_the_command(work: Path) -> None:
     assert [p.name for p in (work / "one").iterdir()] == ["000002.png"]
     two = [(work / d / "000002.png").read_bytes() for d in ("one", "shots")]
     assert two[0] == two[1]  # what came before is in its strip all the same
+
+
+def test_a_list_of_frames(work: Path) -> None:
+    sonarrec("overlay", "log", "-o", "some", "--frames", "0:2,3", "-q")
+    names = [p.name for p in sorted((work / "some").iterdir())]
+    assert names == ["000000.png", "000001.png", "000003.png"]
+    told = sonarrec("overlay", "log", "-o", "one", "--frames", "2,40", code=3)
+    assert "no frame lies in --frames 40:41" in told.stderr
+    assert [p.name for p in (work / "one").iterdir()] == ["000002.png"]
+    overlays.overlay("log", "python", frames=[(0, 1), (3, None)])
+    assert len(list((work / "python").iterdir())) == 2
+
+
+def test_results_find_their_log(work: Path) -> None:
+    """By run.toml, also of all that a folder holds."""
+    results = work / "sonarrec_out" / "log"
+    assert "its log is not found" in sonarrec("overlay", results, "-o", "x", code=2).stderr
+    run = results / "run.toml"
+    run.write_text(run.read_text().replace("[input]", '[input]\npath = "log"'))
+    sonarrec("overlay", "log", "-o", "given", "-q")
+    sonarrec("overlay", results, "-o", "found", "-q")
+    shutil.copytree(results, work / "sonarrec_out" / "copy")
+    assert "copy: 4 frames" in sonarrec("overlay", "sonarrec_out", "-o", "each").stdout
+    drawn = [sorted((work / f).iterdir()) for f in ("given", "found", "each/log", "each/copy")]
+    assert len({tuple(p.read_bytes() for p in of) for of in drawn}) == 1
+    assert [p.name for p in drawn[0]] == [p.name for p in drawn[3]]
+    refused = sonarrec("overlay", results, "sonarrec_out/copy", "-o", "x", code=2)
+    assert "both hold results" in refused.stderr
+
+
+def test_the_longest_mistakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ID.1 is declared from frame 1 on; it shall be ID.2 in 5 to 7, and is no mistake in frame 0,
+    where no track is declared."""
+    monkeypatch.chdir(tmp_path)
+    truth = make_camp(tmp_path / "camp", 1, 14, trouble=False) / "dive01" / "gt.csv"
+    sonarrec("run", "camp/dive01", "-q")
+    nothing = sonarrec("overlay", "camp/dive01", "-o", "wrong", "--mistakes", "9").stdout
+    assert nothing == "no mistake, so nothing is drawn\n"
+    lines = truth.read_text().splitlines()
+    wrong = [
+        line.replace(",1,", ",2,", 1) if line[:2] in ("5,", "6,", "7,") else line for line in lines
+    ]
+    truth.write_text("\n".join(wrong) + "\n")
+    by_log = sonarrec("overlay", "camp/dive01", "-o", "wrong", "--mistakes", "9").stdout
+    head, *told = by_log.splitlines()
+    [(worst, _), _] = shown = [re.fullmatch(r"  frame (\d): (.*)", line).groups() for line in told]
+    assert {re.sub(r"[01]\.\d\d", "#", what) for _, what in shown} == {
+        "ID.1 declared (#) on what is ID.2; 3 of frames 5 to 7",
+        "ID.2 in view and not declared: best guess ID.1 (#); 3 of frames 5 to 7",
+    }
+    assert head == "wrong: 1 frame, framework"
+    assert [p.name for p in (tmp_path / "wrong").iterdir()] == [f"00000{worst}.png"]
+    for results in ("sonarrec_out", "sonarrec_out/dive01"):
+        found = sonarrec("overlay", results, "-o", "wrong", "--mistakes", "1").stdout
+        assert found.splitlines() == [head, told[0]]
+    both = sonarrec(
+        "overlay", "sonarrec_out", "-o", "x", "--mistakes", "1", "--frames", "1:", code=2
+    )
+    assert "leave out --frames" in both.stderr
 
 
 def test_the_frames_drawn_are_those_that_were_run(work: Path) -> None:

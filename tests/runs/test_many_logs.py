@@ -18,6 +18,7 @@ from sonarrec.runs import many
 from sonarrec.runs.job import Job, Outcome, RunOptions
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
 from tests.support.batch import SAMPLE, command, ended, environment, made, rows, tables, until
+from tests.support.camp import make_camp
 from tests.support.command import sonarrec
 
 
@@ -283,3 +284,17 @@ def test_a_refused_namesake_leaves_the_row_of_results_that_stand(tmp_path: Path)
     assert tables(out / "dive") == kept, "replaced unasked"
     sonarrec(*both, "--overwrite", "-q")
     assert states() == {str(logs[2]): "done", str(logs[1]): "done"}
+
+
+def test_equal_lines_are_one_and_failures_come_again_at_the_end(tmp_path: Path) -> None:
+    make_camp(tmp_path / "camp", 5, 3)
+    done = sonarrec(
+        "run", tmp_path / "camp", "--recursive", "-j", 1, "-o", tmp_path / "out", code=3
+    )
+    lines = done.stderr.splitlines()
+    assert len([line for line in lines if ": geometry " in line]) == 2  # one a landmark set
+    assert "sonarrec: 2 more logs: as dive01" in lines
+    reason = [n for n, line in enumerate(lines) if "not one frame could be used" in line]
+    counted = next(n for n, line in enumerate(lines) if "4 done, 1 failed" in line)
+    assert reason[0] < counted < reason[1]
+    assert len(reason) == 2
