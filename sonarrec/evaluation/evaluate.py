@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -40,14 +41,15 @@ from sonarrec.results.read import (
     recording,
     rows_of,
 )
+from sonarrec.runs.logs_table import NAME, read_logs
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import Breaks
 from sonarrec.truth.check import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
-MOST_IDS = 6
-"""That a line names."""
+MOST_NAMED = 6
+"""IDs, or logs, that a line names."""
 
 
 class LogToScore(NamedTuple):
@@ -272,8 +274,8 @@ def _other_sets(
         )
 
 
-def _listed(ids: Sequence[int]) -> str:
-    return ", ".join(map(str, ids[:MOST_IDS])) + ", ..." * (len(ids) > MOST_IDS)
+def _listed(ids: Sequence[object]) -> str:
+    return ", ".join(map(str, ids[:MOST_NAMED])) + ", ..." * (len(ids) > MOST_NAMED)
 
 
 def evaluate(
@@ -339,6 +341,8 @@ def evaluate_logs(
         # If one log was asked for the rows of others are a note.
         tell = told.note if [log.results for log in logs] == [(results,)] else told.problem
         tell(*others.problems)
+    if isinstance(results, str | Path):
+        told.note(*_failed(Path(results)))
     told.note(*_notes(counts))
     summary = summarise(counts)
     return Evaluation(
@@ -361,6 +365,15 @@ def _unprocessed(scored: Sequence[LogScore], *, as_one: bool) -> Iterator[str]:
                 f"{logs[0].log.ground_truth}: {unprocessed} of {logs[0].rows[0]} rows lie on "
                 f"frames that were not processed; they are not scored ({frames} processed)"
             )
+
+
+def _failed(results: Path) -> Iterator[str]:
+    """A note on logs that have no results, since they failed."""
+    with suppress(SonarrecError):  # a table of another program
+        failed = [row.log for row in read_logs(results / NAME) if row.status == "failed"]
+        failed = [log for log in failed if not (results / log / "frames.csv").is_file()]
+        if failed:
+            yield f"{number_of(len(failed), 'log')} failed: {_listed(failed)} ({NAME} says why)"
 
 
 def _notes(counts: Counts) -> Iterator[str]:
