@@ -80,7 +80,12 @@ def overlay(
     if mistakes is not None and frames is not None:
         raise UsageError("--mistakes chooses the frames; leave out --frames")
     folders = [] if results else overlays.results_in(Path(log))
-    several, told, lines, faults = len(folders) > 1, Diagnostics(), list[str](), list[str]()
+    several, told, lines, faults = (
+        len(folders) > 1,
+        Diagnostics(),
+        list[str](),
+        list[SonarrecError](),
+    )
     if several and out.suffix.lower() in overlays.KINDS:
         raise UsageError(
             f"{log}: results of {number_of(len(folders), 'log')}, which do not go into one file; "
@@ -107,15 +112,15 @@ def overlay(
                     observe=step,
                 )
             except SonarrecError as error:
-                if not several:
-                    raise
-                faults.append(f"{error}; not drawn")
+                faults.append(error)
                 continue
             told.problem(*report.diagnostics.problems)
             told.note(*report.diagnostics.notes)
             lines.append(f"{place}: {number_of(report.frames, 'frame')}, {report.method}")
             lines += [f"  frame {m.worst_frame}: {m.in_words}; {m.span}" for m in wrong]
-    told.problem(*faults)
+    if faults and not lines:
+        raise faults[0]
+    told.problem(*(f"{error}; not drawn" for error in faults))
     finish(quiet, lines or ["no mistake, so nothing is drawn"], told.problems, told.notes)
 
 

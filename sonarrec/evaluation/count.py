@@ -16,11 +16,11 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.curves import Count, Curve, counted, curve_of
 from sonarrec.evaluation.match import PROTOCOLS, Judged, Matched, distance, judge, truth_beneath
-from sonarrec.evaluation.mistakes import KINDS, Mistake, find_mistakes
+from sonarrec.evaluation.mistakes import KINDS, Mistake, Wrong, find_wrong, over_frames
 from sonarrec.evaluation.passes import Passes, UnitKind, find_passes
 from sonarrec.records import follows
 from sonarrec.results.columns import chosen
@@ -165,15 +165,16 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
     sums: dict[Key, npt.NDArray[Any]] = {}
     outcomes: dict[Key, npt.NDArray[Any]] = {}
     values: dict[Key, Rows] = {}
-    mistakes: dict[Key, npt.NDArray[Any]] = {}
+    wrong: dict[Key, Wrong] = {}
     for protocol in PROTOCOLS if log.placed else PROTOCOLS[:1]:
         for method in (NOBODY, *log.methods):
             judged = judge(log, method, protocol)
             sums["declared", protocol, method] = judged.declared(*groups, passes.units)
-            outcomes[protocol, method] = _outcomes(judged, passes)
+            claimed = judged.positive_is_claimed
+            outcomes[protocol, method] = _outcomes(judged, claimed, passes)
             if not rates_only:
                 of = beneath if protocol == "strict" else None
-                mistakes[protocol, method] = find_mistakes(log, judged, of)
+                wrong[protocol, method] = find_wrong(log, judged, claimed, of)
             if method == NOBODY:
                 continue
             group = judged.group(*groups)
@@ -207,13 +208,13 @@ def count_log(log: Matched, *, rates_only: bool = False) -> LogCounts:
         outcomes=outcomes,
         sums=sums,
         values=values,
-        mistakes=mistakes,
+        mistakes=over_frames(log, wrong),
     )
 
 
-def _outcomes(judged: Judged, passes: Passes) -> npt.NDArray[Any]:
-    """(P,) OUTCOME of one method in each pass."""
-    truth, right = judged.positive, judged.positive_is_claimed
+def _outcomes(judged: Judged, claimed: BoolArray, passes: Passes) -> npt.NDArray[Any]:
+    """(P,) OUTCOME of one method in each pass. claimed: as of `positive_is_claimed`."""
+    truth, right = judged.positive, claimed
     of_pass = passes.of_truth[truth] >= 0  # not so for one that is half in view, in protocol paper
     truth, right = truth[of_pass], right[of_pass]
     number = passes.of_truth[truth]
@@ -402,17 +403,25 @@ class Counts:
         the highest score."""
         protocol = self.protocols[-1]
         found = [
-            Mistake._make(
-                (
-                    *(self.logs[n], method, KINDS[kind], self.ids[k]),
-                    *(None if other < 0 else self.ids[other], first, last, *rest, protocol),
-                    int(kind == 1 and follows(method) and first == last == part.first_frame),
-                )
+            Mistake(
+                log=self.logs[n],
+                method=method,
+                kind=KINDS[kind],
+                landmark=self.ids[k],
+                other=None if other < 0 else self.ids[other],
+                first_frame=first,
+                last_frame=last,
+                frames=frames,
+                score=score,
+                times=times,
+                worst_frame=worst,
+                protocol=protocol,
+                at_start=int(kind == 1 and follows(method) and first == last == part.first_frame),
             )
             for method in self.methods
             for n, part in enumerate(self.parts)
             if (rows := _of(part.mistakes, protocol, method)) is not None
-            for kind, k, other, first, last, *rest in rows.tolist()
+            for kind, k, other, first, last, frames, score, times, worst in rows.tolist()
         ]
         return sorted(found, key=lambda m: (-m.frames, math.isnan(m.score), -m.score))
 

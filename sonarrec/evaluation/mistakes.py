@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.arrays import IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.evaluation.match import Judged, Matched
 
 FALSE, MISSED = "false", "missed"
 KINDS = (FALSE, MISSED)
 GAP = 4
-"""Frames without the mistake that do not end it: neighbouring frames look much the same."""
+"""Frames without the mistake that do not end it: neighbouring frames look much the same. A pause
+does."""
 ROWS = np.dtype(
     [
         *((name, "i8") for name in ("kind", "landmark", "other", "first", "last", "frames")),
@@ -21,6 +23,7 @@ ROWS = np.dtype(
     ]
 )
 """A row as of Mistake; kind, landmark and other are indices, other -1 for none."""
+Key = TypeVar("Key")
 
 
 class Mistake(NamedTuple):
@@ -79,44 +82,38 @@ class Mistake(NamedTuple):
         return f"{sentence} on what is ID.{self.other}"
 
 
-def find_mistakes(log: Matched, judged: Judged, beneath: IntArray | None) -> npt.NDArray[Any]:
-    """(n,) ROWS of a method. beneath: as of `truth_beneath`; None for protocol paper, in which
-    positions play no part: its score of a missed ID is that of any estimate of it in the frame."""
-    false = judged.claim[judged.declared_claim[judged.declared_effect[:, 2] > 0]]
-    missed = judged.positive[~judged.positive_is_claimed]
-    guess = _surest(log, judged, missed, beneath)
-    claim = np.append(false, guess)
-    kind = (np.arange(len(claim)) >= len(false)).astype(np.int64)
-    landmark = np.append(log.claim_landmark_index[false], log.truth_landmark_index[missed])
-    at = np.append(log.claim_frame_index[false], log.truth_frame_index[missed])
-    other = np.full(len(claim), -1)
-    if beneath is not None:
-        under = np.append(log.truth_landmark_index, -1)[beneath[false]]
-        other = np.append(under, np.append(log.claim_landmark_index, -1)[guess])
-    score = np.append(log.score, -1.0)[claim]
+class Wrong(NamedTuple):
+    """What one method got wrong under one protocol: false claims, then missed truths."""
 
-    # Of false claims those on another landmark are mistakes of their own; what is guessed where a
-    # landmark is missed changes from frame to frame.
-    group = (landmark * 2 + kind) * (len(log.ids) + 1) + np.where(kind, 0, other + 1)
-    order = np.argsort(group * len(log.frame) + at, kind="stable")
-    kind, landmark, at, other, score = (c[order] for c in (kind, landmark, at, other, score))
-    new_frame, new = np.ones((2, len(order)), dtype=bool)
-    new_group = np.diff(group[order]) != 0
-    new[1:] = new_group | (np.diff(at) > GAP + 1)
-    new_frame[1:] = new_group | (np.diff(at) != 0)
-    start, episode = np.flatnonzero(new), np.cumsum(new) - 1
-    end = np.append(start[1:], len(at))[: len(start)] - 1
-    found = np.zeros(len(start), dtype=ROWS)
-    found["kind"], found["landmark"] = kind[start], landmark[start]
-    found["other"] = _most_frequent(other + 1, episode) - 1
-    found["times"], found["frames"] = end + 1 - start, np.bincount(episode[new_frame])
-    off_middle = np.abs(2 * at - (at[start] + at[end])[episode])
-    rank = -score + 2 * (other != found["other"][episode])
-    worst = np.lexsort((off_middle, rank, episode))[start]
-    found["score"] = np.where(score[worst] < 0, np.nan, score[worst])
-    for name, rows in (("first", start), ("last", end), ("worst", worst)):
-        found[name] = log.frame[at[rows]]
-    return found
+    kind: IntArray
+    """(n,) 0 false, 1 missed."""
+    landmark: IntArray
+    other: IntArray
+    """(n,) indices of IDs, as of Mistake; other -1 for none."""
+    at: IntArray
+    """(n,) index of the frame."""
+    score: FloatArray
+    """(n,) as of Mistake; -1 for none."""
+
+
+def find_wrong(log: Matched, judged: Judged, claimed: BoolArray, beneath: IntArray | None) -> Wrong:
+    """claimed: (P,) whether each positive is. beneath: as of `truth_beneath`; None for protocol
+    paper, in which positions play no part: its score of a missed ID is that of any estimate of it
+    in the frame."""
+    false = judged.claim[judged.declared_claim[judged.declared_effect[:, 2] > 0]]
+    missed = judged.positive[~claimed]
+    guess = _surest(log, judged, missed, beneath)
+    claim, other = np.append(false, guess), np.full(len(false) + len(guess), -1)
+    if beneath is not None:
+        other = np.append(log.claim_landmark_index, -1)[claim]
+        other[: len(false)] = np.append(log.truth_landmark_index, -1)[beneath[false]]
+    return Wrong(
+        kind=np.repeat([0, 1], [len(false), len(guess)]),
+        landmark=np.append(log.claim_landmark_index[false], log.truth_landmark_index[missed]),
+        other=other,
+        at=np.append(log.claim_frame_index[false], log.truth_frame_index[missed]),
+        score=np.append(log.score, -1.0)[claim],
+    )
 
 
 def _surest(log: Matched, judged: Judged, missed: IntArray, beneath: IntArray | None) -> IntArray:
@@ -132,6 +129,39 @@ def _surest(log: Matched, judged: Judged, missed: IntArray, beneath: IntArray | 
     surest = np.full(places + 1, -1)  # the last one for claims on nothing, at -1
     surest[place[claims]] = claims  # of several the last stays, which has the highest score
     return surest[wanted]
+
+
+def over_frames(log: Matched, found: Mapping[Key, Wrong]) -> dict[Key, npt.NDArray[Any]]:
+    """(m,) ROWS by the same keys: what is wrong over neighbouring frames. All at once, which takes
+    half the time."""
+    if not found:
+        return {}
+    of = np.repeat(np.arange(len(found)), [len(wrong.at) for wrong in found.values()])
+    kind, landmark, other, at, score = map(np.concatenate, zip(*found.values(), strict=True))
+    # Of false claims those on another landmark are mistakes of their own; what is guessed where a
+    # landmark is missed changes from frame to frame.
+    ids = len(log.ids)
+    group = ((of * ids + landmark) * 2 + kind) * (ids + 1) + np.where(kind, 0, other + 1)
+    order = np.argsort(group * len(log.frame) + at, kind="stable")
+    group, at, other, score = (column[order] for column in (group, at, other, score))
+    new_frame, new = np.ones((2, len(order)), dtype=bool)
+    new_group = np.diff(group) != 0
+    new[1:] = new_group | (np.diff(at) > GAP + 1) | (np.diff(log.stretch[at]) != 0)
+    new_frame[1:] = new_group | (np.diff(at) != 0)
+    start, episode = np.flatnonzero(new), np.cumsum(new) - 1
+    end = np.append(start[1:], len(at))[: len(start)] - 1
+    rows = np.zeros(len(start), dtype=ROWS)
+    rows["kind"], rows["landmark"] = kind[order][start], landmark[order][start]
+    rows["other"] = _most_frequent(other + 1, episode) - 1
+    rows["times"], rows["frames"] = end + 1 - start, np.bincount(episode[new_frame])
+    off_middle = np.abs(2 * at - (at[start] + at[end])[episode])
+    rank = -score + 2 * (other != rows["other"][episode])
+    worst = np.lexsort((off_middle, rank, episode))[start]
+    rows["score"] = np.where(score[worst] < 0, np.nan, score[worst])
+    for name, index in (("first", start), ("last", end), ("worst", worst)):
+        rows[name] = log.frame[at[index]]
+    ends = np.searchsorted(of[order][start], np.arange(1, len(found)))
+    return dict(zip(found, np.split(rows, ends), strict=True))
 
 
 def _most_frequent(value: IntArray, group: IntArray) -> IntArray:

@@ -177,7 +177,7 @@ def _draw_all(
         surest = [of.shown(sources) for of in of_method]
         for m in [m for m in surest if m.log in sources and not m.at_start][:MOST_MISTAKEN]:
             wrong = f"{m.in_words}."
-            pictures.append(Picture(m.log, method, m.worst_frame, "mistake", "", wrong))
+            pictures.append(Picture(m.log, method, m.worst_frame, "mistake", "", wrong=wrong))
     held = frames.choose(recorded, _named_frames(passes, mistakes, pictures))
     most_bytes = frames.MOST_BYTES // max(1, sum(map(len, held.values())))  # for each frame
     shown = []

@@ -121,3 +121,20 @@ def test_a_log_that_lacks_a_method_missed_all_of_it(tmp_path: Path) -> None:
         ("b", "mine", "missed", 10),
         ("a", "other", "missed", 10),
     ]
+
+
+def test_a_mistake_ends_at_a_pause(tmp_path: Path) -> None:
+    """An hour before frame 22, after which it is another one."""
+    log, hour = tmp_path / "log", 3600 * 10**9
+    frames = [(n, n * 250_000_000 + hour * (n >= 22)) for n in range(40)]
+    head = "frame,method,landmark,range_m,bearing_deg,score,declared"
+    claims = [f"{n},mine,1,2.0,0,0.9,1" for n in range(40)]
+    claims += [f"{n},mine,2,2.0,20,0.8,1" for n in (20, 21, 22)]
+    tables(log, frames, head, sorted(claims, key=lambda row: int(row.partition(",")[0])))
+    truth = "".join(f"{n},1,2.0,0\n" for n in range(40))
+    (log / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n" + truth)
+    found = evaluate_logs(log, log / "gt.csv").counts.mistakes
+    assert [(m.first_frame, m.last_frame, m.kind) for m in found] == [
+        (20, 21, "false"),
+        (22, 22, "false"),
+    ]
