@@ -76,7 +76,7 @@ MAY_IMPORT = {
     "matplotlib": ("evaluation.plots", "mapping.picture", "reports.charts"),
     "fsspec": ("runs.remote",),
     "sshfs": ("runs.remote",),
-    "jinja2": ("reports.page",),
+    "jinja2": ("reports.template",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "kornia_rs": ("readers.decode.pixels",),
     "cv2": (
@@ -93,6 +93,7 @@ MAY_IMPORT = {
         "simulation",
         "overlays",
         "reports.frames",
+        "reports.review",
         "results.run_file",  # its version
     ),
 }

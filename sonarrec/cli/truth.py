@@ -1,4 +1,4 @@
-"""`sonarrec truth`: convert, check and propose ground truth."""
+"""`sonarrec truth`: convert, check, propose and review ground truth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sonarrec.cli.groups import (
     in_input,
     in_scoring,
 )
-from sonarrec.errors import UsageError, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 
 NEW = "A new file; an existing one is not overwritten."
 MOST_FAULTS = 20
@@ -31,12 +31,13 @@ MOST_TRACKS = 40
 """At most so many are printed; the file has all."""
 
 
-@click.group(short_help="Make ground truth: convert, check, propose.")
+@click.group(short_help="Make ground truth: propose, review, check, convert.")
 def truth() -> None:
-    """Ground truth: convert annotations, check a gt.csv, propose one from results.
+    """Ground truth: review it by eye, check a gt.csv, propose one from results, convert one.
 
     \b
     Examples:
+      sonarrec truth review pings/
       sonarrec truth convert coco.json --log pings/
       sonarrec truth check gt.csv pings/
       sonarrec truth propose sonarrec_out/pings
@@ -227,3 +228,96 @@ def propose(
     if more := len(tracks) - len(longest):
         lines.append(f"  these have the most rows; {number_of(more, 'more track')}")
     finish(quiet, lines, diagnostics.problems, diagnostics.notes)
+
+
+def _spans(_: click.Context, __: click.Parameter, text: str | None) -> Any:
+    from sonarrec.results.run_file import frame_span
+
+    parts = [] if text is None else text.split(",")
+    return [frame_span(p if ":" in p or not p.isdecimal() else f"{p}:{int(p) + 1}") for p in parts]
+
+
+@truth.command(short_help="Make a page to check and correct it by eye.", cls=GroupedCommand)
+@click.argument("log", shell_complete=file_names)
+@in_input(
+    "--truth ground_truth",
+    type=FILE,
+    help="gt.csv to correct.  [default: NAME.gt.csv or gt.csv beside the log, if there is one]",
+)
+@in_input(
+    "--results",
+    type=ANY,
+    default=Path("sonarrec_out"),
+    help="Results of LOG, or the folder that holds them.",
+)
+@in_input(
+    "--every", type=click.IntRange(min=1), default=1, help="Put every N-th frame in the page."
+)
+@in_input(
+    "--frames",
+    metavar="A:B,C",
+    callback=_spans,
+    help="Put these frames in the page: from A up to, not including, B; and C.",
+)
+@in_scoring(
+    "--mistakes",
+    is_flag=True,
+    help="Begin with the passes on which results and truth disagree, from `sonarrec evaluate`.",
+)
+@options.out(ANY, "The page; of a folder of logs the folder of the pages.  [default: review.html]")
+@options.quiet
+def review(
+    log: str,
+    ground_truth: Path | None,
+    results: Path,
+    every: int,
+    frames: list[tuple[int, int | None]],
+    mistakes: bool,
+    out: Path | None,
+    quiet: bool,
+) -> None:
+    """Make a page on which a person checks and corrects the truth of LOG.
+
+    It is one HTML file for the browser, which needs no network. It shows each pass of a landmark,
+    as the results and a gt.csv have it, the uncertain ones first. You accept it, reject it, give it
+    another ID, drag its outline, or draw what is missing; its button Save gives gt.csv. LOG may be
+    a folder of logs: then each has a page.
+
+    \b
+    Examples:
+      sonarrec truth review pings/
+      sonarrec truth review pings/ --truth gt.csv --every 2 -o review.html
+      sonarrec truth review pings/ --mistakes
+    """
+    from sonarrec.readers.named_logs import logs_named
+    from sonarrec.reports.review import review as write_review
+
+    logs = logs_named(log)
+    lines, told = list[str](), Diagnostics()
+    for one in logs:
+        several = Path(out or "review") / f"{Path(one.path).stem}.html"
+        try:
+            page = write_review(
+                one.path,
+                several if logs[1:] else out or Path("review.html"),
+                truth=ground_truth,
+                results=results,
+                every=every,
+                spans=frames,
+                mistakes=mistakes,
+                up_to=one.up_to,
+            )
+        except SonarrecError as error:
+            if not logs[1:]:
+                raise
+            told.problem(str(error))
+            continue
+        told.problem(*page.diagnostics.problems)
+        told.note(*page.diagnostics.notes)
+        size = f"{page.path.stat().st_size / 1e6:.1f} MB"
+        held = f"{page.shown} of {number_of(page.frames, 'frame')}"
+        passes = f"{number_of(page.passes, 'pass', 'es')}, {page.open} open"
+        lines.append(f"{page.path}: {size}, {held}, {passes}; open it in a browser")
+    if not lines:
+        raise SonarrecError(told.problems[0])
+    finish(quiet, lines, told.problems, told.notes)

@@ -16,7 +16,7 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import disc_outline
-from sonarrec.drawing.results import AROUND, Mark, caption, draw_frame
+from sonarrec.drawing.results import AROUND, Mark, caption, draw_frame, outline_of
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import pixel_from_plane
 from sonarrec.readers import open_log
@@ -39,9 +39,9 @@ QUALITIES = (60, 40, 20)
 
 Shown = dict[str, Any]
 """One log for the page's script. name; unit: of the times, "s" or none; methods; in_all: number of
-its frames; frames: of each its number, time, image (a data URI) and size, and outlines: `said` by
-each method, and `truth`. An outline has ellipse (centre, half axes in pixels, rotation in deg),
-label, colour (index of the ID) and declared."""
+its frames; frames: of each its number, time, image (a data URI), the fan's size, and outlines:
+`said` by each method, and `truth`. An outline has ellipse (centre, half axes in fan pixels,
+rotation in deg) or corners, label, colour (index of the ID) and declared."""
 
 
 @dataclass(slots=True)
@@ -252,15 +252,18 @@ def _held(
     def outlines(marked: Iterable[tuple[Estimate | Mark, str, bool]], size: float) -> list[Shown]:
         found = []
         for one, label, declared in marked:
+            colour = landmarks.ids.index(one.landmark)
+            outline: Shown = {"label": label, "colour": colour, "declared": declared}
+            if isinstance(one, Estimate) and one.corners is not None:
+                outline["corners"] = outline_of(one, frame.fan, landmarks).round(1).tolist()
+                found.append(outline)
+                continue
             edge = disc_outline(frame.fan, size * landmarks.radius_m, one.x_px, one.y_px)
-            edge = (edge + 0.5) * image.shape[1] / frame.fan.columns
             if np.isfinite(edge).all():
                 (x, y), (a, b), rotation = cv2.fitEllipse(edge.astype(np.float32))
                 ellipse = [round(v, 1) for v in (x, y, a / 2, b / 2, rotation)]
-                colour = landmarks.ids.index(one.landmark)
                 if np.isfinite(ellipse).all():
-                    outline = {"ellipse": ellipse, "label": label, "colour": colour}
-                    found.append({**outline, "declared": declared})
+                    found.append(outline | {"ellipse": ellipse})
         return found
 
     by_method = []
@@ -272,7 +275,7 @@ def _held(
         "frame": frame.index,
         "at": round(float(log.time[np.searchsorted(log.results.frame, frame.index)]), 3),
         "image": _within(image, most_bytes),
-        "size": image.shape[1::-1],
+        "size": (frame.fan.columns, frame.fan.rows),
         "said": by_method,
         "truth": outlines(((m, f"ID.{m.landmark}", False) for m in truth), AROUND),
     }

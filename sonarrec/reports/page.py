@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from base64 import b64encode
 from collections.abc import Container, Iterator, Mapping, Sequence
 from heapq import nlargest
-from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of, printable
@@ -34,6 +30,7 @@ from sonarrec.reports.logs import (
     true_landmark,
 )
 from sonarrec.reports.overview import LogRow, SharedMistake
+from sonarrec.reports.template import fill
 from sonarrec.results.run_file import RunFile, flat
 from sonarrec.results.sightings import PASS_GAP, Sighting
 
@@ -98,16 +95,10 @@ def render(
         **({"map": "Map"} if map_picture else {}),
         "settings": "Settings",
     }
-    frames = json.dumps(shown, separators=(",", ":"), allow_nan=False)
-    script = (files("sonarrec.reports") / "report.js").read_text(encoding="utf-8")
-    environment = Environment(
-        loader=PackageLoader("sonarrec.reports", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html").render(
+    return fill(
+        "report.html",
+        ("viewer.js", "report.js"),
+        shown,
         number=lambda value, digits: f"{value:,.{digits}f}",
         time_of_day=time_text,
         version=VERSION,
@@ -141,9 +132,6 @@ def render(
         pictures=pictures,
         held=held,
         shown=shown,
-        shown_json=frames.replace("<", "\\u003c"),  # safe inside a script element
-        script=script,  # the page allows it by its hash
-        script_hash=b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         map_picture=map_picture,
     )
 

@@ -1,5 +1,4 @@
 // A click on a chart over time, or on a frame's number, shows the frame: the nearest in this page.
-"use strict";
 (() => {
   const logs = JSON.parse(document.getElementById("frames").textContent);
   const part = (name) => document.getElementById("viewer-" + name);
@@ -7,23 +6,8 @@
   const svg = part("marks"), image = new Image();
   image.id = "viewer-image";
   svg.before(image);
+  const view = new View(svg, image);
   let now = null; // {log: index, n: into its frames}
-
-  function draw(name, attributes, text) {
-    const element = document.createElementNS("http://www.w3.org/2000/svg", name);
-    for (const key in attributes) element.setAttribute(key, attributes[key]);
-    if (text) element.textContent = text;
-    svg.append(element);
-  }
-
-  function mark(outline, kind, text, below) {
-    const [x, y, rx, ry, turn] = outline.ellipse;
-    const style = kind === "declared" ? `--c: var(--bright-${outline.colour})` : "";
-    const ellipse = { cx: x, cy: y, rx, ry, transform: `rotate(${turn} ${x} ${y})` };
-    draw("ellipse", { ...ellipse, class: kind, style });
-    const away = Math.max(rx, ry) + text / 2;
-    draw("text", { x, y: below ? y + away + text : y - away, class: kind, style }, outline.label);
-  }
 
   function show(log, n, note) {
     const of = logs[log], frame = of.frames[n];
@@ -42,12 +26,9 @@
       (declared.length ? `declares ${declared.join("), ")})` : "declares nothing");
     part("back").disabled = n === 0;
     part("on").disabled = n === of.frames.length - 1;
-    const text = Math.max(width, height) / 36; // of marks, in the frame's pixels
-    svg.replaceChildren();
-    svg.style.fontSize = text + "px";
-    svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-    for (const outline of said) mark(outline, outline.declared ? "declared" : "other", text);
-    for (const outline of frame.truth) mark(outline, "truth", text, true);
+    view.begin(width, height);
+    for (const outline of said) view.mark(outline, outline.declared ? "declared" : "other");
+    for (const outline of frame.truth) view.mark(outline, "truth", true);
     viewer.hidden = false;
     for (const chart of document.querySelectorAll("[data-low]")) {
       const share = (frame.at - chart.dataset.low) / (chart.dataset.high - chart.dataset.low);

@@ -22,7 +22,9 @@ from typing import Any, Literal
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.records import IMAGE_SUFFIXES
 
-Kind = Literal["report", "manual", "picture", "overlay", "video", "model", "table", "JSON"]
+Kind = Literal[
+    "report", "review", "manual", "picture", "overlay", "video", "model", "table", "JSON"
+]
 OVERLAY_LIBRARY = "sonarrec overlay"
 """Library name in the header of an overlay's MCAP."""
 PICTURE_MARK = {"Software": "sonarrec"}
@@ -37,6 +39,7 @@ _numbers = itertools.count()
 _HEAD = 4096
 _MARKS: dict[Kind, bytes] = {
     "report": b"sonarrec report</title>",
+    "review": b"sonarrec review</title>",
     "manual": b"sonarrec manual</title>",
     "picture": b"Software\0sonarrec",
     "overlay": OVERLAY_LIBRARY.encode(),

@@ -30,8 +30,9 @@ class Truth:
     frame_index: (T,) into ReadLog.frame. landmark_index: (T,) into the set's ids; the number of IDs
     for a stranger. visible: (T,) share of the disc, 0 to 1. position: (T, 2) m in the fan plane, to
     the right and ahead; None if not known. orientation: (T,) deg, as in estimates.csv; None without
-    the column. rows: number of rows of gt.csv on this log; of these `unprocessed` are on frames
-    that were not processed, `between` left out because a row with a nearer time has the frame.
+    the column. row: (T,) into the table. rows: number of rows of gt.csv on this log; of these
+    `unprocessed` are on frames that were not processed, `between` left out because a row with a
+    nearer time has the frame.
     tolerance_ns: longest time from a row to its frame; None if rows name frames by number.
     """
 
@@ -40,6 +41,7 @@ class Truth:
     visible: FloatArray
     position: FloatArray | None
     orientation: FloatArray | None
+    row: IntArray
     rows: int
     unprocessed: int
     between: int
@@ -114,6 +116,7 @@ def match_truth(
         visible=table.visible[row],
         position=None if position is None else position[row],
         orientation=None if table.orientation is None else table.orientation[row],
+        row=row,
         rows=len(at),
         unprocessed=int(np.count_nonzero(~matched)),
         between=int(np.count_nonzero(matched & ~kept)),

@@ -25,7 +25,7 @@ from sonarrec.truth.table import FILLED_IN, TRACKED, write_truth
 HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")
 LEAST_DECLARED = 5  # frames in which a track must have declared its ID
 LEAST_AGREEMENT = 0.9  # share of the declarations of a track that must name the same ID
-_Taken = defaultdict[tuple[int, int], list[list[float]]]
+Taken = defaultdict[tuple[int, int], list[list[float]]]
 """Floor positions proposed so far, by frame and ID."""
 
 
@@ -81,16 +81,34 @@ def propose(
                 continue
             diagnostics.problem(*not_whole(log, "used"))
             of_log: list[tuple[object, ...]] = []
-            taken: _Taken = defaultdict(list)
-            for ids, estimates in _tracks(folder, log, method or leading(log.methods)):
-                track, proposed = _propose(log, ids, estimates, min_score, max_gap, taken)
+            of_tracks = proposals(folder, log, method, min_score=min_score, max_gap=max_gap)
+            for track, proposed in of_tracks:
                 tracks.append(track)
-                of_log += proposed
+                of_log += [] if track.left_out else proposed
             name = (log.name,) if len(folders) > 1 else ()
             yield from ((*name, *row) for row in sorted(of_log))
 
     write_truth(out, (("log", *HEADER) if len(folders) > 1 else HEADER), rows())
     return tracks, diagnostics
+
+
+def proposals(
+    folder: Path,
+    log: LogResults,
+    method: str | None = None,
+    *,
+    min_score: float = 0.9,
+    max_gap: int = 8,
+    taken: Taken | None = None,
+) -> Iterator[tuple[ProposedTrack, list[tuple[object, ...]]]]:
+    """Each track that declared an ID, and its rows (HEADER), also of a track that is left out.
+
+    method: None: the leading one. taken: floor positions that have a row already. Raises
+    SonarrecError if the results cannot be used.
+    """
+    taken = defaultdict(list) if taken is None else taken
+    for ids, estimates in _tracks(folder, log, method or leading(log.methods)):
+        yield _propose(log, ids, estimates, min_score, max_gap, taken)
 
 
 def _tracks(folder: Path, log: LogResults, method: str) -> list[tuple[dict[int, int], IntArray]]:
@@ -130,7 +148,7 @@ def _propose(
     estimates: IntArray,
     min_score: float,
     max_gap: int,
-    taken: _Taken,
+    taken: Taken,
 ) -> tuple[ProposedTrack, list[tuple[object, ...]]]:
     """One of `_tracks`, and its rows of gt.csv.
 
@@ -148,29 +166,29 @@ def _propose(
         left_out = f"best score below {min_score:g}"
     seen, first = np.unique(log.frame_index[estimates], return_index=True)
     rows: list[tuple[object, ...]] = []
-    if not left_out:
-        stretch = log.stretch
-        near = ((a, b) for a, b in pairwise(seen) if b - a <= max_gap + 1)
-        gaps = [np.arange(a, b) for a, b in near if stretch[a] == stretch[b]]
-        index = np.unique(np.concatenate([seen, *gaps]))
-        range_m, bearing_deg = (
-            np.interp(index, seen, values)
-            for values in polar_from_plane(log.position[estimates[first]])
-        )
-        x, y = pixel_from_polar(log.fan, range_m, bearing_deg)
-        visible = share_in_image(log.fan, range_m, bearing_deg, log.landmarks.radius_m)
-        floor = plane_from_polar(ground_range(log.fan, range_m), bearing_deg).tolist()
-        source = np.where(np.isin(index, seen), TRACKED, FILLED_IN).tolist()
-        for n, frame in enumerate(log.frame[index].tolist()):
-            others = taken[frame, landmark]
-            doubled = any(dist(floor[n], other) < log.landmarks.radius_m for other in others)
-            if not doubled and visible[n] > 0:
-                others.append(floor[n])
-                cells = f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}", track, source[n]
-                rows.append((frame, landmark, *cells))
-    frames = int(log.frame[seen[0]]), int(log.frame[seen[-1]])
-    filled = sum(row[-1] == FILLED_IN for row in rows)
-    proposed = ProposedTrack(
-        log.name, track, landmark, frames, len(rows), filled, best_score, left_out
+    stretch = log.stretch
+    near = ((a, b) for a, b in pairwise(seen) if b - a <= max_gap + 1)
+    gaps = [np.arange(a, b) for a, b in near if stretch[a] == stretch[b]]
+    index = np.unique(np.concatenate([seen, *gaps]))
+    range_m, bearing_deg = (
+        np.interp(index, seen, values)
+        for values in polar_from_plane(log.position[estimates[first]])
     )
+    x, y = pixel_from_polar(log.fan, range_m, bearing_deg)
+    visible = share_in_image(log.fan, range_m, bearing_deg, log.landmarks.radius_m)
+    floor = plane_from_polar(ground_range(log.fan, range_m), bearing_deg).tolist()
+    source = np.where(np.isin(index, seen), TRACKED, FILLED_IN).tolist()
+    for n, frame in enumerate(log.frame[index].tolist()):
+        others = taken[frame, landmark]
+        doubled = any(dist(floor[n], other) < log.landmarks.radius_m for other in others)
+        if not doubled and visible[n] > 0:
+            if not left_out:
+                others.append(floor[n])
+            cells = f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}", track, source[n]
+            rows.append((frame, landmark, *cells))
+    frames = int(log.frame[seen[0]]), int(log.frame[seen[-1]])
+    count, filled = len(rows), sum(row[-1] == FILLED_IN for row in rows)
+    if left_out:
+        count = filled = 0
+    proposed = ProposedTrack(log.name, track, landmark, frames, count, filled, best_score, left_out)
     return proposed, rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -117,6 +118,14 @@ def read_rows(path: Path) -> TruthTable:
         orientation=table.get("orientation_deg"),
         proposed=np.zeros(rows, bool) if source is None else source.isin((TRACKED, FILLED_IN)),
     )
+
+
+def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
+    """The header of a table that `read_rows` reads, and the texts of each of its rows."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = csv.reader(file, skipinitialspace=True)
+        header, *filled = (row for row in rows if len(row) > 1 or "".join(row).strip())
+    return header, [row + [""] * (len(header) - len(row)) for row in filled]
 
 
 def repeated_rows(table: TruthTable) -> IntArray:

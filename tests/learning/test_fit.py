@@ -150,7 +150,9 @@ def truth(*rows: tuple[int, int, float, float]) -> Truth:
     """(frame, index of the landmark, share visible, metres to the right; all are 2 m ahead)."""
     frame, landmark, visible, right = (np.array(column) for column in zip(*rows, strict=True))
     position = np.column_stack([right, np.full(len(rows), 2.0)])
-    return Truth(frame, landmark, visible, position, None, len(rows), 0, 0, None)
+    return Truth(
+        frame, landmark, visible, position, None, np.arange(len(rows)), len(rows), 0, 0, None
+    )
 
 
 def test_tracks_are_labelled_by_where_they_lie():
