@@ -2,302 +2,256 @@
 // removed. Each is an entry of `work.done`; `fold` makes the passes from those of the page and these
 // entries, so that undo is to leave the last one out, and only entries are kept in the browser.
 const data = JSON.parse(document.getElementById("data").textContent);
-const { fan, ids } = data;
-const part = (id) => document.getElementById(id);
+const { fan, ids, images } = data, last = data.first + data.frames - 1, key = `sonarrec review ${data.key}`;
+const damaged = new Set(data.damaged), shown = Object.keys(images).map(Number);
+const part = (id) => document.getElementById(id), button = (act) => document.querySelector(`[data-act=${act}]`);
 const view = new View(part("marks"), part("image"));
-const damaged = new Set(data.damaged), shown = Object.keys(data.images).map(Number);
-const last = data.first + data.frames - 1, column = (name) => data.header.indexOf(name);
-const STEP_MS = 80, NEAR_PX = 0.5, key = `sonarrec review ${data.key}`;
-const empty = () => ({ page: data.page, done: [], undone: [], seen: [] });
+const STEP_MS = 80, NEAR_PX = 0.5, WAIT_MS = 700, FAR = 1e9;
+const nothing = () => ({ page: data.page, done: [], undone: [], seen: [] });
 
-let work = empty(); // seen: numbers of frames that were on the screen
-let passes = [], lost = 0; // as folded; entries on passes that this page does not have
-let now = shown[0], chosen = null, range = "all", placing = null, hidden = false, timer = 0;
-let seen = new Set(), refused = false, saved = true, earlier = null;
+let work = nothing(), seen = new Set(); // seen: frames that were on the screen
+let passes = [], lost = 0; // as folded; entries on passes that this page lacks
+let now = shown[0], chosen = null, range = "all", placing = null, hidden = false;
+let refused = false, saved = true, timer = 0, typed = "", wait = 0;
 
-// Passes
+// The passes
 
-function row(frame, x, y, more) {
-  return { frame, x, y, visible: visibleShare(fan, x, y, data.radius_m), cells: null, moved: true, ...more };
-}
+const placed = (frame, x, y, more) =>
+  ({ frame, x, y, visible: visibleShare(fan, x, y, data.radius_m), moved: true, ...more });
 
-/** Where something lies in a frame that lay at row a and lies at row b: on a straight line on the
-    floor; in the image where the sonar's motion between them is not known. */
+/** The pixel in a frame of what lies at a in one frame and at b in another: on a straight line on the
+    floor; in the image where the sonar's motion from one to the other is not known. */
 function between(a, b, frame) {
-  const share = (frame - a.frame) / (b.frame - a.frame), mix = (p, q) => p.map((v, n) => v + share * (q[n] - v));
-  const poses = [a.frame, b.frame, frame].map((n) => data.poses[n]);
+  const mix = (p, q) => p.map((v, n) => v + (frame - a.frame) / (b.frame - a.frame) * (q[n] - v));
+  const poses = [a.frame, b.frame, frame].map((n) => data.poses[n]), [, , x, y, stretch] = poses[2] ?? [];
   const floors = [a, b].map((one) => floorFromPixel(fan, one.x, one.y));
-  if (poses.some((pose) => !pose || pose[3] !== poses[0][3]) || floors.flat().some(Number.isNaN)) {
-    return mix([a.x, a.y], [b.x, b.y]);
-  }
-  const turn = ([yaw]) => [Math.cos(yaw * Math.PI / 180), Math.sin(yaw * Math.PI / 180)];
-  const [p, q] = floors.map(([right, ahead], n) => {
-    const [cos, sin] = turn(poses[n]);
-    return [poses[n][1] + right * cos + ahead * sin, poses[n][2] - right * sin + ahead * cos];
-  });
-  const [x, y] = mix(p, q).map((v, n) => v - poses[2][n + 1]), [cos, sin] = turn(poses[2]);
-  return pixelFromFloor(fan, x * cos - y * sin, x * sin + y * cos);
+  const known = stretch !== undefined && poses.every((pose) => pose?.[4] === stretch);
+  if (!known || floors.flat().some(Number.isNaN)) return mix([a.x, a.y], [b.x, b.y]);
+  const rotated = ([right, ahead], [cos, sin]) => [right * cos + ahead * sin, ahead * cos - right * sin];
+  const still = floors.map((floor, n) => rotated(floor, poses[n]).map((v, axis) => v + poses[n][2 + axis]));
+  const [east, north] = mix(...still), [cos, sin] = poses[2];
+  return pixelFromFloor(fan, ...rotated([east - x, north - y], [cos, -sin]));
 }
 
-/** The rows with a key frame at a pixel, and what lies between it and its neighbours drawn anew. */
+/** Drawn rows with a key frame at a pixel; those from it to the key frames about it are drawn anew. */
 function withKey(rows, frame, x, y) {
-  const keys = rows.filter((one) => one.key && one.frame !== frame);
-  const made = row(frame, x, y, { key: true }), found = new Map(rows.map((one) => [one.frame, one]));
-  found.set(frame, made);
+  const keys = rows.filter((one) => one.key && one.frame !== frame), made = placed(frame, x, y, { key: true });
+  const found = new Map(rows.map((one) => [one.frame, one])).set(frame, made);
   const before = keys.findLast((one) => one.frame < frame), after = keys.find((one) => one.frame > frame);
-  for (const [a, b] of [[before, made], [made, after]]) {
-    for (let n = a && b ? a.frame + 1 : Infinity; n < b?.frame; n++) {
-      if (!damaged.has(n)) found.set(n, row(n, ...between(a, b, n)));
-    }
+  for (const [a, b] of [[before, made], [made, after]].filter((pair) => pair[0] && pair[1])) {
+    for (let n = a.frame + 1; n < b.frame; n++) if (!damaged.has(n)) found.set(n, placed(n, ...between(a, b, n)));
   }
-  return [...found.values()].filter((one) => one.visible > 0 || one.key).sort((a, b) => a.frame - b.frame);
+  return [...found.values()].sort((one, other) => one.frame - other.frame);
 }
 
-/** The frames in the page before and after one. */
-const around = (frame) => [shown.findLast((n) => n < frame) ?? -Infinity, shown.find((n) => n > frame) ?? Infinity];
+/** How much a row in frame n takes part in a change in a frame of the page: 1 there, 0 in the next ones
+    in the page. */
+function weight(n, frame) {
+  const before = shown.findLast((m) => m < frame) ?? -FAR, after = shown.find((m) => m > frame) ?? FAR;
+  return Math.max(0, Math.min((n - before) / (frame - before), (after - n) / (after - frame)));
+}
 
-/** The rows with one moved to a pixel, and those near it that are not in the page by a part of that. */
+/** Rows with the one in a frame moved to a pixel; those that are not in the page follow it. */
 function moved(rows, frame, x, y) {
-  const from = rows.find((one) => one.frame === frame), [before, after] = around(frame);
+  const from = rows.find((one) => one.frame === frame) ?? { x, y };
   return rows.map((one) => {
-    const end = one.frame < frame ? before : after;
-    const share = one.frame === frame ? 1 : Number.isFinite(end) ? (one.frame - end) / (frame - end) : 1;
-    const taken = !from || share <= 0 || one.frame <= before || one.frame >= after;
-    return taken ? one : { ...one, ...row(one.frame, one.x + share * (x - from.x), one.y + share * (y - from.y)), cells: one.cells };
+    const share = weight(one.frame, frame);
+    return share ? { ...one, ...placed(one.frame, one.x + share * (x - from.x), one.y + share * (y - from.y)) } : one;
   });
 }
 
-/** The part of a pass that an entry is on; the other part becomes a pass of its own. */
-function split(made, entry) {
-  const pass = made.get(entry.pass), first = entry.from ?? (entry.to === undefined ? undefined : entry.to + 1);
-  if (!pass || first === undefined) return pass;
-  const [early, late] = [pass.rows.filter((one) => one.frame < first), pass.rows.filter((one) => one.frame >= first)];
-  if (!early.length || !late.length) return pass;
-  const head = { ...pass, rows: early }, tail = { ...pass, id: `${pass.id}>${first}`, rows: late };
+/** The pass an entry is on, or the part of it; then the other part becomes a pass of its own. */
+function partOf(made, { pass: id, from, to }) {
+  const pass = made.get(id), first = from ?? to + 1;
+  const [early, late] = [(one) => one.frame < first, (one) => one.frame >= first].map((of) => pass?.rows.filter(of));
+  if (!early?.length || !late.length) return pass;
+  const head = { ...pass, rows: early }, tail = { ...pass, rows: late, id: `${id}>${first}` };
   made.set(head.id, head).set(tail.id, tail);
-  return entry.from === undefined ? head : tail;
+  return from === undefined ? head : tail;
 }
 
+/** What each kind of entry does to a pass. */
 const entries = {
-  set(made, entry) {
-    const pass = split(made, entry), { state = pass?.state, landmark = pass?.landmark } = entry;
-    if (pass) made.set(pass.id, { ...pass, state, landmark });
-    return pass;
-  },
-  add(made, { pass, landmark, frame, x, y }) {
-    const rows = withKey([], frame, x, y);
-    return made.set(pass, { id: pass, landmark, rows, state: "accepted", origin: "drawn", why: "", drawn: true });
-  },
-  move(made, { pass, frame, x, y }) {
-    const of = made.get(pass);
-    if (of) made.set(pass, { ...of, rows: (of.drawn ? withKey : moved)(of.rows, frame, x, y) });
-    return of;
-  },
-  remove(made, { pass, frame }) {
-    const of = made.get(pass), [before, after] = around(frame);
-    const near = (n) => n > before && n < after && 2 * n > before + frame && 2 * n < after + frame;
-    if (of) made.set(pass, { ...of, rows: of.rows.filter((one) => one.frame !== frame && !near(one.frame)) });
-    return of;
-  },
+  set: (pass, { state = pass.state, landmark = pass.landmark }) => ({ state, landmark }),
+  move: (pass, { frame, x, y }) => ({ rows: (pass.drawn ? withKey : moved)(pass.rows, frame, x, y) }),
+  remove: (pass, { frame }) => ({ rows: pass.rows.filter((one) => weight(one.frame, frame) <= 0.5) }),
 };
 
 function fold() {
-  const made = new Map(data.passes.map((pass) => [pass.id, pass]));
-  lost = work.done.filter((entry) => !entries[entry.kind](made, entry)).length;
-  passes = [...made.values()].filter((pass) => pass.rows.length);
+  const made = new Map(data.passes.map((pass) => [pass.id, pass])), order = [...made.keys()];
+  lost = 0;
+  for (const entry of work.done) {
+    const { pass: id, landmark, drawn } = entry;
+    const isNew = drawn && !made.has(id) && { id, landmark, drawn, rows: [], state: "accepted", origin: "drawn" };
+    const pass = isNew || partOf(made, entry);
+    if (pass) made.set(pass.id, { ...pass, ...entries[entry.kind](pass, entry) });
+    else lost++;
+  }
+  const place = (pass) => (order.indexOf(pass.id.split(">")[0]) + 1 || FAR) + pass.rows[0].frame / FAR;
+  passes = [...made.values()].filter((pass) => pass.rows.length).sort((a, b) => place(a) - place(b));
 }
 
-/** Decide: an entry, which is kept; what was undone is gone. */
-function decide(entry) {
-  work.done.push(entry);
-  work.undone = [];
+// What is kept in the browser, and what is saved
+
+function keep() {
+  try {
+    localStorage.setItem(key, JSON.stringify({ ...work, seen: [...seen] }));
+  } catch {
+    refused = true;
+  }
+}
+
+function changed() {
   saved = false;
   keep();
   fold();
   render();
 }
 
-// What is kept in the browser, and what is saved
+function decide(entry) {
+  work.done.push(entry);
+  work.undone = [];
+  changed();
+}
 
-function keep() {
-  work.seen = [...seen];
-  try {
-    localStorage.setItem(key, JSON.stringify(work));
-  } catch {
-    refused = true;
-  }
+function back(from, to, text) {
+  if (!from.length) return;
+  const entry = from.pop();
+  to.push(entry);
+  chosen = entry.pass;
+  now = entry.frame ?? now;
+  changed();
+  say(text);
 }
 
 function csv() {
-  const name = (cell) => (/[",\r\n]|^ /.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell);
-  const lines = data.kept.map(([frame, cells]) => [frame ?? Infinity, 0, cells]);
-  for (const pass of passes) {
-    if (pass.state === "rejected" || (pass.left_out && pass.state === "open")) continue;
-    for (const one of pass.rows) {
-      const cells = one.cells ? [...one.cells] : data.header.map((head) => (head === "log" ? data.log : ""));
-      if (!one.cells) cells[column("frame")] = String(one.frame);
-      cells[column("landmark")] = String(pass.landmark);
-      if (one.moved) {
-        cells[column("x_px")] = one.x.toFixed(2);
-        cells[column("y_px")] = one.y.toFixed(2);
-        cells[column("visible")] = one.visible.toFixed(3);
-      }
-      if (one.moved || pass.state === "accepted") cells[column("source")] = "";
-      if (one.visible > 0) lines.push([one.frame, pass.landmark, cells]);
+  const cell = (text) => (/[",\r\n]|^\s/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+  const lines = data.kept.map(([frame, cells]) => [frame ?? FAR, 0, cells]);
+  for (const { state, landmark, left_out, rows } of passes) {
+    if (state === "rejected" || (left_out && state === "open")) continue;
+    for (const one of rows.filter((each) => each.visible > 0 || !each.moved)) {
+      const drawn = { frame: one.frame, x_px: one.x.toFixed(2), y_px: one.y.toFixed(2), visible: one.visible.toFixed(3) };
+      const values = { landmark, ...(one.moved && drawn), ...((one.moved || state === "accepted") && { source: "" }) };
+      const came = one.cells ?? data.header.map((name) => (name === "log" ? data.log : ""));
+      lines.push([one.frame, landmark, data.header.map((name, n) => String(values[name] ?? came[n]))]);
     }
   }
-  lines.sort((a, b) => (a[0] === b[0] ? 0 : a[0] - b[0]) || a[1] - b[1]);
-  return [data.header, ...lines.map((line) => line[2])].map((cells) => cells.map(name).join(",") + "\n").join("");
-}
-
-const count = (n, noun, ending = "s") => `${n} ${noun}${n === 1 ? "" : ending}`;
-const unseen = () => data.frames - damaged.size - seen.size;
-
-function left() {
-  const open = passes.filter((pass) => pass.state === "open"), out = open.filter((pass) => pass.left_out).length;
-  const of = open.length ? `${count(open.length, "pass", "es")} open${out ? ` (${out} not saved while open)` : ""}` : "No pass is open";
-  return `${of}; ${unseen() ? `${count(unseen(), "frame")} not yet seen` : "all frames seen"}`;
+  lines.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+  return [data.header, ...lines.map((line) => line[2])].map((cells) => cells.map(cell).join(",") + "\n");
 }
 
 // The screen
 
 const say = (text) => { part("say").textContent = text; };
+const count = (n, noun, ending = "s") => `${n} ${noun}${n === 1 ? "" : ending}`;
 const current = () => passes.find((pass) => pass.id === chosen);
-const colour = (landmark) => ids.indexOf(landmark);
+const tint = (landmark) => `--c: var(--bright-${ids.indexOf(landmark)})`;
+const at = (pass, frame) => pass.rows.find((one) => one.frame === frame);
+const spanOf = (pass) => `frames ${pass.rows[0].frame} to ${pass.rows.at(-1).frame}`;
+const cornersOf = (pass, one) => (!one.moved && pass.corners?.[one.frame]) || outline(one.x, one.y);
 
-function outline(one) {
-  const [right, ahead] = floorFromPixel(fan, one.x, one.y), points = [];
-  // Nearer than the floor it has the shape of one at the nearest floor.
-  const steep = Math.hypot(right, ahead) > 0.32 * fan.depth_m;
-  const floor = steep ? [right, ahead] : [0, 0.32 * fan.depth_m];
-  const drawn = pixelFromFloor(fan, ...floor);
-  for (let n = 0; n < 48; n++) {
-    const angle = n * Math.PI / 24, r = data.radius_m;
-    const [x, y] = pixelFromFloor(fan, floor[0] + r * Math.cos(angle), floor[1] + r * Math.sin(angle));
-    points.push([x + one.x - drawn[0], y + one.y - drawn[1]]);
-  }
-  return points;
+function left() {
+  const open = passes.filter((pass) => pass.state === "open"), out = open.filter((pass) => pass.left_out).length;
+  const unseen = data.frames - damaged.size - seen.size;
+  const of = `${count(open.length, "pass", "es")} open${out ? ` (${out} not saved while open)` : ""}`;
+  return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}`;
 }
 
-const cornersOf = (pass, one) => (!one.moved && pass.corners?.[one.frame]) || outline(one);
+/** The edge of a disc at a pixel; nearer than the floor it has the shape of one at the nearest floor. */
+function outline(x, y) {
+  let floor = floorFromPixel(fan, x, y);
+  const steepest = Math.sqrt(1.05 ** 2 - 1) * fan.depth_m;
+  if (!(Math.hypot(...floor) > steepest)) floor = [0, steepest];
+  const [column, row] = pixelFromFloor(fan, ...floor);
+  return Array.from({ length: 48 }, (_, n) => {
+    const [right, ahead] = [Math.cos, Math.sin].map((of, axis) => floor[axis] + data.radius_m * of(n * Math.PI / 24));
+    return pixelFromFloor(fan, right, ahead).map((v, axis) => v + (axis ? y - row : x - column));
+  });
+}
 
 function frame() {
+  const held = images[now], pass = current();
+  if (held) seen.add(now);
   part("title").textContent = `Frame ${now}`;
   part("of").textContent = `of ${data.first} to ${last}` + (placing ? `; placing ID.${placing.landmark}` : "");
-  const source = data.images[now];
-  if (source) part("image").src = source;
-  part("image").style.visibility = source ? "" : "hidden";
-  part("grey").hidden = Boolean(source);
-  part("grey").textContent = damaged.has(now) ? "This frame cannot be read." : "This frame is not in this page.";
+  part("image").style.visibility = held ? "" : "hidden";
   part("image").alt = `Sonar image, frame ${now}`;
-  if (source) seen.add(now);
+  if (held) part("image").src = held;
+  part("grey").hidden = Boolean(held);
+  part("grey").textContent = damaged.has(now) ? "This frame cannot be read." : "This frame is not in this page.";
+  part("pass").textContent = pass ? `ID.${pass.landmark}, ${spanOf(pass)}, ${pass.state}` : "No pass is chosen.";
+  part("left").textContent = left();
   view.begin(fan.columns, fan.rows);
-  for (const pass of hidden ? [] : passes) {
-    const one = pass.rows.find((other) => other.frame === now);
-    if (!one) continue;
-    const label = `ID.${pass.landmark}${pass.state === "open" ? "?" : ""}`;
-    const kind = `declared ${pass.state}${pass.id === chosen ? " chosen" : ""}`;
-    view.mark({ corners: cornersOf(pass, one), label, colour: colour(pass.landmark) }, kind);
+  for (const one of hidden ? [] : passes.filter((each) => at(each, now))) {
+    const label = `ID.${one.landmark}${one.state === "open" ? "?" : ""}`, corners = cornersOf(one, at(one, now));
+    const kind = `declared ${one.state}${one.id === chosen ? " chosen" : ""}`;
+    view.mark({ corners, label, colour: ids.indexOf(one.landmark), pass: one.id }, kind);
   }
   strip();
-  const pass = current(), of = pass && `${pass.rows[0].frame} to ${pass.rows.at(-1).frame}`;
-  part("pass").textContent = pass ? `ID.${pass.landmark}, frames ${of}, ${pass.state}` : "No pass is chosen.";
-  part("left").textContent = left();
 }
 
+/** The bar of frames: which were seen, a line for each pass, and where one is. */
 function strip() {
-  const svg = part("strip"), add = (x, width, y, height, kind, k) => {
-    const rect = document.createElementNS("http://www.w3.org/2000/svg", "rect");
-    Object.entries({ x, y, width, height, class: kind, style: k === undefined ? "" : `--c: var(--bright-${k})` })
-      .forEach(([name, value]) => rect.setAttribute(name, value));
-    svg.append(rect);
-  };
+  const svg = part("strip"), ends = [];
+  const add = (x, end, y, height, kind, style = "") =>
+    drawn(svg, "rect", { x, width: end - x, y, height, class: kind, style });
+  const kindOf = (n) => (damaged.has(n) ? "damaged" : seen.has(n) ? "seen" : images[n] ? "unseen" : "absent");
   svg.replaceChildren();
-  const ends = [];
   for (let n = data.first, from = n; n <= last; n++) {
-    const kind = (m) => (damaged.has(m) ? "damaged" : seen.has(m) ? "seen" : data.images[m] ? "unseen" : "absent");
-    if (n === last || kind(n + 1) !== kind(n)) {
-      add(from, n + 1 - from, 0, 1, kind(n));
-      from = n + 1;
-    }
+    if (n < last && kindOf(n + 1) === kindOf(n)) continue;
+    add(from, n + 1, 0, 1, kindOf(n));
+    from = n + 1;
   }
   for (const pass of [...passes].sort((a, b) => a.rows[0].frame - b.rows[0].frame)) {
-    const [from, to] = [pass.rows[0].frame, pass.rows.at(-1).frame];
-    let lane = ends.findIndex((end) => end < from);
-    if (lane < 0) lane = ends.length;
-    ends[lane] = to;
-    add(from, to + 1 - from, 1.6 + lane, 0.7, `pass ${pass.state}${pass.id === chosen ? " chosen" : ""}`, colour(pass.landmark));
+    const from = pass.rows[0].frame, free = ends.findIndex((end) => end < from), lane = free < 0 ? ends.length : free;
+    ends[lane] = pass.rows.at(-1).frame;
+    const kind = `pass ${pass.state}${pass.id === chosen ? " chosen" : ""}`;
+    add(from, ends[lane] + 1, 1.6 + lane, 0.7, kind, tint(pass.landmark));
   }
-  add(now, 1, 0, 1.6 + ends.length, "now");
-  svg.setAttribute("viewBox", `${data.first} 0 ${data.frames} ${1.6 + ends.length}`);
-  svg.style.height = `${12 * (1.6 + ends.length)}px`;
+  const rows = 1.6 + ends.length;
+  add(now, now + 1, 0, rows, "now");
+  svg.setAttribute("viewBox", `${data.first} 0 ${data.frames} ${rows}`);
+  svg.style.height = `${12 * rows}px`;
 }
 
-const pictures = new Map();
-
-/** A small picture of a pass, from the frame in the page nearest to its middle. */
-function picture(pass) {
-  if (pictures.has(pass.id)) return pictures.get(pass.id);
-  const canvas = Object.assign(document.createElement("canvas"), { width: 64, height: 64 });
-  const rows = pass.rows.filter((one) => data.images[one.frame]), one = rows[Math.floor(rows.length / 2)];
-  pictures.set(pass.id, canvas);
-  if (one) {
-    const image = new Image(), size = 2.6 * data.radius_m / fan.metres_per_pixel;
-    image.onload = () => canvas.getContext("2d").drawImage(image, one.x - size / 2, one.y - size / 2, size, size, 0, 0, 64, 64);
-    image.src = data.images[one.frame];
-  }
-  return canvas;
-}
-
-function list() {
-  part("list").replaceChildren(...passes.map((pass) => {
-    const item = document.createElement("li"), button = document.createElement("button");
-    const text = document.createElement("span"), head = document.createElement("b"), mark = document.createElement("i");
-    head.textContent = `ID.${pass.landmark}`;
-    mark.style.setProperty("--c", `var(--bright-${colour(pass.landmark)})`);
-    const belief = pass.drawn ? "drawn" : `least belief ${pass.belief.toFixed(2)}`;
-    const lines = [`frames ${pass.rows[0].frame} to ${pass.rows.at(-1).frame}`, `${pass.origin}${pass.drawn ? "" : `, ${belief}`}`];
-    text.append(mark, head, ...[...lines, pass.why].filter(Boolean).flatMap((line, n) => {
-      const small = Object.assign(document.createElement("small"), { textContent: line, className: n === 2 ? "why" : "" });
-      return [small];
-    }));
-    const state = Object.assign(document.createElement("em"), { textContent: pass.state });
-    button.type = "button";
-    button.className = `${pass.state}${pass.id === chosen ? " chosen" : ""}`;
-    button.dataset.pass = pass.id;
-    button.append(picture(pass), text, state);
-    item.append(button);
-    return item;
-  }));
-  part("list").querySelector(".chosen")?.scrollIntoView({ block: "nearest" });
+function make(tag, values, ...inside) {
+  const element = Object.assign(document.createElement(tag), values);
+  element.append(...inside);
+  return element;
 }
 
 function render() {
-  if (!current()) chosen = passes[0]?.id ?? null;
-  list();
-  const states = ["open", "accepted", "rejected"], of = (state) => passes.filter((pass) => pass.state === state).length;
-  part("shares").replaceChildren(...states.map((state) => {
-    const share = Object.assign(document.createElement("i"), { className: state, title: `${of(state)} ${state}` });
-    share.style.flexGrow = of(state);
-    return share;
+  if (!current()) chosen = placing ? null : passes[0]?.id ?? null;
+  part("list").replaceChildren(...passes.map((pass) => {
+    const dot = make("i", { style: tint(pass.landmark) }), name = make("b", { textContent: `ID.${pass.landmark}` });
+    const from = pass.drawn ? pass.origin : `${pass.origin}, least belief ${pass.belief.toFixed(2)}`;
+    const lines = [spanOf(pass), from].map((textContent) => make("small", { textContent }));
+    if (pass.why) lines.push(make("small", { className: "why", textContent: pass.why }));
+    const className = `${pass.state}${pass.id === chosen ? " chosen" : ""}`, state = make("em", { textContent: pass.state });
+    const image = pass.picture ? make("img", { src: pass.picture, alt: "" }) : "";
+    const item = make("button", { type: "button", className }, image, make("span", {}, dot, name, ...lines), state);
+    item.dataset.pass = pass.id;
+    return make("li", {}, item);
   }));
-  for (const name of ["all", "from", "to"]) {
-    document.querySelector(`[data-act=${name}]`).setAttribute("aria-pressed", String(range === name));
-  }
-  document.querySelector("[data-act=undo]").disabled = !work.done.length;
-  document.querySelector("[data-act=redo]").disabled = !work.undone.length;
-  document.querySelector("[data-act=place]").setAttribute("aria-pressed", String(Boolean(placing)));
+  const states = ["open", "accepted", "rejected"], of = (state) => passes.filter((pass) => pass.state === state).length;
+  part("shares").replaceChildren(...states.map((state) => make("i", { className: state, style: `flex-grow: ${of(state)}` })));
+  for (const act of ["all", "from", "to"]) button(act).ariaPressed = String(range === act);
+  button("place").ariaPressed = String(Boolean(placing));
+  button("undo").disabled = !work.done.length;
+  button("redo").disabled = !work.undone.length;
   frame();
 }
 
 // What a person does
 
-function choose(id, jump = true) {
+/** Choose a pass, and go to its first frame unless it is in this one. */
+function choose(id) {
   chosen = id;
-  const rows = current()?.rows ?? [];
-  const first = rows.find((one) => data.images[one.frame]) ?? rows[0];
-  if (jump && first && !rows.some((one) => one.frame === now)) now = first.frame;
+  const rows = current()?.rows ?? [], first = rows.find((one) => images[one.frame]) ?? rows[0];
+  if (first && !at(current(), now)) now = first.frame;
   render();
+  const list = part("list"), item = list.querySelector(".chosen"), top = item?.offsetTop;
+  if (top < list.scrollTop || top + item?.offsetHeight > list.scrollTop + list.clientHeight) list.scrollTop = top - 40;
 }
 
 function go(n) {
@@ -306,163 +260,138 @@ function go(n) {
   keep();
 }
 
-/** The next frame in the page, or the next that is grey; by -1 the one before. */
+/** To the next frame that is in the page, or grey; by -1 to the one before. */
 function step(by) {
   let n = now + by;
-  while (n > data.first && n < last && !data.images[n] && !damaged.has(n)) n += by;
+  while (n > data.first && n < last && !images[n] && !damaged.has(n)) n += Math.sign(by);
   go(n);
 }
 
 function stop() {
   clearInterval(timer);
   timer = 0;
-  document.querySelector("[data-act=play]").setAttribute("aria-pressed", "false");
+  button("play").ariaPressed = "false";
 }
 
+/** Decide on the chosen pass, or a part of it, and go on to the next one that is open. */
 function set(values) {
-  const pass = current();
+  const pass = current(), of = { from: { from: now }, to: { to: now } }[range];
   if (!pass) return say("Choose a pass first.");
-  const of = range === "from" ? { from: now } : range === "to" ? { to: now } : {};
   range = "all";
   decide({ kind: "set", pass: pass.id, ...of, ...values });
-  say(`ID.${pass.landmark}, frames ${pass.rows[0].frame} to ${pass.rows.at(-1).frame}: ${Object.values(values).join(" as ID.")}.`);
-  const order = passes.findIndex((one) => one.id === pass.id), after = [...passes.slice(order + 1), ...passes.slice(0, order)];
-  const next = after.find((one) => one.state === "open");
+  const order = passes.findIndex((one) => one.id === pass.id);
+  const next = [...passes.slice(order), ...passes.slice(0, order)].find((one) => one.state === "open");
   if (next && values.state !== "open") choose(next.id);
-}
-
-const acts = {
-  undo() { if (work.done.length) change(work.done, work.undone, "Taken back."); },
-  redo() { if (work.undone.length) change(work.undone, work.done, "Decided again."); },
-  accept() { set({ state: "accepted" }); },
-  reject() { set({ state: "rejected" }); },
-  reopen() { set({ state: "open" }); },
-  all() { range = "all"; render(); },
-  from() { range = range === "from" ? "all" : "from"; render(); },
-  to() { range = range === "to" ? "all" : "to"; render(); },
-  before(event) { step(event.shiftKey ? -10 : -1); },
-  next(event) { step(event.shiftKey ? 10 : 1); },
-  hide() { hidden = !hidden; frame(); },
-  fit() { Object.assign(view, { zoom: 1, left: 0, top: 0 }); frame(); },
-  bigger() { view.scale(1.25); frame(); },
-  smaller() { view.scale(0.8); frame(); },
-  first() { go(current()?.rows[0].frame ?? data.first); },
-  last() { go(current()?.rows.at(-1).frame ?? last); },
-  up() { other(-1); },
-  down() { other(1); },
-  play() {
-    if (timer) return stop();
-    const rows = current()?.rows ?? [], end = rows.length ? rows.at(-1).frame : last;
-    if (rows.length && (now < rows[0].frame || now >= end)) go(rows[0].frame);
-    document.querySelector("[data-act=play]").setAttribute("aria-pressed", "true");
-    timer = setInterval(() => (now < end ? step(1) : stop()), STEP_MS);
-  },
-  place() {
-    placing = placing ? null : { landmark: current()?.landmark ?? ids[0], pass: null };
-    if (placing) chosen = null;
-    say(placing ? `Type its ID, or it is ID.${placing.landmark}. Click its centre; then go to another frame and click it there.` : "");
-    render();
-  },
-  done() { if (placing) acts.place(); },
-  remove() {
-    const pass = current();
-    if (!pass?.rows.some((one) => one.frame === now)) return say("The chosen pass has no outline in this frame.");
-    decide({ kind: "remove", pass: pass.id, frame: now });
-  },
-  save() {
-    const link = document.createElement("a"), text = csv();
-    link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
-    link.download = "gt.csv";
-    link.click();
-    saved = true;
-    say(`gt.csv saved, ${count(text.trim().split("\n").length - 1, "row")}. ${left()}.`);
-  },
-  take() { work = { ...earlier, page: data.page }; begin(); },
-  leave() { work = empty(); begin(); keep(); },
-};
-
-function change(from, to, text) {
-  const entry = from.pop();
-  to.push(entry);
-  saved = false;
-  keep();
-  fold();
-  say(text);
-  if (passes.some((pass) => pass.id === entry.pass)) chosen = entry.pass;
-  if (entry.frame !== undefined) now = entry.frame;
-  render();
-}
-
-function other(by) {
-  const order = passes.findIndex((pass) => pass.id === chosen);
-  if (passes.length) choose(passes[(order + by + passes.length) % passes.length].id);
 }
 
 function name(landmark) {
   if (!placing) return set({ state: "accepted", landmark });
   placing.landmark = landmark;
-  if (placing.pass) decide({ kind: "set", pass: placing.pass, landmark });
+  if (passes.some((pass) => pass.id === placing.pass)) decide({ kind: "set", pass: placing.pass, landmark });
   else frame();
 }
 
-/** A press takes the outline beneath it; where one is placed it places. */
-view.press = (x, y) => {
-  if (placing) {
-    let at = [x, y];
-    return {
-      move: (...to) => { at = to; },
-      end() {
-        const pass = placing.pass ?? `d${now}.${work.done.length}`, to = { pass, frame: now, x: at[0], y: at[1] };
-        chosen = pass;
-        decide(placing.pass ? { kind: "move", ...to } : { kind: "add", landmark: placing.landmark, ...to });
-        say(placing.pass ? "Drawn. Enter ends, or click in more frames." : "Now click it in another frame.");
-        placing.pass = pass;
-      },
-    };
-  }
-  const here = passes.flatMap((pass) => {
-    const one = pass.rows.find((each) => each.frame === now);
-    return one ? [{ pass, one, points: cornersOf(pass, one) }] : [];
-  });
-  const inside = ({ points }) => points.reduce((odd, [px, py], n) => {
-    const [qx, qy] = points[(n || points.length) - 1];
-    return (py > y) !== (qy > y) && x < px + (qx - px) * (y - py) / (qy - py) ? !odd : odd;
-  }, false);
-  const found = here.filter(inside).sort((a, b) => (b.pass.id === chosen) - (a.pass.id === chosen))[0];
-  if (!found || hidden) return null;
-  const { pass, one } = found, off = () => Math.hypot(to[0] - one.x, to[1] - one.y) > NEAR_PX;
-  let to = [one.x, one.y];
-  choose(pass.id, false);
+function neighbour(by) {
+  const order = passes.findIndex((pass) => pass.id === chosen);
+  if (passes.length) choose(passes[(order + by + passes.length) % passes.length].id);
+}
+
+const acts = {
+  undo: () => back(work.done, work.undone, "Taken back."),
+  redo: () => back(work.undone, work.done, "Decided again."),
+  accept: () => set({ state: "accepted" }),
+  reject: () => set({ state: "rejected" }),
+  reopen: () => set({ state: "open" }),
+  all() { range = "all"; render(); },
+  from() { range = range === "from" ? "all" : "from"; render(); },
+  to() { range = range === "to" ? "all" : "to"; render(); },
+  before: (event) => step(event.shiftKey ? -10 : -1),
+  next: (event) => step(event.shiftKey ? 10 : 1),
+  first: () => go(current()?.rows[0].frame ?? data.first),
+  last: () => go(current()?.rows.at(-1).frame ?? last),
+  up: () => neighbour(-1),
+  down: () => neighbour(1),
+  hide() { hidden = !hidden; frame(); },
+  fit: () => view.scale(0),
+  bigger: () => view.scale(1.25),
+  smaller: () => view.scale(0.8),
+  play() {
+    if (timer) return stop();
+    const [begin, end] = current() ? [current().rows[0].frame, current().rows.at(-1).frame] : [data.first, last];
+    if (now < begin || now >= end) go(begin);
+    timer = setInterval(() => (now < end ? step(1) : stop()), STEP_MS);
+    button("play").ariaPressed = "true";
+  },
+  place() {
+    placing = placing ? null : { landmark: current()?.landmark ?? ids[0], pass: null };
+    if (placing) chosen = null;
+    say(placing ? `ID.${placing.landmark}, or type another. Click its centre here, then in another frame.` : "");
+    render();
+  },
+  done() { if (placing) acts.place(); },
+  remove() {
+    if (!current() || !at(current(), now)) return say("The chosen pass has no outline in this frame.");
+    decide({ kind: "remove", pass: chosen, frame: now });
+  },
+  save() {
+    const lines = csv(), href = URL.createObjectURL(new Blob(lines, { type: "text/csv" }));
+    make("a", { href, download: "gt.csv" }).click();
+    saved = true;
+    say(`gt.csv saved: ${count(lines.length - 1, "row")}. ${left()}.`);
+  },
+  take() { part("offer").hidden = true; },
+  leave() { work = nothing(); begin(); },
+};
+
+/** A press places where one is placed; else it takes the outline beneath it, that of the chosen first. */
+view.press = (x, y, event) => {
+  let to = [x, y];
+  if (placing) return {
+    move(...place) { to = place; },
+    end() {
+      chosen = placing.pass ??= `d${now}.${work.done.length}`;
+      decide({ kind: "move", pass: chosen, drawn: true, landmark: placing.landmark, frame: now, x: to[0], y: to[1] });
+      say("Go to another frame and click there, too; what is between is drawn. Enter ends.");
+    },
+  };
+  const hit = document.elementsFromPoint(event.clientX, event.clientY).map((one) => one.dataset.pass);
+  const pass = passes.find((one) => one.id === (hit.includes(chosen) ? chosen : hit.find(Boolean)));
+  if (!pass) return null;
+  const one = at(pass, now);
+  to = [one.x, one.y];
+  choose(pass.id);
   return {
     move(px, py) {
-      if (pass.corners?.[now] && !one.moved) return say("Plates are not dragged.");
+      if (pass.corners?.[now] && !one.moved) return say("The outline of a plate is not dragged.");
       to = [one.x + px - x, one.y + py - y];
       frame();
-      view.mark({ corners: outline(row(now, ...to)), label: "", colour: colour(pass.landmark) }, "declared accepted chosen");
+      view.mark({ corners: outline(...to), colour: ids.indexOf(pass.landmark) }, "declared accepted chosen");
     },
-    end() { if (off()) decide({ kind: "move", pass: pass.id, frame: now, x: to[0], y: to[1] }); },
+    end() {
+      if (Math.hypot(to[0] - one.x, to[1] - one.y) < NEAR_PX) return;
+      decide({ kind: "move", pass: pass.id, frame: now, x: to[0], y: to[1] });
+    },
   };
 };
 
-let typed = "", wait = 0;
-
-/** A digit of an ID: it counts when no longer ID begins with what was typed. */
-function digit(key) {
+/** A digit of an ID, which counts at once unless a longer ID begins so. */
+function digit(figure) {
   clearTimeout(wait);
-  typed += key;
-  const use = () => { const id = Number(typed); typed = ""; if (ids.includes(id)) name(id); else say(`There is no ID.${id}.`); };
-  if (ids.some((id) => String(id) !== typed && String(id).startsWith(typed))) wait = setTimeout(use, 700);
-  else use();
+  typed += figure;
+  const known = ids.includes(Number(typed)), id = typed;
+  const longer = ids.some((one) => String(one) !== id && String(one).startsWith(id));
+  const use = () => { typed = ""; if (known) name(Number(id)); else say(`There is no ID.${id}.`); };
+  wait = setTimeout(use, longer ? WAIT_MS : 0);
 }
 
-const keys = { ArrowUp: "up", ArrowDown: "down", Home: "first", End: "last", "+": "bigger", "-": "smaller", Enter: "done", Escape: "done" };
-for (const button of document.querySelectorAll("[data-keys]")) {
-  for (const name of button.dataset.keys.split(" ")) keys[name === "Space" ? " " : name] = button.dataset.act;
+const keys = { ArrowUp: "up", ArrowDown: "down", Home: "first", End: "last", "+": "bigger", "-": "smaller", Enter: "done" };
+for (const each of document.querySelectorAll("[data-keys]")) {
+  for (const one of each.dataset.keys.split(" ")) keys[one.replace("Space", " ")] = each.dataset.act;
 }
 
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
   const onButton = event.target.closest("button, summary") && event.target.matches(":focus-visible");
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (onButton && [" ", "Enter"].includes(event.key)) return;
   const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (act) acts[act](event);
@@ -472,44 +401,39 @@ document.addEventListener("keydown", (event) => {
 });
 
 document.addEventListener("click", (event) => {
-  const button = event.target.closest("button");
-  if (!button) return;
-  if (event.detail) button.blur(); // so that space plays
-  if (button.dataset.act) acts[button.dataset.act](event);
-  if (button.dataset.id) name(Number(button.dataset.id));
-  if (button.dataset.pass) choose(button.dataset.pass);
+  const target = event.target.closest("button");
+  if (!target) return;
+  if (event.detail) target.blur(); // else space would press it again
+  const { act, id, pass } = target.dataset;
+  if (act) acts[act](event);
+  if (id) name(Number(id));
+  if (pass) choose(pass);
 });
 
-part("strip").addEventListener("pointerdown", (event) => {
-  const to = ({ clientX }) => {
-    const box = part("strip").getBoundingClientRect();
-    go(data.first + Math.floor((clientX - box.left) / box.width * data.frames));
-  };
-  part("strip").setPointerCapture(event.pointerId);
-  part("strip").onpointermove = to;
-  part("strip").onpointerup = () => { part("strip").onpointermove = null; };
-  to(event);
+for (const kind of ["pointerdown", "pointermove"]) part("strip").addEventListener(kind, (event) => {
+  if (!event.buttons) return;
+  const box = part("strip").getBoundingClientRect();
+  go(data.first + Math.floor((event.clientX - box.left) / box.width * data.frames));
 });
 
 addEventListener("beforeunload", (event) => { if (refused && !saved) event.preventDefault(); });
 
 function begin() {
-  part("offer").hidden = true;
+  part("offer").hidden = work.page === data.page;
+  part("offer").firstElementChild.textContent =
+    `This browser has ${count(work.done.length, "decision")} of yours from an earlier page of this log.`;
+  work.page = data.page;
   seen = new Set(work.seen);
   fold();
-  if (lost) say(`${count(lost, "earlier decision")} on passes that this page does not have: left out.`);
   choose((passes.find((pass) => pass.state === "open") ?? passes[0])?.id ?? null);
+  keep();
+  if (lost) say(`${count(lost, "decision")} on passes that this page does not have: left out.`);
+  if (refused) say("This browser keeps nothing of this page: save gt.csv before you leave it.");
 }
 
 try {
-  earlier = JSON.parse(localStorage.getItem(key));
+  work = JSON.parse(localStorage.getItem(key)) ?? work;
 } catch {
   refused = true;
 }
-if (earlier?.page === data.page) work = earlier;
 begin();
-if (earlier && earlier.page !== data.page && earlier.done.length) {
-  part("offer").hidden = false;
-  part("offer").querySelector("p").textContent = `This browser holds ${count(earlier.done.length, "decision")} from an earlier page of this log.`;
-} else keep();
-if (refused) say("This browser keeps nothing of this page: save gt.csv before you leave it.");

@@ -10,27 +10,33 @@ import base64
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import dist
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.drawing.results import outline_of
-from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, number_of
+from sonarrec.errors import (
+    Diagnostics,
+    MissingError,
+    SonarrecError,
+    UsageError,
+    number_of,
+    printable,
+)
 from sonarrec.geometry import floor_depth, ground_range, plane_from_polar, polar_from_pixel
-from sonarrec.landmarks import DrawnSet
 from sonarrec.mapping.path import MOVED, measured_path, read_frames
 from sonarrec.overlays.overlay import results_folder
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
-from sonarrec.records import VERSION
+from sonarrec.records import VERSION, Frame
 from sonarrec.reports.template import fill
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import possible_names
@@ -46,8 +52,9 @@ from sonarrec.truth.table import FILLED_IN, TRACKED, TRUTH_FILE, read_cells, rea
 
 MOST_BYTES = 24_000_000  # of the frames of a page, as text; the page has at most 25 MB
 QUALITIES = (85, 70, 55, 40)  # of JPEG, which is coded a hundred times as fast as WebP
-_NOT_SAVED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
-"""Columns of a truth in place of which others are saved: two statements could contradict."""
+PICTURE_PX = 64  # of a pass in the list
+_REPLACED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
+"""Columns of a truth in place of which others are saved, since two could contradict each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +70,8 @@ class Review:
     diagnostics: Diagnostics
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """A row of gt.csv: the frame, the pixel, the share in view, and its cells under the page's
-    header, as they came."""
+class _Row(NamedTuple):
+    """A row of gt.csv: frame, pixel, share in view, and its cells under the page's header."""
 
     frame: int
     x: float
@@ -77,9 +82,12 @@ class _Row:
 
 @dataclass(slots=True)
 class _Pass:
-    """A landmark on its way through the view. id: the same on every page of these tracks or this
-    truth. state: open or accepted. left_out: whether open rows are not saved. why: what speaks
-    against it. belief: see `_Beliefs`. wrong: frames in which results and truth disagree."""
+    """A landmark on its way through the view; the page's script has these fields, too.
+
+    id: the same on every page of these tracks or this truth. state: open or accepted. left_out:
+    whether it is saved only once accepted. why: what speaks against it. belief: see `_look_up`.
+    wrong: frames in which results and truth disagree. corners: of a plate, by frame.
+    """
 
     id: str
     landmark: int
@@ -90,7 +98,18 @@ class _Pass:
     why: str = ""
     belief: float = 0.0
     wrong: int = 0
+    picture: str = ""
     corners: dict[int, list[list[float]]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Table:
+    """What of gt.csv is not in passes. log: the log's name in it. kept: rows that stay as they are:
+    their frame, None on another log, and their cells."""
+
+    header: list[str]
+    log: str = ""
+    kept: list[tuple[int | None, list[str]]] = field(default_factory=list)
 
 
 def review(
@@ -114,29 +133,27 @@ def review(
     source, told = find_log(log, up_to), Diagnostics()
     folder = results_folder(source.path, source, results)
     found = read_log(folder)
+    if found.fan is None:
+        raise SonarrecError(f"{folder}: its run.toml does not tell the sonar's geometry; run again")
     truth = truth or source.beside(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
     told.problem(*not_whole(found, "shown"))
-    options = found.run.complete(LogOptions(), same_log=source.reader.has_topics).arguments()
-    with open_log(source, **(options | {"up_to": up_to})) as recording:
-        check_same_log(recording, folder, found.run)
-        album = _Album(found, spans, every)
-        album.fill(recording)
-        told.problem(*recording.diagnostics.problems)
-    header, passes, kept = list(HEADER), list[_Pass](), list[tuple[int | None, list[str]]]()
-    taken: Taken = defaultdict(list)
-    log_cell = ""
+    table, passes, taken = _Table([*HEADER]), list[_Pass](), Taken(list)
     if truth is not None:
-        header, log_cell, passes, kept = _of_truth(truth, source, found, taken, told)
-    passes += _of_tracks(folder, found, taken, header, log_cell, truth is not None)
-    _Beliefs(folder, found).fill(passes)
+        table, passes = _of_truth(truth, source, found, taken, told)
+    passes += _of_tracks(folder, found, taken, table, truth is not None)
+    _look_up(passes, folder, found)
     if mistakes:
         _mark_mistakes(passes, found, folder, results, truth)
     passes.sort(key=lambda p: (-p.wrong, p.state != "open", p.belief, p.rows[0].frame))
-    page = _page(found, folder, truth, album, header, log_cell, passes, kept)
-    write_page(out, page)
+    options = found.run.complete(LogOptions(), same_log=source.reader.has_topics).arguments()
+    with open_log(source, **(options | {"up_to": up_to})) as recording:
+        check_same_log(recording, folder, found.run)
+        frames = _Frames(recording, found, spans, every, passes)
+        told.problem(*recording.diagnostics.problems)
+    write_page(out, _page(found, folder, truth, frames, table, passes))
     opened = sum(p.state == "open" for p in passes)
-    return Review(out, len(album.images), len(album.numbers), len(passes), opened, told)
+    return Review(out, len(frames.images), len(frames.numbers), len(passes), opened, told)
 
 
 # The passes
@@ -144,96 +161,87 @@ def review(
 
 def _of_truth(
     path: Path, source: Source, found: LogResults, taken: Taken, told: Diagnostics
-) -> tuple[list[str], str, list[_Pass], list[tuple[int | None, list[str]]]]:
-    """(header of what is saved, the log's cell, the passes of a truth, rows that stay as they are:
-    frame, None on another log, and cells)."""
-    table = read_truth(path)
-    name = table.name_of(possible_names(found.name, source.place.resolve()))
+) -> tuple[_Table, list[_Pass]]:
+    """The passes of a truth, and what else is in it. Raises SonarrecError if it has no positions,
+    or cannot be the truth of this log."""
+    truth = read_truth(path)
+    name = truth.name_of(possible_names(found.name, source.place.resolve()))
     named = replace(found, name=name)
-    matched = match_truth(table, named)
-    pixels = None if found.fan is None else matched.pixels(found.fan)
+    matched = match_truth(truth, named)
+    assert found.fan is not None  # else nothing could be proposed
+    pixels = matched.pixels(found.fan)
     if pixels is None:
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to show")
-    if (wrong := misfit(table, named, matched)) is not None:
+    if (wrong := misfit(truth, named, matched)) is not None:
         raise SonarrecError(wrong)
     columns, cells = read_cells(path)
-    dropped = [c for c in _NOT_SAVED if c in columns]
-    header = [c for c in columns if c not in dropped or _NOT_SAVED[c] not in columns]
-    header = [_NOT_SAVED.get(c, c) for c in header]
-    header += [c for c in ("visible", "source") if c not in header]
-    if dropped:
-        told.note(f"{path}: the page saves frame, x_px and y_px in place of {', '.join(dropped)}")
+    replaced = [c for c in _REPLACED if c in columns]
+    header = list(dict.fromkeys(_REPLACED.get(c, c) for c in columns))
+    table = _Table(header + [c for c in ("visible", "source") if c not in header])
+    table.log = "" if truth.log is None else name
+    if replaced:
+        into = "frame, x_px and y_px"
+        told.note(f"{path}: the page saves {into} in place of {', '.join(replaced)}")
 
-    def saved(row: int, frame: int | None, where: Sequence[float] = ()) -> list[str]:
-        of = dict(zip(columns, cells[row], strict=False))
-        if frame is not None and table.key != "frame":
-            of["frame"] = str(frame)
-        if len(where) and "range_m" in columns:
-            of["x_px"], of["y_px"] = (f"{v:.3f}" for v in where)
-        return [of.get(c, "") for c in header]
+    def cells_of(row: int, **values: str) -> list[str]:
+        return [
+            (dict(zip(columns, cells[row], strict=False)) | values).get(c, "") for c in table.header
+        ]
 
     rows = defaultdict[int, list[_Row]](list)
     for n in np.argsort(matched.frame_index, kind="stable").tolist():
-        frame, landmark = int(found.frame[matched.frame_index[n]]), matched.landmark_index[n]
+        frame = int(found.frame[matched.frame_index[n]])
+        landmark = found.landmarks.ids[matched.landmark_index[n]]
         x, y = pixels[n].tolist()
-        one = _Row(
-            frame, x, y, float(matched.visible[n]), saved(int(matched.row[n]), frame, (x, y))
+        values = {"frame": str(frame)}
+        if "range_m" in columns:
+            values |= {"x_px": f"{x:.3f}", "y_px": f"{y:.3f}"}
+        came = cells_of(int(matched.row[n]), **values)
+        rows[landmark].append(_Row(frame, x, y, float(matched.visible[n]), came))
+        slant_m, bearing_deg = polar_from_pixel(
+            found.fan, pixels[n : n + 1, 0], pixels[n : n + 1, 1]
         )
-        rows[found.landmarks.ids[landmark]].append(one)
-        taken[frame, found.landmarks.ids[landmark]].append(_floor(found, one))
-    passes = []
+        floor = plane_from_polar(ground_range(found.fan, slant_m), bearing_deg)
+        taken[frame, landmark] += floor.tolist()
+    passes, at = [], table.header.index("source")
     for landmark, of_landmark in rows.items():
         for part in _split(of_landmark):
-            source_of = {row.cells[header.index("source")] for row in part}
-            state = "open" if source_of & {TRACKED, FILLED_IN} else "accepted"
+            proposed = {row.cells[at] for row in part} & {TRACKED, FILLED_IN}
             made = f"g{landmark}.{part[0].frame}.{part[0].x:.0f}"
+            state = "open" if proposed else "accepted"
             passes.append(_Pass(made, landmark, "truth", part, state))
-    mine = set(np.flatnonzero(_is_mine(table, name)).tolist())
-    rest = [n for n in range(len(table.at)) if n not in {*matched.row.tolist()}]
-    kept, lost = [], 0
-    for n in rest:
-        has_frame = table.key == "frame"
-        if dropped and (not has_frame or "x_px" not in columns):
-            lost += 1
-            continue
-        kept.append((int(table.at[n]) if n in mine else None, saved(n, None)))
-    if lost:
+    whole = truth.key == "frame" and ("x_px" in columns or "range_m" not in columns)
+    rest = sorted({*range(len(truth.at))} - {*matched.row.tolist()})
+    for n in rest if whole else ():
+        is_mine = truth.log is None or truth.log[n] == name
+        table.kept.append((int(truth.at[n]) if is_mine else None, cells_of(n)))
+    if rest and not whole:
         told.note(
-            f"{path}: {number_of(lost, 'row')} on other logs or on no frame of this one cannot be "
-            "saved by frame and pixel; the page leaves them out"
+            f"{path}: {number_of(len(rest), 'row')} on other logs, or on no frame, have no frame "
+            "or pixel; the page does not save them"
         )
-    return header, "" if table.log is None else name, passes, kept
-
-
-def _is_mine(table: Any, name: str) -> Any:
-    return np.ones(len(table.at), bool) if table.log is None else np.asarray(table.log == name)
+    return table, passes
 
 
 def _of_tracks(
-    folder: Path,
-    found: LogResults,
-    taken: Taken,
-    header: Sequence[str],
-    log_cell: str,
-    has_truth: bool,
+    folder: Path, found: LogResults, taken: Taken, table: _Table, has_truth: bool
 ) -> Iterator[_Pass]:
     """The passes of all tracks that declared an ID; with a truth those that it does not have."""
     for track, rows in proposals(folder, found, taken=taken):
         made = []
         for row in rows:
-            of = dict(zip(HEADER, map(str, row), strict=True)) | {"log": log_cell}
+            of = dict(zip(HEADER, map(str, row), strict=True)) | {"log": table.log}
             x, y, visible = (float(of[c]) for c in ("x_px", "y_px", "visible"))
-            made.append(_Row(int(of["frame"]), x, y, visible, [of.get(c, "") for c in header]))
+            cells = [of.get(c, "") for c in table.header]
+            made.append(_Row(int(of["frame"]), x, y, visible, cells))
+        why = [track.left_out] * bool(track.left_out) + ["not in the truth"] * has_truth
         for part in _split(made):
-            if has_truth and len(part) < LEAST_DECLARED:
-                continue  # the truth begins or ends a little later or sooner
-            why = [track.left_out] * bool(track.left_out) + ["not in the truth"] * has_truth
-            first = f"t{track.track}.{part[0].frame}"
-            yield _Pass(
-                *(first, track.landmark, f"track {track.track}", part),
-                left_out=bool(why),
-                why="; ".join(why),
-            )
+            # Where the truth begins or ends a little later or sooner there is nothing to decide.
+            if not has_truth or len(part) >= LEAST_DECLARED:
+                first, origin = f"t{track.track}.{part[0].frame}", f"track {track.track}"
+                one = _Pass(first, track.landmark, origin, part, left_out=bool(why))
+                one.why = "; ".join(why)
+                yield one
 
 
 def _split(rows: Iterable[_Row]) -> list[list[_Row]]:
@@ -249,43 +257,23 @@ def _split(rows: Iterable[_Row]) -> list[list[_Row]]:
     return passes
 
 
-def _floor(found: LogResults, row: _Row) -> list[float]:
-    """A row's position on the floor, m."""
-    assert found.fan is not None
-    range_m, bearing_deg = polar_from_pixel(found.fan, np.array([row.x]), np.array([row.y]))
-    floor: list[float] = plane_from_polar(ground_range(found.fan, range_m), bearing_deg)[0].tolist()
-    return floor
-
-
-class _Beliefs:
-    """The least belief of the leading method in a pass: the lowest probability of its ID where an
-    ID is declared on it; 0 where none is. And the corners of plates."""
-
-    def __init__(self, folder: Path, found: LogResults) -> None:
-        fan = found.fan
-        assert fan is not None
-        every = read_estimates(
-            folder / "estimates.csv", leading(found.methods), found.landmarks, fan
-        )
-        self._found, self._by_frame = found, dict(every)
-
-    def fill(self, passes: Iterable[_Pass]) -> None:
-        fan, landmarks = self._found.fan, self._found.landmarks
-        assert fan is not None
-        for one in passes:
-            k, beliefs = landmarks.ids.index(one.landmark), []
-            for row in one.rows:
-                near = [
-                    e
-                    for e in self._by_frame.get(row.frame, ())
-                    if dist((e.x_px, e.y_px), (row.x, row.y)) * fan.metres_per_pixel
-                    < landmarks.radius_m
-                ]
-                beliefs += [float(e.probabilities[k]) for e in near if e.declared]
-                outlines = [outline_of(e, fan, landmarks) for e in near if e.corners is not None]
-                if outlines and isinstance(landmarks, DrawnSet):
-                    one.corners[row.frame] = outlines[0].round(1).tolist()
-            one.belief = round(min(beliefs, default=0.0), 3)
+def _look_up(passes: Iterable[_Pass], folder: Path, found: LogResults) -> None:
+    """Each pass's least belief, the lowest probability of its ID where the leading method declares
+    an ID on it (0 where it does not), and its corners."""
+    fan, landmarks = found.fan, found.landmarks
+    assert fan is not None
+    method = leading(found.methods)
+    by_frame = dict(read_estimates(folder / "estimates.csv", method, landmarks, fan))
+    reach_px = landmarks.radius_m / fan.metres_per_pixel
+    for one in passes:
+        k, beliefs = landmarks.ids.index(one.landmark), []
+        for row in one.rows:
+            for e in by_frame.get(row.frame, ()):
+                if dist((e.x_px, e.y_px), (row.x, row.y)) < reach_px:
+                    beliefs += [float(e.probabilities[k])] * e.declared
+                    if e.corners is not None:
+                        one.corners[row.frame] = outline_of(e, fan, landmarks).round(1).tolist()
+        one.belief = round(min(beliefs, default=0.0), 3)
 
 
 def _mark_mistakes(
@@ -322,54 +310,58 @@ def _mark_mistakes(
 # The frames
 
 
-class _Album:
-    """The frames of a page: at full resolution, in at most MOST_BYTES.
+class _Frames:
+    """The frames of a page, at full resolution, in at most MOST_BYTES.
 
     numbers: of all frames of the run's span. images: those held, as JPEG in a data URI, by number.
     damaged: numbers of frames that cannot be read.
     """
 
     def __init__(
-        self, found: LogResults, spans: Sequence[tuple[int, int | None]], every: int
+        self,
+        log: Log,
+        found: LogResults,
+        spans: Sequence[tuple[int, int | None]],
+        every: int,
+        passes: Sequence[_Pass],
     ) -> None:
-        self._span = found.run.span() or (0, None)
-        self._wanted = [
-            n
-            for n in found.frame.tolist()
-            if n % every == 0
-            and (not spans or any(a <= n and (b is None or n < b) for a, b in spans))
-        ]
-        if not self._wanted:
-            raise UsageError(f"{found.name}: none of its {len(found.frame)} frames is chosen")
-        self.numbers = range(0)
+        """Read the log, in one pass. Raises UsageError if no frame is chosen."""
+        wanted = {
+            n for n in found.frame.tolist() if n % every == 0 and (not spans or _in(n, spans))
+        }
+        if not wanted:
+            raise UsageError(f"{log.path}: none of its frames is chosen; see --frames and --every")
         self.images: dict[int, str] = {}
-        self.damaged: list[int] = []
-
-    def fill(self, log: Log) -> None:
-        """Read the log, in one pass."""
-        wanted, order, step, quality, held = {*self._wanted}, 0, 1, 0, 0
-        seen: list[int] = []
-        for frame in log.within(self._span):
+        seen, order, step, quality, span = list[int](), 0, 1, 0, found.run.span() or (0, None)
+        middles = defaultdict[int, list[_Pass]](list)
+        for one in passes:
+            middles[one.rows[len(one.rows) // 2].frame].append(one)
+        for frame in log.within(span):
             seen.append(frame.index)
+            for one in middles[frame.index]:
+                one.picture = _picture(frame, one, found.landmarks.radius_m)
             if frame.index not in wanted:
                 continue
             if order % step == 0:
                 image = _as_jpeg(frame.image, QUALITIES[quality])
-                while not self.images and quality + 1 < len(QUALITIES):
-                    if len(image) * len(wanted) <= MOST_BYTES:
+                # The first frame decides the quality: the best with which all fit in.
+                while not self.images and len(image) * len(wanted) > MOST_BYTES:
+                    if quality + 1 == len(QUALITIES):
                         break
                     quality += 1
                     image = _as_jpeg(frame.image, QUALITIES[quality])
                 self.images[frame.index] = image
-                held += len(image)
             order += 1
-            while held > MOST_BYTES and len(self.images) > 1:  # then only every second is held
+            while sum(map(len, self.images.values())) > MOST_BYTES and len(self.images) > 1:
                 step *= 2
                 self.images = dict([*self.images.items()][::2])
-                held = sum(map(len, self.images.values()))
         last = log.frame_count or seen[-1] + 1
-        self.numbers = range(self._span[0], min(last, self._span[1] or last))
+        self.numbers = range(span[0], min(last, span[1] or last))
         self.damaged = sorted({*self.numbers} - {*seen})
+
+
+def _in(number: int, spans: Sequence[tuple[int, int | None]]) -> bool:
+    return any(first <= number and (end is None or number < end) for first, end in spans)
 
 
 def _as_jpeg(image: ByteImage, quality: int) -> str:
@@ -378,69 +370,76 @@ def _as_jpeg(image: ByteImage, quality: int) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
+def _picture(frame: Frame, one: _Pass, radius_m: float) -> str:
+    """The part of a frame of its middle that shows a pass, as a data URI."""
+    row = one.rows[len(one.rows) // 2]
+    side = max(3, round(2.6 * radius_m / frame.fan.metres_per_pixel))
+    cut = cv2.getRectSubPix(
+        cv2.copyMakeBorder(frame.image, side, side, side, side, cv2.BORDER_CONSTANT),
+        (side, side),
+        (row.x + side, row.y + side),
+    )
+    return _as_jpeg(np.asarray(cv2.resize(cut, (PICTURE_PX, PICTURE_PX)), np.uint8), QUALITIES[0])
+
+
 # The page
 
 
 def _poses(folder: Path) -> dict[int, list[float]]:
-    """By frame: yaw in deg, x and y in m of the measured path, and the number of the stretch, which
-    begins where the motion is not known. Empty without motion."""
+    """By frame: cosine and sine of the yaw, x and y in m, and the number of the stretch, which ends
+    where the motion is not known. Empty without motion."""
     table = read_frames(folder)
     if any(name not in table for name in MOVED):
         return {}
     frame, moved = table["frame"], np.column_stack([table[name] for name in MOVED])
     unknown = ~np.isfinite(moved).all(axis=1)
     moved[unknown] = 0
-    pose: FloatArray = measured_path(frame, frame, moved, np.zeros_like(moved)).pose
-    rows = np.column_stack([pose.round(5), np.cumsum(unknown)])
-    return dict(zip(frame.tolist(), rows.tolist(), strict=True))
+    yaw, x, y = measured_path(frame, frame, moved, np.zeros_like(moved)).pose.T
+    columns = [np.cos(np.radians(yaw)), np.sin(np.radians(yaw)), x, y, np.cumsum(unknown)]
+    return dict(zip(frame.tolist(), np.column_stack(columns).round(6).tolist(), strict=True))
 
 
 def _page(
     found: LogResults,
     folder: Path,
     truth: Path | None,
-    album: _Album,
-    header: Sequence[str],
-    log_cell: str,
+    frames: _Frames,
+    table: _Table,
     passes: Sequence[_Pass],
-    kept: Sequence[tuple[int | None, list[str]]],
 ) -> str:
     """The whole page as HTML."""
     fan, landmarks = found.fan, found.landmarks
     assert fan is not None
     of_log = found.run.input.sha256 or str(folder.resolve())
     of_truth = "" if truth is None else hashlib.sha256(truth.read_bytes()).hexdigest()
-    listed = [asdict(one) for one in passes]
-    data: Mapping[str, Any] = {
-        "name": found.name,
+    made = [asdict(one) | {"rows": [row._asdict() for row in one.rows]} for one in passes]
+    data = {
         "key": hashlib.sha256(f"{of_log} {of_truth}".encode()).hexdigest(),
-        "page": hashlib.sha256(json.dumps([header, listed]).encode()).hexdigest(),
+        "page": hashlib.sha256(json.dumps([table.header, made]).encode()).hexdigest(),
         "fan": asdict(fan) | {"depth_m": floor_depth(fan)},
         "ids": landmarks.ids,
         "radius_m": landmarks.radius_m,
-        "first": album.numbers.start,
-        "frames": len(album.numbers),
-        "damaged": album.damaged,
-        "images": album.images,
+        "first": frames.numbers.start,
+        "frames": len(frames.numbers),
+        "damaged": frames.damaged,
+        "images": frames.images,
         "poses": _poses(folder),
-        "header": header,
-        "log": log_cell,
-        "passes": listed,
-        "kept": kept,
+        "passes": made,
+        **asdict(table),
     }
-    usable = len(album.numbers) - len(album.damaged)
+    usable = len(frames.numbers) - len(frames.damaged)
     return fill(
         "review.html",
         ("viewer.js", "review.js"),
         data,
         version=VERSION,
-        log=found.name,
-        truth=None if truth is None else truth.name,
+        name=found.name,
+        truth=None if truth is None else printable(truth.name),
         ids=landmarks.ids,
         colours=[
             "#{:02x}{:02x}{:02x}".format(*c) for c in landmark_colours(landmarks.ids).values()
         ],
-        missing=usable - len(album.images),
+        held=len(frames.images),
         usable=usable,
-        damaged=album.damaged,
+        damaged=len(frames.damaged),
     )

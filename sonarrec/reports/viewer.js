@@ -37,11 +37,19 @@ function visibleShare(fan, x, y, radius) {
   return shown / points;
 }
 
+/** Add an element to an SVG. */
+function drawn(svg, name, attributes, text = "") {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const key in attributes) element.setAttribute(key, attributes[key]);
+  element.textContent = text;
+  svg.append(element);
+}
+
 class View {
   /** svg: lies on the image, in a box that hides what is beyond it. */
   constructor(svg, image) {
     Object.assign(this, { svg, image, size: [1, 1], zoom: 1, left: 0, top: 0 });
-    this.press = () => null; // what follows a press at a pixel: {move(x, y), end()}; null: it drags
+    this.press = () => null; // what follows a press, (x, y, event): {move(x, y), end()}; null: it drags
     const fingers = new Map();
     let taken = null;
     svg.addEventListener("wheel", (event) => {
@@ -52,7 +60,7 @@ class View {
       if (event.button) return;
       svg.setPointerCapture(event.pointerId);
       fingers.set(event.pointerId, event);
-      taken = fingers.size > 1 ? null : this.press(...this.pixel(event));
+      taken = fingers.size > 1 ? null : this.press(...this.pixel(event), event);
     });
     svg.addEventListener("pointermove", (event) => {
       const before = fingers.get(event.pointerId);
@@ -110,29 +118,22 @@ class View {
     this.svg.style.fontSize = Math.max(width, height) / 36 * part + "px"; // in the frame's pixels
   }
 
-  draw(name, attributes, text) {
-    const element = document.createElementNS("http://www.w3.org/2000/svg", name);
-    for (const key in attributes) element.setAttribute(key, attributes[key]);
-    if (text) element.textContent = text;
-    this.svg.append(element);
-  }
-
   /** An outline: an ellipse (centre, half axes, rotation in deg) or corners, a label and the index of
       its colour, which it has if its kind is "declared". */
-  mark({ ellipse, corners, label, colour }, kind, below) {
+  mark({ ellipse, corners, label, colour, pass = "" }, kind, below) {
     const text = Math.max(...this.size) / 36 / this.zoom;
     const style = kind.startsWith("declared") ? `--c: var(--bright-${colour})` : "";
     let x, top, bottom;
     if (corners) {
       const [columns, rows] = [0, 1].map((n) => corners.map((corner) => corner[n]));
-      this.draw("polygon", { points: corners.join(" "), class: kind, style });
+      drawn(this.svg, "polygon", { points: corners.join(" "), class: kind, style, "data-pass": pass });
       x = (Math.min(...columns) + Math.max(...columns)) / 2;
       [top, bottom] = [Math.min(...rows), Math.max(...rows)];
     } else {
       const [cx, cy, rx, ry, turn] = ellipse, r = Math.max(rx, ry);
-      this.draw("ellipse", { cx, cy, rx, ry, transform: `rotate(${turn} ${cx} ${cy})`, class: kind, style });
+      drawn(this.svg, "ellipse", { cx, cy, rx, ry, transform: `rotate(${turn} ${cx} ${cy})`, class: kind, style });
       [x, top, bottom] = [cx, cy - r, cy + r];
     }
-    this.draw("text", { x, y: below ? bottom + 1.5 * text : top - text / 2, class: kind, style }, label);
+    drawn(this.svg, "text", { x, y: below ? bottom + 1.5 * text : top - text / 2, class: kind, style }, label);
   }
 }
