@@ -8,11 +8,10 @@ const part = (id) => document.getElementById(id), button = (act) => document.que
 const view = new View(part("marks"), part("image"));
 const STEP_MS = 80, NEAR_PX = 0.5, WAIT_MS = 700, FAR = 1e9;
 const nothing = () => ({ page: data.page, done: [], undone: [], seen: [] });
-
 let work = nothing(), seen = new Set(); // seen: frames that were on the screen
 let passes = [], lost = 0; // as folded; entries on passes that this page lacks
 let now = shown[0], chosen = null, range = "all", placing = null, hidden = false;
-let refused = false, saved = true, timer = 0, typed = "", wait = 0;
+let saved = true, timer = 0, typed = "", wait = 0;
 
 // The passes
 
@@ -52,18 +51,15 @@ function weight(n, frame) {
 }
 
 /** Rows with the one in a frame moved to a pixel; those that are not in the page follow it. */
-function moved(rows, frame, x, y) {
-  const from = rows.find((one) => one.frame === frame) ?? { x, y };
-  return rows.map((one) => {
-    const share = weight(one.frame, frame);
-    return share ? { ...one, ...placed(one.frame, one.x + share * (x - from.x), one.y + share * (y - from.y)) } : one;
-  });
-}
+const moved = (rows, frame, x, y, from = rows.find((one) => one.frame === frame) ?? { x, y }) => rows.map((one) => {
+  const share = weight(one.frame, frame), to = [one.x + share * (x - from.x), one.y + share * (y - from.y)];
+  return share ? { ...one, ...placed(one.frame, ...to) } : one;
+});
 
 /** The pass an entry is on, or the part of it; then the other part becomes a pass of its own. */
 function partOf(made, { pass: id, from, to }) {
   const pass = made.get(id), first = from ?? to + 1;
-  const [early, late] = [(one) => one.frame < first, (one) => one.frame >= first].map((of) => pass?.rows.filter(of));
+  const early = pass?.rows.filter((one) => one.frame < first), late = pass?.rows.filter((one) => one.frame >= first);
   if (!early?.length || !late.length) return pass;
   const head = { ...pass, rows: early }, tail = { ...pass, rows: late, id: `${id}>${first}` };
   made.set(head.id, head).set(tail.id, tail);
@@ -91,37 +87,33 @@ function fold() {
   passes = [...made.values()].filter((pass) => pass.rows.length).sort((a, b) => place(a) - place(b));
 }
 
-// What is kept in the browser, and what is saved
+// What is decided, kept in the browser, and saved
+
+const say = (text) => { part("say").textContent = text; };
+const decide = (entry) => { work.done.push(entry); work.undone = []; changed(""); };
 
 function keep() {
   try {
     localStorage.setItem(key, JSON.stringify({ ...work, seen: [...seen] }));
   } catch {
-    refused = true;
+    part("refused").hidden = false;
   }
 }
 
-function changed() {
+function changed(text) {
   saved = false;
-  keep();
   fold();
   render();
-}
-
-function decide(entry) {
-  work.done.push(entry);
-  work.undone = [];
-  changed();
+  keep();
+  say(text);
 }
 
 function back(from, to, text) {
   if (!from.length) return;
-  const entry = from.pop();
-  to.push(entry);
-  chosen = entry.pass;
-  now = entry.frame ?? now;
-  changed();
-  say(text);
+  to.push(from.pop());
+  now = to.at(-1).frame ?? now;
+  chosen = to.at(-1).pass;
+  changed(text);
 }
 
 function csv() {
@@ -130,8 +122,9 @@ function csv() {
   for (const { state, landmark, left_out, rows } of passes) {
     if (state === "rejected" || (left_out && state === "open")) continue;
     for (const one of rows.filter((each) => each.visible > 0 || !each.moved)) {
-      const drawn = { frame: one.frame, x_px: one.x.toFixed(2), y_px: one.y.toFixed(2), visible: one.visible.toFixed(3) };
-      const values = { landmark, ...(one.moved && drawn), ...((one.moved || state === "accepted") && { source: "" }) };
+      const { frame, x, y, visible } = one, values = { landmark };
+      if (one.moved) Object.assign(values, { frame, x_px: x.toFixed(2), y_px: y.toFixed(2), visible: visible.toFixed(3) });
+      if (one.moved || state === "accepted") values.source = "";
       const came = one.cells ?? data.header.map((name) => (name === "log" ? data.log : ""));
       lines.push([one.frame, landmark, data.header.map((name, n) => String(values[name] ?? came[n]))]);
     }
@@ -142,13 +135,11 @@ function csv() {
 
 // The screen
 
-const say = (text) => { part("say").textContent = text; };
 const count = (n, noun, ending = "s") => `${n} ${noun}${n === 1 ? "" : ending}`;
 const current = () => passes.find((pass) => pass.id === chosen);
 const tint = (landmark) => `--c: var(--bright-${ids.indexOf(landmark)})`;
 const at = (pass, frame) => pass.rows.find((one) => one.frame === frame);
 const spanOf = (pass) => `frames ${pass.rows[0].frame} to ${pass.rows.at(-1).frame}`;
-const cornersOf = (pass, one) => (!one.moved && pass.corners?.[one.frame]) || outline(one.x, one.y);
 
 function left() {
   const open = passes.filter((pass) => pass.state === "open"), out = open.filter((pass) => pass.left_out).length;
@@ -157,8 +148,9 @@ function left() {
   return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}`;
 }
 
-/** The edge of a disc at a pixel; nearer than the floor it has the shape of one at the nearest floor. */
-function outline(x, y) {
+/** The corners of a plate, else the edge of a disc; nearer than the floor that at the nearest floor. */
+function outline({ corners }, { x, y, frame, moved }) {
+  if (corners?.[frame] && !moved) return corners[frame];
   let floor = floorFromPixel(fan, x, y);
   const steepest = Math.sqrt(1.05 ** 2 - 1) * fan.depth_m;
   if (!(Math.hypot(...floor) > steepest)) floor = [0, steepest];
@@ -171,70 +163,65 @@ function outline(x, y) {
 
 function frame() {
   const held = images[now], pass = current();
+  if (held) part("image").src = held;
   if (held) seen.add(now);
   part("title").textContent = `Frame ${now}`;
   part("of").textContent = `of ${data.first} to ${last}` + (placing ? `; placing ID.${placing.landmark}` : "");
-  part("image").style.visibility = held ? "" : "hidden";
-  part("image").alt = `Sonar image, frame ${now}`;
-  if (held) part("image").src = held;
   part("grey").hidden = Boolean(held);
   part("grey").textContent = damaged.has(now) ? "This frame cannot be read." : "This frame is not in this page.";
   part("pass").textContent = pass ? `ID.${pass.landmark}, ${spanOf(pass)}, ${pass.state}` : "No pass is chosen.";
   part("left").textContent = left();
   view.begin(fan.columns, fan.rows);
   for (const one of hidden ? [] : passes.filter((each) => at(each, now))) {
-    const label = `ID.${one.landmark}${one.state === "open" ? "?" : ""}`, corners = cornersOf(one, at(one, now));
+    const label = `ID.${one.landmark}${one.state === "open" ? "?" : ""}`, corners = outline(one, at(one, now));
     const kind = `declared ${one.state}${one.id === chosen ? " chosen" : ""}`;
     view.mark({ corners, label, colour: ids.indexOf(one.landmark), pass: one.id }, kind);
   }
   strip();
 }
 
-/** The bar of frames: which were seen, a line for each pass, and where one is. */
+/** The bar of frames: which were seen, a line for each pass, and which is shown. */
 function strip() {
-  const svg = part("strip"), ends = [];
-  const add = (x, end, y, height, kind, style = "") =>
-    drawn(svg, "rect", { x, width: end - x, y, height, class: kind, style });
+  const svg = part("strip"), lanes = [...new Set(passes.map((pass) => pass.landmark))], height = 1.6 + lanes.length;
+  const add = (x, width, y, high, kind, style = "") =>
+    drawn(svg, "rect", { x, width, y, height: high, class: kind, style });
   const kindOf = (n) => (damaged.has(n) ? "damaged" : seen.has(n) ? "seen" : images[n] ? "unseen" : "absent");
   svg.replaceChildren();
   for (let n = data.first, from = n; n <= last; n++) {
     if (n < last && kindOf(n + 1) === kindOf(n)) continue;
-    add(from, n + 1, 0, 1, kindOf(n));
+    add(from, n + 1 - from, 0, 1, kindOf(n));
     from = n + 1;
   }
-  for (const pass of [...passes].sort((a, b) => a.rows[0].frame - b.rows[0].frame)) {
-    const from = pass.rows[0].frame, free = ends.findIndex((end) => end < from), lane = free < 0 ? ends.length : free;
-    ends[lane] = pass.rows.at(-1).frame;
-    const kind = `pass ${pass.state}${pass.id === chosen ? " chosen" : ""}`;
-    add(from, ends[lane] + 1, 1.6 + lane, 0.7, kind, tint(pass.landmark));
+  for (const { id, rows, state, landmark } of passes) {
+    const from = rows[0].frame, kind = `pass ${state}${id === chosen ? " chosen" : ""}`;
+    add(from, rows.at(-1).frame + 1 - from, 1.6 + lanes.indexOf(landmark), 0.7, kind, tint(landmark));
   }
-  const rows = 1.6 + ends.length;
-  add(now, now + 1, 0, rows, "now");
-  svg.setAttribute("viewBox", `${data.first} 0 ${data.frames} ${rows}`);
-  svg.style.height = `${12 * rows}px`;
+  add(now, 1, 0, height, "now");
+  svg.setAttribute("viewBox", `${data.first} 0 ${data.frames} ${height}`);
+  svg.style.height = `${12 * height}px`;
 }
 
-function make(tag, values, ...inside) {
+const make = (tag, values, ...inside) => {
   const element = Object.assign(document.createElement(tag), values);
   element.append(...inside);
   return element;
-}
+};
 
 function render() {
   if (!current()) chosen = placing ? null : passes[0]?.id ?? null;
-  part("list").replaceChildren(...passes.map((pass) => {
-    const dot = make("i", { style: tint(pass.landmark) }), name = make("b", { textContent: `ID.${pass.landmark}` });
-    const from = pass.drawn ? pass.origin : `${pass.origin}, least belief ${pass.belief.toFixed(2)}`;
-    const lines = [spanOf(pass), from].map((textContent) => make("small", { textContent }));
-    if (pass.why) lines.push(make("small", { className: "why", textContent: pass.why }));
-    const className = `${pass.state}${pass.id === chosen ? " chosen" : ""}`, state = make("em", { textContent: pass.state });
-    const image = pass.picture ? make("img", { src: pass.picture, alt: "" }) : "";
-    const item = make("button", { type: "button", className }, image, make("span", {}, dot, name, ...lines), state);
-    item.dataset.pass = pass.id;
+  part("list").replaceChildren(...passes.map(({ id, landmark, state, drawn, origin, belief, why = "", picture, ...of }) => {
+    const title = make("b", { textContent: `ID.${landmark}`, style: tint(landmark) });
+    const from = drawn ? origin : `${origin}, least belief ${belief.toFixed(2)}`;
+    const lines = [spanOf(of), from, why].map((textContent) => make("small", { textContent }));
+    const inside = [make("span", {}, title, ...lines), make("em", { textContent: state })];
+    if (picture) inside.unshift(make("img", { src: picture, alt: "" }));
+    const item = make("button", { type: "button", className: `${state}${id === chosen ? " chosen" : ""}` }, ...inside);
+    item.dataset.pass = id;
     return make("li", {}, item);
   }));
-  const states = ["open", "accepted", "rejected"], of = (state) => passes.filter((pass) => pass.state === state).length;
-  part("shares").replaceChildren(...states.map((state) => make("i", { className: state, style: `flex-grow: ${of(state)}` })));
+  for (const share of part("shares").children) {
+    share.style.flexGrow = passes.filter((pass) => pass.state === share.className).length;
+  }
   for (const act of ["all", "from", "to"]) button(act).ariaPressed = String(range === act);
   button("place").ariaPressed = String(Boolean(placing));
   button("undo").disabled = !work.done.length;
@@ -254,11 +241,7 @@ function choose(id) {
   if (top < list.scrollTop || top + item?.offsetHeight > list.scrollTop + list.clientHeight) list.scrollTop = top - 40;
 }
 
-function go(n) {
-  now = Math.min(last, Math.max(data.first, n));
-  frame();
-  keep();
-}
+const go = (n) => { now = Math.min(last, Math.max(data.first, n)); frame(); keep(); };
 
 /** To the next frame that is in the page, or grey; by -1 to the one before. */
 function step(by) {
@@ -267,18 +250,13 @@ function step(by) {
   go(n);
 }
 
-function stop() {
-  clearInterval(timer);
-  timer = 0;
-  button("play").ariaPressed = "false";
-}
-
 /** Decide on the chosen pass, or a part of it, and go on to the next one that is open. */
 function set(values) {
   const pass = current(), of = { from: { from: now }, to: { to: now } }[range];
   if (!pass) return say("Choose a pass first.");
   range = "all";
   decide({ kind: "set", pass: pass.id, ...of, ...values });
+  say(`ID.${pass.landmark}, ${spanOf(pass)}: ${values.state}${values.landmark ? ` as ID.${values.landmark}` : ""}.`);
   const order = passes.findIndex((one) => one.id === pass.id);
   const next = [...passes.slice(order), ...passes.slice(0, order)].find((one) => one.state === "open");
   if (next && values.state !== "open") choose(next.id);
@@ -291,10 +269,8 @@ function name(landmark) {
   else frame();
 }
 
-function neighbour(by) {
-  const order = passes.findIndex((pass) => pass.id === chosen);
-  if (passes.length) choose(passes[(order + by + passes.length) % passes.length].id);
-}
+const neighbour = (by) =>
+  choose(passes[(passes.findIndex((pass) => pass.id === chosen) + by + passes.length) % passes.length]?.id ?? null);
 
 const acts = {
   undo: () => back(work.done, work.undone, "Taken back."),
@@ -316,14 +292,14 @@ const acts = {
   bigger: () => view.scale(1.25),
   smaller: () => view.scale(0.8),
   play() {
-    if (timer) return stop();
     const [begin, end] = current() ? [current().rows[0].frame, current().rows.at(-1).frame] : [data.first, last];
-    if (now < begin || now >= end) go(begin);
-    timer = setInterval(() => (now < end ? step(1) : stop()), STEP_MS);
-    button("play").ariaPressed = "true";
+    clearInterval(timer);
+    timer = timer ? 0 : setInterval(() => (now < end ? step(1) : acts.play()), STEP_MS);
+    if (timer && (now < begin || now >= end)) go(begin);
+    button("play").ariaPressed = String(Boolean(timer));
   },
   place() {
-    placing = placing ? null : { landmark: current()?.landmark ?? ids[0], pass: null };
+    placing = placing ? null : { landmark: current()?.landmark ?? ids[0] };
     if (placing) chosen = null;
     say(placing ? `ID.${placing.landmark}, or type another. Click its centre here, then in another frame.` : "");
     render();
@@ -349,13 +325,14 @@ view.press = (x, y, event) => {
   if (placing) return {
     move(...place) { to = place; },
     end() {
-      chosen = placing.pass ??= `d${now}.${work.done.length}`;
-      decide({ kind: "move", pass: chosen, drawn: true, landmark: placing.landmark, frame: now, x: to[0], y: to[1] });
+      const { landmark, pass = placing.pass = `d${now}.${work.done.length}` } = placing;
+      chosen = pass;
+      decide({ kind: "move", pass, drawn: true, landmark, frame: now, x: to[0], y: to[1] });
       say("Go to another frame and click there, too; what is between is drawn. Enter ends.");
     },
   };
-  const hit = document.elementsFromPoint(event.clientX, event.clientY).map((one) => one.dataset.pass);
-  const pass = passes.find((one) => one.id === (hit.includes(chosen) ? chosen : hit.find(Boolean)));
+  const hits = document.elementsFromPoint(event.clientX, event.clientY).map((one) => one.dataset.pass);
+  const pass = passes.find((one) => one.id === (hits.includes(chosen) ? chosen : hits.find(Boolean)));
   if (!pass) return null;
   const one = at(pass, now);
   to = [one.x, one.y];
@@ -365,7 +342,7 @@ view.press = (x, y, event) => {
       if (pass.corners?.[now] && !one.moved) return say("The outline of a plate is not dragged.");
       to = [one.x + px - x, one.y + py - y];
       frame();
-      view.mark({ corners: outline(...to), colour: ids.indexOf(pass.landmark) }, "declared accepted chosen");
+      view.mark({ corners: outline(pass, placed(now, ...to)), colour: ids.indexOf(pass.landmark) }, "declared accepted chosen");
     },
     end() {
       if (Math.hypot(to[0] - one.x, to[1] - one.y) < NEAR_PX) return;
@@ -376,23 +353,23 @@ view.press = (x, y, event) => {
 
 /** A digit of an ID, which counts at once unless a longer ID begins so. */
 function digit(figure) {
+  const id = typed += figure, longer = ids.some((one) => String(one) !== id && String(one).startsWith(id));
   clearTimeout(wait);
-  typed += figure;
-  const known = ids.includes(Number(typed)), id = typed;
-  const longer = ids.some((one) => String(one) !== id && String(one).startsWith(id));
-  const use = () => { typed = ""; if (known) name(Number(id)); else say(`There is no ID.${id}.`); };
-  wait = setTimeout(use, longer ? WAIT_MS : 0);
+  wait = setTimeout(() => {
+    typed = "";
+    if (ids.includes(Number(id))) name(Number(id));
+    else say(`There is no ID.${id}.`);
+  }, longer ? WAIT_MS : 0);
 }
 
-const keys = { ArrowUp: "up", ArrowDown: "down", Home: "first", End: "last", "+": "bigger", "-": "smaller", Enter: "done" };
+const keys = { ArrowUp: "up", ArrowDown: "down", Home: "first", End: "last", Enter: "done", "+": "bigger", "-": "smaller" };
 for (const each of document.querySelectorAll("[data-keys]")) {
   for (const one of each.dataset.keys.split(" ")) keys[one.replace("Space", " ")] = each.dataset.act;
 }
 
 document.addEventListener("keydown", (event) => {
-  const onButton = event.target.closest("button, summary") && event.target.matches(":focus-visible");
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  if (onButton && [" ", "Enter"].includes(event.key)) return;
+  const pressed = [" ", "Enter"].includes(event.key) && event.target.matches("button:focus-visible, summary");
+  if (event.ctrlKey || event.metaKey || event.altKey || pressed) return;
   const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (act) acts[act](event);
   else if (/^\d$/.test(event.key)) digit(event.key);
@@ -416,10 +393,10 @@ for (const kind of ["pointerdown", "pointermove"]) part("strip").addEventListene
   go(data.first + Math.floor((event.clientX - box.left) / box.width * data.frames));
 });
 
-addEventListener("beforeunload", (event) => { if (refused && !saved) event.preventDefault(); });
+addEventListener("beforeunload", (event) => { if (!part("refused").hidden && !saved) event.preventDefault(); });
 
 function begin() {
-  part("offer").hidden = work.page === data.page;
+  part("offer").hidden = work.page === data.page || !work.done.length;
   part("offer").firstElementChild.textContent =
     `This browser has ${count(work.done.length, "decision")} of yours from an earlier page of this log.`;
   work.page = data.page;
@@ -428,12 +405,11 @@ function begin() {
   choose((passes.find((pass) => pass.state === "open") ?? passes[0])?.id ?? null);
   keep();
   if (lost) say(`${count(lost, "decision")} on passes that this page does not have: left out.`);
-  if (refused) say("This browser keeps nothing of this page: save gt.csv before you leave it.");
 }
 
 try {
   work = JSON.parse(localStorage.getItem(key)) ?? work;
 } catch {
-  refused = true;
+  part("refused").hidden = false;
 }
 begin();

@@ -1,6 +1,7 @@
 // A frame with marks on it, of the report and of the review: it is zoomed by wheel or two fingers,
 // and dragged. Coordinates are pixels of the fan image, pixel centres at whole numbers.
 "use strict";
+const POINTS = 500; // of a disc, spread evenly
 
 // As ground_range, pixel_from_polar and share_in_image of the program, which tests compare.
 
@@ -21,20 +22,17 @@ function pixelFromFloor(fan, right, ahead) {
 
 /** Share, 0 to 1, of a disc on the floor, its centre at a pixel, that the fan image shows. */
 function visibleShare(fan, x, y, radius) {
-  const centre = floorFromPixel(fan, x, y).map((m) => m || 0); // too near: straight below
-  const points = 500;
+  const [right, ahead] = floorFromPixel(fan, x, y).map((m) => m || 0); // too near: straight below
   let shown = 0;
-  for (let n = 0.5; n < points; n++) {
-    const distance = radius * Math.sqrt(n / points), angle = n * Math.PI * (3 - Math.sqrt(5));
-    const right = centre[0] + distance * Math.cos(angle), ahead = centre[1] + distance * Math.sin(angle);
-    const slant = Math.hypot(right, ahead, fan.depth_m);
-    const bearing = Math.atan2(right, ahead) * 180 / Math.PI;
-    const [column, row] = pixelFromFloor(fan, right, ahead);
-    shown += slant >= fan.range_min_m && slant <= fan.range_max_m && bearing >= fan.bearing_min_deg &&
-      bearing <= fan.bearing_max_deg && row >= -0.5 && row <= fan.rows - 0.5 && column >= -1 &&
-      column <= fan.columns;
+  for (let n = 0.5; n < POINTS; n++) {
+    const r = radius * Math.sqrt(n / POINTS), angle = n * Math.PI * (3 - Math.sqrt(5));
+    const floor = [right + r * Math.cos(angle), ahead + r * Math.sin(angle)], [column, row] = pixelFromFloor(fan, ...floor);
+    const slant = Math.hypot(...floor, fan.depth_m), bearing = Math.atan2(...floor) * 180 / Math.PI;
+    shown += slant >= fan.range_min_m && slant <= fan.range_max_m &&
+      bearing >= fan.bearing_min_deg && bearing <= fan.bearing_max_deg &&
+      row >= -0.5 && row <= fan.rows - 0.5 && column >= -1 && column <= fan.columns;
   }
-  return shown / points;
+  return shown / POINTS;
 }
 
 /** Add an element to an SVG. */
