@@ -7,6 +7,7 @@ import re
 import shutil
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,21 @@ import numpy as np
 import pytest
 
 from sonarrec.geometry import (
+    floor_depth,
+    ground_range,
+    pixel_from_polar,
+    plane_from_polar,
     polar_from_pixel,
+    slant_range,
 )
 from sonarrec.results.read import read_log
 from sonarrec.truth.match import share_in_image
-from tests.support.browser import look
+from tests.support.browser import COLOURS, contrast, look
 from tests.support.command import SAMPLE, sonarrec
+from tests.support.drawn import make_fan
 from tests.support.rows import read_rows
 
-ENTER = "\ue007"
+ENTER, RIGHT = "\ue007", "\ue014"
 GT = SAMPLE.with_name("pan.gt.csv")
 HEADER = "frame,timestamp_ns,method,object,x_px,y_px,landmark,score,declared,p_1,p_2,p_3,p_4,p_none"
 
@@ -45,11 +52,11 @@ def truth_rows() -> dict[int, dict[int, tuple[float, float]]]:
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ran(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a log called dive, without truth, and its results."""
     folder = tmp_path_factory.mktemp("ran")
     shutil.copytree(SAMPLE, folder / "dive", ignore=shutil.ignore_patterns("gt.csv"))
-    sonarrec("run", folder / "dive", "--out", folder / "out", "-q")
+    shutil.copytree(results, folder / "out" / "dive")
     return folder
 
 
@@ -115,17 +122,144 @@ def test_passes_the_uncertain_ones_first(ran: Path, tmp_path: Path) -> None:
     assert sorted(map(int, found["images"])) == list(range(128))
 
 
+def test_what_propose_leaves_out_comes_with_its_reason(ran: Path, tmp_path: Path) -> None:
+    one = truth_rows()[1]
+    tracks = [
+        (1, {n: one[n] for n in range(40)}, 0.99),
+        (1, {n: one[n] for n in range(80, 83)}, 0.95),
+    ]
+    tracks += [(1, {n: one[n] for n in range(90, 120)}, 0.8)]
+    found = data_of(review(with_tracks(ran, tmp_path / "w", tracks)))["passes"]
+    by_frame = {p["rows"][0]["frame"]: p for p in found}
+    assert [by_frame[n]["left_out"] for n in (0, 80, 90)] == [False, True, True]
+    assert [by_frame[n]["why"] for n in (0, 80, 90)] == [
+        *("", "declared in 3 frames only", "best score below 0.9")
+    ]
+
+
+def test_a_truth_and_what_it_lacks(ran: Path, tmp_path: Path) -> None:
+    """A track on the truth is the truth's pass; the rest is what the truth does not have."""
+    folder = with_tracks(ran, tmp_path / "w", swapped())
+    shutil.copy(GT, folder / "dive" / "gt.csv")  # found, as evaluate finds it
+    found = data_of(review(folder))
+    assert found["header"] == [
+        "frame",
+        "landmark",
+        "x_px",
+        "y_px",
+        "visible",
+        "orientation_deg",
+        "source",
+    ]
+    listed = [(p["landmark"], p["rows"][0]["frame"], p["state"], p["why"]) for p in found["passes"]]
+    assert listed[:2] == [(2, 60, "open", "not in the truth"), (1, 40, "open", "not in the truth")]
+    assert {(k, n, state) for k, n, state, _ in listed[2:]} == {
+        *((1, 0, "accepted"), (1, 77, "accepted"), (3, 17, "accepted"))
+    }
+    proposal = folder / "proposed.csv"
+    sonarrec("truth", "propose", folder / "out" / "dive", "-o", proposal)
+    again = data_of(review(folder, "--truth", proposal))["passes"]
+    assert {(p["origin"], p["state"]) for p in again} == {("truth", "open")}
+
+
+def test_mistakes_come_first(ran: Path, tmp_path: Path) -> None:
+    folder = with_tracks(ran, tmp_path / "w", swapped())
+    shutil.copy(GT, folder / "dive" / "gt.csv")
+    results = folder / "out" / "dive"
+    lacking = sonarrec(
+        *("truth", "review", folder / "dive", "--results", folder / "out", "--mistakes"), code=2
+    )
+    command = re.search(r"`(sonarrec evaluate .*)`", lacking.stderr)
+    assert command is not None
+    assert str(results) in command[1]
+    (results / "evaluation").mkdir(exist_ok=True)
+    (results / "evaluation" / "mistakes.csv").write_text(
+        "log,method,kind,landmark,other,first_frame,last_frame,frames,score\n"
+        "dive,framework,missed,3,1,90,111,22,0.1\n"
+        "dive,smi,false,1,,0,10,11,0.9\n"
+        "dive,framework,false,2,,60,79,20,0.91\n"
+    )
+    found = data_of(review(folder, "--mistakes"))["passes"]
+    first = [(p["landmark"], p["rows"][0]["frame"], p["wrong"]) for p in found[:4]]
+    assert first == [(3, 17, 22), (1, 40, 22), (1, 77, 22), (2, 60, 20)]
+    assert {p["state"] for p in found if p["wrong"]} == {"open"}
+    assert any("missed ID.3 in frames 90-111" in p["why"] for p in found if p["landmark"] == 3)
+
+
+def test_frames_that_are_chosen_and_those_that_fit_in(
+    ran: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = with_tracks(ran, tmp_path / "w", swapped())
+    shown = {"--every=5": [*range(0, 128, 5)], "--frames=10:13,40": [10, 11, 12, 40]}
+    for option, frames in shown.items():
+        page = review(folder, option)
+        assert sorted(map(int, data_of(page)["images"])) == frames
+        assert f"{len(frames)} of the log's 128 frames are in this page" in page.read_text()
+        rows = sum(len(one["rows"]) for one in data_of(page)["passes"])
+        assert rows == sum(len(places) for _, places, _ in swapped())
+    monkeypatch.setattr("sonarrec.reports.review.MOST_BYTES", 300_000)
+    few = data_of(review(folder))["images"]
+    assert 20 < len(few) < 128
+    assert sum(map(len, few.values())) <= 300_000
+    steps = np.diff(sorted(map(int, few)))
+    assert len(set(steps)) == 1
+    review(folder, "--frames", "200:210", code=2)
+    review(folder, "--frames", "x", code=2)
+
+
+def test_results_of_another_log_and_none(ran: Path, tmp_path: Path) -> None:
+    folder = with_tracks(ran, tmp_path / "w", swapped())
+    (folder / "dive" / "000127.png").unlink()
+    assert not review(folder, code=1).exists()
+    told = sonarrec("truth", "review", folder / "dive", "--results", tmp_path / "no", code=2).stderr
+    assert f"sonarrec run {folder / 'dive'}" in told
+
+
+def test_a_folder_of_logs_has_a_page_each(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for name in ("a", "b", "c"):
+        shutil.copy(SAMPLE.with_name("pan.mcap"), logs / f"{name}.mcap")
+    shutil.copy(SAMPLE.with_name("pan.sonar.toml"), logs / "sonar.toml")
+    few = ("--frames", "30:42", "--out", tmp_path / "out", "-q")
+    sonarrec("run", logs / "a.mcap", logs / "b.mcap", *few)
+    where = ("--results", tmp_path / "out", "-o", tmp_path / "pages")
+    done = sonarrec("truth", "review", logs, *where, code=3)  # c has no results
+    assert len(done.stdout.splitlines()) == 2
+    assert str(logs / "c.mcap") in done.stderr
+    for name in ("a", "b"):
+        page = tmp_path / "pages" / f"{name}.html"
+        assert f"<h1>{name}</h1>" in page.read_text()
+        found = data_of(page)
+        assert (found["first"], found["frames"], len(found["images"])) == (30, 12, 12)
+
+
+def test_nothing_but_an_older_page_is_replaced(ran: Path, tmp_path: Path) -> None:
+    folder = with_tracks(ran, tmp_path / "w", swapped())
+    page = review(folder)
+    review(folder)
+    page.write_text("mine")
+    review(folder, code=2)
+    assert page.read_text() == "mine"
+
+
 # In a browser
 
 
 class Page:
     """A page in the browser, used as a person uses it."""
 
-    def __init__(self, browser: Any, page: Path, downloads: Path, width: int = 1400) -> None:
+    def __init__(
+        self, browser: Any, page: Path, downloads: Path, width: int = 1400, *, again: bool = False
+    ) -> None:
+        """again: with what the browser has kept of earlier pages."""
         self.browser, self.page, self.downloads = browser, page, downloads
         where = {"behavior": "allow", "downloadPath": str(downloads)}
         browser.execute_cdp_cmd("Browser.setDownloadBehavior", where)
         self.faults = look(browser, page, width, "dark")
+        if not again:
+            browser.execute_script("localStorage.clear()")
+            self.faults = look(browser, page, width, "dark")
 
     def press(self, *keys: str) -> None:
         from selenium.webdriver import ActionChains
@@ -178,7 +312,7 @@ class Page:
         file.unlink(missing_ok=True)
         self.press("s")
         for _ in range(200):
-            if file.exists():
+            if file.exists() and file.stat().st_size:
                 return file
             time.sleep(0.02)
         raise AssertionError(self.text("say"))
@@ -241,3 +375,283 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
         for truth in (saved, GT)
     ]
     assert printed[0].replace(str(saved), str(GT)) == printed[1]
+
+
+GEOMETRY = """
+const [fan, points, radius] = arguments;
+return points.map(([x, y]) => {
+  const floor = floorFromPixel(fan, x, y);
+  return [...floor, ...pixelFromFloor(fan, ...floor), visibleShare(fan, x, y, radius)]
+    .map((v) => Number.isNaN(v) ? null : v);
+});"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [{}, {"height_m": None}, {"field_of_view_deg": 130.0}])
+def test_the_geometry_of_the_script_is_the_program_s(
+    browser: Any, ran: Path, tmp_path: Path, shape: dict[str, Any]
+) -> None:
+    fan = make_fan(rows=120, **shape)
+    page = Page(browser, review(with_tracks(ran, tmp_path / "w", swapped())), tmp_path)
+    x, y = (
+        v.ravel()
+        for v in np.meshgrid(np.linspace(-9, fan.columns + 9, 14), np.linspace(-9, 310, 23))
+    )
+    of = asdict(fan) | {"depth_m": floor_depth(fan)}
+    found = page.browser.execute_script(GEOMETRY, of, np.column_stack([x, y]).tolist(), 0.15)
+    right, ahead, column, row, visible = np.array(found, dtype=float).T
+    range_m, bearing_deg = polar_from_pixel(fan, x, y)
+    ground = ground_range(fan, range_m)
+    expected = plane_from_polar(ground, bearing_deg)
+    assert 5 < np.isnan(ground).sum() < len(x) / 2
+    np.testing.assert_allclose(np.column_stack([right, ahead]), expected, atol=1e-9)
+    slant = slant_range(fan, np.hypot(right, ahead))
+    back = pixel_from_polar(fan, slant, np.degrees(np.arctan2(right, ahead)))
+    np.testing.assert_allclose([column, row], back, atol=1e-9)
+    shares = share_in_image(fan, range_m, bearing_deg, 0.15)
+    assert {0.0, 1.0} < {*shares}
+    np.testing.assert_allclose(visible, shares, atol=0.004)  # a point or two on the very edge
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1400, 420])
+def test_the_page_fits_and_is_legible(browser: Any, ran: Path, tmp_path: Path, width: int) -> None:
+    folder = with_tracks(ran, tmp_path / "w", swapped())
+    faults = Page(browser, review(folder), tmp_path, width).faults
+    assert faults["console"] == []
+    assert (faults["broken"], faults["wide"], faults["outside"]) == (0, 0, [])
+    page, text, _ = browser.execute_script(COLOURS)
+    assert min(contrast(colour, page) for colour in text) >= 4.5
+    acts, keys = browser.execute_script("return [Object.keys(acts), Object.keys(keys)]")
+    assert not set(acts) - set(
+        browser.execute_script("return [...Object.values(keys), 'reopen', 'take', 'leave']")
+    )
+    listed = browser.execute_script(
+        "return [...document.querySelectorAll('dl kbd')].map(k => k.textContent)"
+    )
+    names = {"ArrowUp": "↑", "ArrowDown": "↓", "ArrowLeft": "←", "ArrowRight": "→", " ": "Space"}
+    named = {names.get(key, key) for key in keys} - {"Delete"}
+    assert {key.lower() for key in named} <= {key.lower() for key in listed}
+
+
+@pytest.mark.slow
+def test_frames_that_are_not_in_the_page_follow(browser: Any, ran: Path, tmp_path: Path) -> None:
+    one = truth_rows()[1]
+    folder = with_tracks(ran, tmp_path / "w", [(1, {n: one[n] for n in range(40)}, 0.99)])
+    page = Page(browser, review(folder, "--every", "5"), tmp_path)
+    before = {int(r["frame"]): float(r["y_px"]) for r in read_rows(page.save())}
+    page.press(RIGHT, RIGHT)
+    assert page.text("title") == "Frame 10"
+    scale = page.pointer(*one[10], drag=(0, 12))
+    rows = {int(r["frame"]): r for r in read_rows(page.save())}
+    moved = {n: float(row["y_px"]) - before[n] for n, row in rows.items()}
+    for n, by in moved.items():
+        assert by == pytest.approx(12 * max(0, 1 - abs(n - 10) / 5), abs=1 / scale), n
+    assert {n for n, row in rows.items() if not row["source"]} == set(range(6, 15))
+    page.press("x")
+    assert set(before) - {int(r["frame"]) for r in read_rows(page.save())} == {8, 9, 10, 11, 12}
+    page.press("u", "u")
+    assert {int(r["frame"]): float(r["y_px"]) for r in read_rows(page.save())} == before
+    page.press("y", "y")
+    assert len(read_rows(page.save())) == len(before) - 5
+
+
+@pytest.mark.slow
+def test_no_passes_and_damaged_frames(browser: Any, ran: Path, tmp_path: Path) -> None:
+    """The page opens; a landmark is placed; a frame that cannot be read is grey and gets no row."""
+    log = tmp_path / "w" / "dive"
+    shutil.copytree(ran / "dive", log)
+    (log / "000005.png").write_bytes((log / "000005.png").read_bytes()[:200])
+    sonarrec("run", log, "--out", tmp_path / "w" / "out", "-q", code=3)
+    estimates = tmp_path / "w" / "out" / "dive" / "estimates.csv"
+    estimates.write_text(HEADER + "\n")
+    run = estimates.with_name("run.toml")
+    run.write_text(re.sub(r"(?m)^(estimates|sightings) = .*", r"\1 = 0", run.read_text()))
+    page = Page(browser, review(tmp_path / "w", code=3), tmp_path)
+    assert page.faults["console"] == []
+    assert page.passes == []
+    assert page.text("left") == "No pass is open; 126 frames not seen"
+    page.press("a", "r", "x", " ", " ", "u", "y")  # nothing to decide, nothing happens
+    page.go(5)
+    assert "cannot be read" in browser.find_element("id", "grey").text
+    page.go(0)
+    one = truth_rows()[1]
+    page.press("n", "4")
+    page.pointer(*one[0])
+    page.go(12)
+    page.pointer(*one[12])
+    page.press("2", ENTER)
+    rows = read_rows(page.save())
+    assert [int(row["frame"]) for row in rows] == [n for n in range(13) if n != 5]
+    assert {(row["landmark"], row["source"]) for row in rows} == {("2", "")}
+    off = [
+        np.hypot(
+            float(r["x_px"]) - one[int(r["frame"])][0], float(r["y_px"]) - one[int(r["frame"])][1]
+        )
+        for r in rows
+    ]
+    assert max(off) < 2.5  # of a disc of some 30 px that turned by 7 degrees
+
+
+@pytest.mark.slow
+def test_work_is_kept_and_offered(browser: Any, ran: Path, tmp_path: Path) -> None:
+    folder = with_tracks(ran, tmp_path / "w", swapped()[:3])
+    page = Page(browser, review(folder), tmp_path)
+    page.press("a", "r")
+    states = ["accepted", "rejected", "open"]
+    assert [state for *_, state in page.passes] == states
+    kept = browser.execute_script("return localStorage.getItem(key)")
+    assert len(kept) < 1000  # decisions, no rows
+    others = [(1, {}, 0.0), *swapped()[1:]]
+    page_of_others = review(with_tracks(ran, tmp_path / "again", others))
+    again = Page(browser, page_of_others, tmp_path, again=True)
+    assert "2 decisions" in browser.find_element("id", "offer").text
+    assert "1 decision on passes that this page does not have" in again.text("say")
+    assert "rejected" in {state for *_, state in again.passes}
+    browser.find_element("css selector", "[data-act=leave]").click()
+    assert not browser.find_element("id", "offer").is_displayed()
+    assert {state for *_, state in again.passes} == {"open"}
+
+
+@pytest.mark.slow
+def test_where_the_browser_keeps_nothing(browser: Any, ran: Path, tmp_path: Path) -> None:
+    refuse = "Storage.prototype.setItem = () => { throw new DOMException('', 'SecurityError'); }"
+    added = browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": refuse})
+    try:
+        page = Page(browser, review(with_tracks(ran, tmp_path / "w", swapped())), tmp_path)
+        assert "keeps nothing" in browser.find_element("id", "refused").text
+        leaving = (
+            "const e = new Event('beforeunload', {cancelable: true});"
+            "dispatchEvent(e); return e.defaultPrevented"
+        )
+        assert not browser.execute_script(leaving)
+        page.press("a")
+        assert browser.execute_script(leaving)
+        page.save()
+        assert not browser.execute_script(leaving)
+    finally:
+        browser.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+
+
+@pytest.mark.slow
+def test_names_are_no_html(browser: Any, ran: Path, tmp_path: Path) -> None:
+    evil = "</script><img src=x onerror=hit=1>&lt;'\"\\"
+    log = tmp_path / evil.replace("/", "")
+    folder = with_tracks(ran, tmp_path / "w", swapped())
+    (folder / "dive").rename(folder / log.name)
+    (folder / "out" / "dive").rename(folder / "out" / log.name)
+    truth = tmp_path / f"{evil.replace('/', '')}.csv"
+    rows = ["frame,landmark,x_px,y_px,source,note"]
+    rows += [
+        f"{n},1,{x},{y},{evil.replace(chr(34), '')},{evil.replace(chr(34), '')}"
+        for n, (x, y) in truth_rows()[1].items()
+    ]
+    truth.write_text("\n".join(rows) + "\n")
+    page = Page(browser, review(folder, "--truth", truth, log=log.name), tmp_path)
+    assert page.faults["console"] == []
+    assert browser.execute_script("return typeof hit") == "undefined"
+    assert browser.find_element("css selector", "h1").text == log.name
+    assert {row["note"] for row in read_rows(page.save()) if row["note"]} == {evil.replace('"', "")}
+
+
+@pytest.mark.slow
+def test_plates_show_their_corners_and_are_not_dragged(
+    browser: Any, ran: Path, tmp_path: Path
+) -> None:
+    log, out = ran / "dive", tmp_path / "w" / "out"
+    sonarrec("run", log, "--landmarks", "actag24h10", "--frames", "0:20", "--out", out, "-q")
+    shutil.copytree(log, tmp_path / "w" / "dive")
+    folder = out / "dive"
+    ids = list(read_log(folder).landmarks.ids)
+    header = (
+        "frame,method,object,range_m,bearing_deg,landmark,score,declared,r1,b1,r2,b2,r3,b3,r4,b4"
+    )
+    corners = "2.6,-3,2.6,3,2.4,3,2.4,-3"
+    rows = [f"{n},framework,1,2.5,0,{ids[1]},0.95,1,{corners}" for n in range(20)]
+    (folder / "estimates.csv").write_text("\n".join([header, *rows]) + "\n")
+    run = (folder / "run.toml").read_text()
+    (folder / "run.toml").write_text(re.sub(r"(?m)^(estimates|sightings) = .*", r"\1 = 0", run))
+    page = Page(browser, review(tmp_path / "w"), tmp_path)
+    fan = read_log(folder).fan
+    assert fan is not None
+    drawn = browser.find_element("css selector", "#marks polygon").get_attribute("points")
+    points = np.array(drawn.replace(",", " ").split(), dtype=float).reshape(-1, 2)
+    expected = np.column_stack(
+        pixel_from_polar(fan, np.array([2.6, 2.6, 2.4, 2.4]), np.array([-3, 3, 3, -3]))
+    )
+    np.testing.assert_allclose(points, expected, atol=0.06)
+    page.pointer(*expected.mean(axis=0), drag=(10, 0))
+    assert "not dragged" in page.text("say")
+    page.press(*str(ids[2]))
+    time.sleep(1)
+    before = read_rows(page.save())
+    assert {(row["landmark"], row["source"]) for row in before} == {(str(ids[2]), "")}
+    assert {row["x_px"] for row in before} == {f"{fan.apex_column:.2f}"}
+
+
+@pytest.mark.slow
+def test_a_truth_goes_out_as_it_came(browser: Any, ran: Path, tmp_path: Path) -> None:
+    """By time and in metres, with other logs, columns and objects; frames and pixels are saved."""
+    folder = with_tracks(ran, tmp_path / "w", swapped()[:1])
+    rows = ["log,frame,landmark,x_px,y_px,visible,orientation_deg,by"]
+    columns = ("frame", "landmark", "x_px", "y_px", "visible", "orientation_deg")
+    rows += [",".join(["dive", *(row[c] for c in columns), '"A, B"']) for row in read_rows(GT)]
+    rows += ["other,3,1,10,20,1,,C", "dive,7,none,50,60,,,D"]
+    truth = tmp_path / "truth.csv"
+    truth.write_text("\n".join(rows) + "\n")
+    page = Page(browser, review(folder, "--truth", truth), tmp_path)
+    came, saved = read_rows(truth), read_rows(page.save())
+    assert all(row.pop("source") == "" for row in saved)
+    order = [tuple(row.items()) for row in came]
+    assert sorted(tuple(row.items()) for row in saved) == sorted(order)
+    times = {
+        int(r["frame"]): r["timestamp_ns"]
+        for r in read_rows(folder / "out" / "dive" / "frames.csv")
+    }
+    lines = ["timestamp_ns,landmark,range_m,bearing_deg"]
+    lines += [
+        f"{times[int(r['frame'])]},{r['landmark']},{r['range_m']},{r['bearing_deg']}"
+        for r in read_rows(GT)
+    ]
+    truth.write_text("\n".join(lines) + "\n")
+    page = Page(browser, review(folder, "--truth", truth), tmp_path)
+    saved = read_rows(page.save())
+    assert list(saved[0]) == ["frame", "landmark", "x_px", "y_px", "visible", "source"]
+    for row in saved:
+        place = truth_rows()[int(row["landmark"])][int(row["frame"])]
+        assert np.abs(np.subtract((float(row["x_px"]), float(row["y_px"])), place)).max() < 0.02
+    assert len(saved) == len(lines) - 1
+
+
+@pytest.mark.slow
+def test_by_touch(browser: Any, ran: Path, tmp_path: Path) -> None:
+    """One finger drags an outline, two zoom."""
+    one = truth_rows()[1]
+    folder = with_tracks(ran, tmp_path / "w", [(1, {n: one[n] for n in range(40)}, 0.99)])
+    page = Page(browser, review(folder), tmp_path, 420)
+    left, top, width = browser.execute_script(
+        "const b = document.getElementById('marks').getBoundingClientRect();"
+        "return [b.left, b.top, b.width]"
+    )
+    scale = width / browser.execute_script("return fan.columns")
+    x, y = left + (one[0][0] + 0.5) * scale, top + (one[0][1] + 0.5) * scale
+
+    def touch(kind: str, *points: tuple[float, float]) -> None:
+        of = {
+            "type": kind,
+            "touchPoints": [{"x": a, "y": b, "id": n} for n, (a, b) in enumerate(points)],
+        }
+        browser.execute_cdp_cmd("Input.dispatchTouchEvent", of)
+
+    touch("touchStart", (x, y))
+    touch("touchMove", (x - 20, y))
+    touch("touchMove", (x - 40, y))
+    touch("touchEnd")
+    first = read_rows(page.save())[0]
+    assert float(first["x_px"]) == pytest.approx(one[0][0] - 40 / scale, abs=0.1)
+    assert float(first["y_px"]) == pytest.approx(one[0][1], abs=0.1)
+    touch("touchStart", (left + 50, top + 20))
+    touch("touchStart", (left + 50, top + 20), (left + 90, top + 20))
+    touch("touchMove", (left + 50, top + 20), (left + 130, top + 20))
+    touch("touchEnd")
+    assert browser.execute_script("return view.zoom") == pytest.approx(2, abs=0.05)
