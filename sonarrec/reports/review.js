@@ -91,14 +91,8 @@ function fold() {
 
 const say = (text) => { part("say").textContent = text; };
 const decide = (entry) => { work.done.push(entry); work.undone = []; changed(""); };
-
-function keep() {
-  try {
-    localStorage.setItem(key, JSON.stringify({ ...work, seen: [...seen] }));
-  } catch {
-    part("refused").hidden = false;
-  }
-}
+const storage = (use) => { try { return use(localStorage); } catch { part("refused").hidden = false; } };
+const keep = () => storage((kept) => kept.setItem(key, JSON.stringify({ ...work, seen: [...seen] })));
 
 function changed(text) {
   saved = false;
@@ -111,8 +105,7 @@ function changed(text) {
 function back(from, to, text) {
   if (!from.length) return;
   to.push(from.pop());
-  now = to.at(-1).frame ?? now;
-  chosen = to.at(-1).pass;
+  ({ pass: chosen, frame: now = now } = to.at(-1));
   changed(text);
 }
 
@@ -292,11 +285,15 @@ const acts = {
   bigger: () => view.scale(1.25),
   smaller: () => view.scale(0.8),
   play() {
-    const [begin, end] = current() ? [current().rows[0].frame, current().rows.at(-1).frame] : [data.first, last];
+    const { rows } = current() ?? { rows: [{ frame: now }] }, inside = now >= rows[0].frame && now < rows.at(-1).frame;
     clearInterval(timer);
-    timer = timer ? 0 : setInterval(() => (now < end ? step(1) : acts.play()), STEP_MS);
-    if (timer && (now < begin || now >= end)) go(begin);
+    timer = timer ? 0 : setInterval(() => (now < (inside ? rows.at(-1).frame : last) ? step(1) : acts.play()), STEP_MS);
     button("play").ariaPressed = String(Boolean(timer));
+  },
+  unseen() {
+    const left = shown.filter((n) => !seen.has(n)), n = left.find((one) => one > now) ?? left[0];
+    if (n === undefined) say("All frames in this page were seen.");
+    else go(n);
   },
   place() {
     placing = placing ? null : { landmark: current()?.landmark ?? ids[0] };
@@ -354,12 +351,9 @@ view.press = (x, y, event) => {
 /** A digit of an ID, which counts at once unless a longer ID begins so. */
 function digit(figure) {
   const id = typed += figure, longer = ids.some((one) => String(one) !== id && String(one).startsWith(id));
+  const use = () => { typed = ""; return ids.includes(Number(id)) ? name(Number(id)) : say(`There is no ID.${id}.`); };
   clearTimeout(wait);
-  wait = setTimeout(() => {
-    typed = "";
-    if (ids.includes(Number(id))) name(Number(id));
-    else say(`There is no ID.${id}.`);
-  }, longer ? WAIT_MS : 0);
+  wait = setTimeout(use, longer ? WAIT_MS : 0);
 }
 
 const keys = { ArrowUp: "up", ArrowDown: "down", Home: "first", End: "last", Enter: "done", "+": "bigger", "-": "smaller" };
@@ -397,8 +391,8 @@ addEventListener("beforeunload", (event) => { if (!part("refused").hidden && !sa
 
 function begin() {
   part("offer").hidden = work.page === data.page || !work.done.length;
-  part("offer").firstElementChild.textContent =
-    `This browser has ${count(work.done.length, "decision")} of yours from an earlier page of this log.`;
+  const text = `This browser has ${count(work.done.length, "decision")} of yours from an earlier page of this log.`;
+  part("offer").firstElementChild.textContent = text;
   work.page = data.page;
   seen = new Set(work.seen);
   fold();
@@ -407,9 +401,5 @@ function begin() {
   if (lost) say(`${count(lost, "decision")} on passes that this page does not have: left out.`);
 }
 
-try {
-  work = JSON.parse(localStorage.getItem(key)) ?? work;
-} catch {
-  part("refused").hidden = false;
-}
+work = storage((kept) => JSON.parse(kept.getItem(key))) ?? work;
 begin();

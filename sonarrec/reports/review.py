@@ -435,6 +435,7 @@ def _page(
         version=VERSION,
         name=found.name,
         truth=None if truth is None else printable(truth.name),
+        ratio=fan.columns / fan.rows,
         ids=landmarks.ids,
         colours=[
             "#{:02x}{:02x}{:02x}".format(*c) for c in landmark_colours(landmarks.ids).values()
