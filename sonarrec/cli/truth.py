@@ -250,6 +250,7 @@ def _spans(_: click.Context, __: click.Parameter, text: str | None) -> Any:
     default=Path("sonarrec_out"),
     help="Results of LOG, or the folder that holds them.",
 )
+@options.method
 @in_input(
     "--every", type=click.IntRange(min=1), default=1, help="Put every N-th frame in the page."
 )
@@ -270,6 +271,7 @@ def review(
     log: str,
     ground_truth: Path | None,
     results: Path,
+    method: str | None,
     every: int,
     frames: list[tuple[int, int | None]],
     mistakes: bool,
@@ -290,34 +292,34 @@ def review(
       sonarrec truth review pings/ --mistakes
     """
     from sonarrec.readers.named_logs import logs_named
+    from sonarrec.readers.open import log_name
     from sonarrec.reports.review import review as write_review
 
-    logs = logs_named(log)
-    lines, told = list[str](), Diagnostics()
+    logs, told, lines = logs_named(log), Diagnostics(), list[str]()
     for one in logs:
-        several = Path(out or "review") / f"{Path(one.path).stem}.html"
+        page = out or Path("review.html")
+        if logs[1:]:
+            page = Path(out or "review") / f"{log_name(Path(one.path))}.html"
         try:
-            page = write_review(
+            line, of_log = write_review(
                 one.path,
-                several if logs[1:] else out or Path("review.html"),
+                page,
                 truth=ground_truth,
                 results=results,
                 every=every,
                 spans=frames,
                 mistakes=mistakes,
+                method=method,
                 up_to=one.up_to,
             )
         except SonarrecError as error:
             if not logs[1:]:
                 raise
             told.problem(str(error))
-            continue
-        told.problem(*page.diagnostics.problems)
-        told.note(*page.diagnostics.notes)
-        size = f"{page.path.stat().st_size / 1e6:.1f} MB"
-        held = f"{page.shown} of {number_of(page.frames, 'frame')}"
-        passes = f"{number_of(page.passes, 'pass', 'es')}, {page.open} open"
-        lines.append(f"{page.path}: {size}, {held}, {passes}; open it in a browser")
+        else:
+            lines.append(line)
+            told.problem(*of_log.problems)
+            told.note(*of_log.notes)
     if not lines:
         raise SonarrecError(told.problems[0])
     finish(quiet, lines, told.problems, told.notes)

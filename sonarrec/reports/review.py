@@ -57,19 +57,6 @@ _REPLACED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
 """Columns of a truth in place of which others are saved, since two could contradict each other."""
 
 
-@dataclass(frozen=True, slots=True)
-class Review:
-    """A page that was written. shown: its frames, of so many `frames`. passes, open: their
-    number."""
-
-    path: Path
-    shown: int
-    frames: int
-    passes: int
-    open: int
-    diagnostics: Diagnostics
-
-
 class _Row(NamedTuple):
     """A row of gt.csv: frame, pixel, share in view, and its cells under the page's header."""
 
@@ -121,13 +108,15 @@ def review(
     every: int = 1,
     spans: Sequence[tuple[int, int | None]] = (),
     mistakes: bool = False,
+    method: str | None = None,
     up_to: Path | None = None,
-) -> Review:
-    """Write the page of one log.
+) -> tuple[str, Diagnostics]:
+    """Write the page of one log; (what is in it, in a line, and what is told).
 
     truth: default: that beside the log, if there is one. results: the folder of this log's
     results, or one that holds it. every, spans: frames in the page; all rows are in it anyway.
-    mistakes: begin with the passes on which results and truth disagree. up_to: as of find_log.
+    mistakes: begin with the passes on which results and truth disagree. method: that of the tracks;
+    None: the leading one. up_to: as of find_log.
     Raises SonarrecError if something cannot be used, UsageError for an invalid option.
     """
     source, told = find_log(log, up_to), Diagnostics()
@@ -135,16 +124,17 @@ def review(
     found = read_log(folder)
     if found.fan is None:
         raise SonarrecError(f"{folder}: its run.toml does not tell the sonar's geometry; run again")
+    method = method or leading(found.methods)
     truth = truth or source.beside(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
     told.problem(*not_whole(found, "shown"))
     table, passes, taken = _Table([*HEADER]), list[_Pass](), Taken(list)
     if truth is not None:
         table, passes = _of_truth(truth, source, found, taken, told)
-    passes += _of_tracks(folder, found, taken, table, truth is not None)
-    _look_up(passes, folder, found)
+    passes += _of_tracks(folder, found, method, taken, table, truth is not None)
+    _look_up(passes, folder, found, method)
     if mistakes:
-        _mark_mistakes(passes, found, folder, results, truth)
+        _mark_mistakes(passes, found, method, [folder, results, folder.parent], truth)
     passes.sort(key=lambda p: (-p.wrong, p.state != "open", p.belief, p.rows[0].frame))
     options = found.run.complete(LogOptions(), same_log=source.reader.has_topics).arguments()
     with open_log(source, **(options | {"up_to": up_to})) as recording:
@@ -152,8 +142,11 @@ def review(
         frames = _Frames(recording, found, spans, every, passes)
         told.problem(*recording.diagnostics.problems)
     write_page(out, _page(found, folder, truth, frames, table, passes))
-    opened = sum(p.state == "open" for p in passes)
-    return Review(out, len(frames.images), len(frames.numbers), len(passes), opened, told)
+    size, held = out.stat().st_size / 1e6, f"{len(frames.images)} of {len(frames.numbers)} frames"
+    opened = (
+        f"{number_of(len(passes), 'pass', 'es')}, {sum(p.state == 'open' for p in passes)} open"
+    )
+    return f"{out}: {size:.1f} MB, {held}, {opened}; open it in a browser", told
 
 
 # The passes
@@ -180,29 +173,25 @@ def _of_truth(
     table = _Table(header + [c for c in ("visible", "source") if c not in header])
     table.log = "" if truth.log is None else name
     if replaced:
-        into = "frame, x_px and y_px"
-        told.note(f"{path}: the page saves {into} in place of {', '.join(replaced)}")
+        of = ", ".join(replaced)
+        told.note(f"{path}: the page saves frame, x_px and y_px in place of {of}")
 
     def cells_of(row: int, **values: str) -> list[str]:
         return [
             (dict(zip(columns, cells[row], strict=False)) | values).get(c, "") for c in table.header
         ]
 
+    slant_m, bearing_deg = polar_from_pixel(found.fan, *pixels.T)
+    floor = plane_from_polar(ground_range(found.fan, slant_m), bearing_deg)
     rows = defaultdict[int, list[_Row]](list)
     for n in np.argsort(matched.frame_index, kind="stable").tolist():
         frame = int(found.frame[matched.frame_index[n]])
         landmark = found.landmarks.ids[matched.landmark_index[n]]
         x, y = pixels[n].tolist()
-        values = {"frame": str(frame)}
-        if "range_m" in columns:
-            values |= {"x_px": f"{x:.3f}", "y_px": f"{y:.3f}"}
-        came = cells_of(int(matched.row[n]), **values)
+        pixel = {"x_px": f"{x:.3f}", "y_px": f"{y:.3f}"} if "range_m" in columns else {}
+        came = cells_of(int(matched.row[n]), frame=str(frame), **pixel)
         rows[landmark].append(_Row(frame, x, y, float(matched.visible[n]), came))
-        slant_m, bearing_deg = polar_from_pixel(
-            found.fan, pixels[n : n + 1, 0], pixels[n : n + 1, 1]
-        )
-        floor = plane_from_polar(ground_range(found.fan, slant_m), bearing_deg)
-        taken[frame, landmark] += floor.tolist()
+        taken[frame, landmark].append(floor[n].tolist())
     passes, at = [], table.header.index("source")
     for landmark, of_landmark in rows.items():
         for part in _split(of_landmark):
@@ -224,10 +213,15 @@ def _of_truth(
 
 
 def _of_tracks(
-    folder: Path, found: LogResults, taken: Taken, table: _Table, has_truth: bool
+    folder: Path,
+    found: LogResults,
+    method: str,
+    taken: Taken,
+    table: _Table,
+    has_truth: bool,
 ) -> Iterator[_Pass]:
     """The passes of all tracks that declared an ID; with a truth those that it does not have."""
-    for track, rows in proposals(folder, found, taken=taken):
+    for track, rows in proposals(folder, found, method, taken=taken):
         made = []
         for row in rows:
             of = dict(zip(HEADER, map(str, row), strict=True)) | {"log": table.log}
@@ -257,12 +251,11 @@ def _split(rows: Iterable[_Row]) -> list[list[_Row]]:
     return passes
 
 
-def _look_up(passes: Iterable[_Pass], folder: Path, found: LogResults) -> None:
-    """Each pass's least belief, the lowest probability of its ID where the leading method declares
-    an ID on it (0 where it does not), and its corners."""
+def _look_up(passes: Iterable[_Pass], folder: Path, found: LogResults, method: str) -> None:
+    """Each pass's least belief, the lowest probability of its ID where the method declares an ID on
+    it (0 if it never does), and its corners."""
     fan, landmarks = found.fan, found.landmarks
     assert fan is not None
-    method = leading(found.methods)
     by_frame = dict(read_estimates(folder / "estimates.csv", method, landmarks, fan))
     reach_px = landmarks.radius_m / fan.metres_per_pixel
     for one in passes:
@@ -277,34 +270,37 @@ def _look_up(passes: Iterable[_Pass], folder: Path, found: LogResults) -> None:
 
 
 def _mark_mistakes(
-    passes: Sequence[_Pass], found: LogResults, folder: Path, results: Path, truth: Path | None
+    passes: Sequence[_Pass],
+    found: LogResults,
+    method: str,
+    results: Iterable[Path],
+    truth: Path | None,
 ) -> None:
-    """State in how many frames of each pass the leading method and the truth disagree, as
-    mistakes.csv of `sonarrec evaluate` has it. Raises MissingError if there is none."""
-    places = [place / "evaluation" / "mistakes.csv" for place in (folder, results, folder.parent)]
+    """State in how many frames of each pass the method and the truth disagree, as mistakes.csv of
+    `sonarrec evaluate` has it. results: where it may have been written; the latest counts. Raises
+    MissingError if there is none."""
+    places = [folder / "evaluation" / "mistakes.csv" for folder in results]
     tables = sorted(filter(Path.is_file, places), key=lambda path: path.stat().st_mtime)
     if not tables:
         given = f"--ground-truth {truth} " if truth else ""
-        raise MissingError(
-            f"{places[0]}: no such file; `sonarrec evaluate {given}{folder}` writes it"
-        )
+        write = f"`sonarrec evaluate {given}{places[0].parents[1]}` writes it"
+        raise MissingError(f"{places[0]}: no such file; {write}")
     kinds: Any = dict.fromkeys(("log", "method", "kind"), "text") | {
-        **dict.fromkeys(("landmark", "first_frame", "last_frame", "frames"), "whole"),
+        **dict.fromkeys(("first_frame", "last_frame", "frames", "landmark"), "whole"),
         "other": "blank or number",
     }
     table = read_table(tables[-1], kinds, tuple(kinds), ",".join(kinds))
     for n in range(len(table["log"])):
-        name, method, kind = (str(table[c][n]) for c in ("log", "method", "kind"))
-        if (name, method) != (found.name, leading(found.methods)):
+        if (str(table["log"][n]), str(table["method"][n])) != (found.name, method):
             continue
-        first, last = int(table["first_frame"][n]), int(table["last_frame"][n])
-        ids = {int(table["landmark"][n])} | {int(v) for v in [table["other"][n]] if v == v}
+        first, last, frames, landmark = (int(table[c][n]) for c in kinds if kinds[c] == "whole")
+        ids = {landmark, int(np.nan_to_num(table["other"][n], nan=landmark))}
+        why = f"{table['kind'][n]} ID.{landmark} in frames {first}-{last}"
         for one in passes:
             if one.landmark in ids and any(first <= row.frame <= last for row in one.rows):
-                one.wrong += int(table["frames"][n])
+                one.wrong += frames
                 one.state = "open"
-                text = f"{kind} ID.{table['landmark'][n]} in frames {first}-{last}"
-                one.why = "; ".join(filter(None, (one.why, text)))
+                one.why = "; ".join(filter(None, (one.why, why)))
 
 
 # The frames
@@ -332,7 +328,7 @@ class _Frames:
         if not wanted:
             raise UsageError(f"{log.path}: none of its frames is chosen; see --frames and --every")
         self.images: dict[int, str] = {}
-        seen, order, step, quality, span = list[int](), 0, 1, 0, found.run.span() or (0, None)
+        seen, order, step, span = list[int](), 0, 1, found.run.span() or (0, None)
         middles = defaultdict[int, list[_Pass]](list)
         for one in passes:
             middles[one.rows[len(one.rows) // 2].frame].append(one)
@@ -342,15 +338,13 @@ class _Frames:
                 one.picture = _picture(frame, one, found.landmarks.radius_m)
             if frame.index not in wanted:
                 continue
+            if (
+                not self.images
+            ):  # the first frame decides the quality: the best with which all fit in
+                sizes = ((q, len(wanted) * len(_as_jpeg(frame.image, q))) for q in QUALITIES)
+                quality = next((q for q, size in sizes if size <= MOST_BYTES), QUALITIES[-1])
             if order % step == 0:
-                image = _as_jpeg(frame.image, QUALITIES[quality])
-                # The first frame decides the quality: the best with which all fit in.
-                while not self.images and len(image) * len(wanted) > MOST_BYTES:
-                    if quality + 1 == len(QUALITIES):
-                        break
-                    quality += 1
-                    image = _as_jpeg(frame.image, QUALITIES[quality])
-                self.images[frame.index] = image
+                self.images[frame.index] = _as_jpeg(frame.image, quality)
             order += 1
             while sum(map(len, self.images.values())) > MOST_BYTES and len(self.images) > 1:
                 step *= 2
