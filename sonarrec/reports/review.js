@@ -14,7 +14,6 @@ let now = shown[0], chosen = null, range = "all", placing = null, hidden = false
 let saved = true, timer = 0, typed = "", wait = 0;
 
 // The passes
-
 const placed = (frame, x, y, more) =>
   ({ frame, x, y, visible: visibleShare(fan, x, y, data.radius_m), moved: true, ...more });
 
@@ -43,8 +42,7 @@ function withKey(rows, frame, x, y) {
   return [...found.values()].sort((one, other) => one.frame - other.frame);
 }
 
-/** How much a row in frame n takes part in a change in a frame of the page: 1 there, 0 in the next ones
-    in the page. */
+/** How much a row in frame n follows a change in a frame: 1 there, 0 in the next frames in the page. */
 function weight(n, frame) {
   const before = shown.findLast((m) => m < frame) ?? -FAR, after = shown.find((m) => m > frame) ?? FAR;
   return Math.max(0, Math.min((n - before) / (frame - before), (after - n) / (after - frame)));
@@ -77,9 +75,8 @@ function fold() {
   const made = new Map(data.passes.map((pass) => [pass.id, pass])), order = [...made.keys()];
   lost = 0;
   for (const entry of work.done) {
-    const { pass: id, landmark, drawn } = entry;
-    const isNew = drawn && !made.has(id) && { id, landmark, drawn, rows: [], state: "accepted", origin: "drawn" };
-    const pass = isNew || partOf(made, entry);
+    const { pass: id, landmark, drawn } = entry, isNew = drawn && !made.has(id);
+    const pass = isNew ? { id, landmark, drawn, rows: [], state: "accepted", origin: "drawn" } : partOf(made, entry);
     if (pass) made.set(pass.id, { ...pass, ...entries[entry.kind](pass, entry) });
     else lost++;
   }
@@ -88,7 +85,6 @@ function fold() {
 }
 
 // What is decided, kept in the browser, and saved
-
 const say = (text) => { part("say").textContent = text; };
 const decide = (entry) => { work.done.push(entry); work.undone = []; changed(""); };
 const storage = (use) => { try { return use(localStorage); } catch { part("refused").hidden = false; } };
@@ -127,7 +123,6 @@ function csv() {
 }
 
 // The screen
-
 const count = (n, noun, ending = "s") => `${n} ${noun}${n === 1 ? "" : ending}`;
 const current = () => passes.find((pass) => pass.id === chosen);
 const tint = (landmark) => `--c: var(--bright-${ids.indexOf(landmark)})`;
@@ -176,20 +171,19 @@ function frame() {
 /** The bar of frames: which were seen, a line for each pass, and which is shown. */
 function strip() {
   const svg = part("strip"), lanes = [...new Set(passes.map((pass) => pass.landmark))], height = 1.6 + lanes.length;
-  const add = (x, width, y, high, kind, style = "") =>
-    drawn(svg, "rect", { x, width, y, height: high, class: kind, style });
+  const add = (x, end, y, height, look) => drawn(svg, "rect", { x, width: end - x, y, height, ...look });
   const kindOf = (n) => (damaged.has(n) ? "damaged" : seen.has(n) ? "seen" : images[n] ? "unseen" : "absent");
   svg.replaceChildren();
   for (let n = data.first, from = n; n <= last; n++) {
     if (n < last && kindOf(n + 1) === kindOf(n)) continue;
-    add(from, n + 1 - from, 0, 1, kindOf(n));
+    add(from, n + 1, 0, 1, { class: kindOf(n) });
     from = n + 1;
   }
   for (const { id, rows, state, landmark } of passes) {
-    const from = rows[0].frame, kind = `pass ${state}${id === chosen ? " chosen" : ""}`;
-    add(from, rows.at(-1).frame + 1 - from, 1.6 + lanes.indexOf(landmark), 0.7, kind, tint(landmark));
+    const look = { class: `pass ${state}${id === chosen ? " chosen" : ""}`, style: tint(landmark) };
+    add(rows[0].frame, rows.at(-1).frame + 1, 1.6 + lanes.indexOf(landmark), 0.7, look);
   }
-  add(now, 1, 0, height, "now");
+  add(now, now + 1, 0, height, { class: "now" });
   svg.setAttribute("viewBox", `${data.first} 0 ${data.frames} ${height}`);
   svg.style.height = `${12 * height}px`;
 }
@@ -223,7 +217,6 @@ function render() {
 }
 
 // What a person does
-
 /** Choose a pass, and go to its first frame unless it is in this one. */
 function choose(id) {
   chosen = id;

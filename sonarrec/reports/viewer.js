@@ -52,7 +52,7 @@ class View {
     let taken = null;
     svg.addEventListener("wheel", (event) => {
       event.preventDefault();
-      this.scale(Math.exp(-event.deltaY / 400), event.clientX, event.clientY);
+      this.scale(Math.exp(-event.deltaY / 400), this.share(event));
     }, { passive: false });
     svg.addEventListener("pointerdown", (event) => {
       if (event.button) return;
@@ -68,12 +68,10 @@ class View {
       if (taken) return taken.move(...this.pixel(event));
       if (other) {
         const apart = (one) => Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY);
-        this.scale(apart(event) / apart(before), other.clientX, other.clientY);
+        this.scale(apart(event) / apart(before), this.share(other));
       } else {
-        const box = svg.getBoundingClientRect();
-        this.left -= (event.clientX - before.clientX) / box.width / this.zoom;
-        this.top -= (event.clientY - before.clientY) / box.height / this.zoom;
-        this.place();
+        const [from, to] = [this.share(before), this.share(event)];
+        this.place(this.left - (to[0] - from[0]) / this.zoom, this.top - (to[1] - from[1]) / this.zoom);
       }
     });
     for (const name of ["pointerup", "pointercancel"]) svg.addEventListener(name, (event) => {
@@ -83,55 +81,52 @@ class View {
   }
 
   /** Begin a frame of this size; what was on the last one is removed. */
-  begin(width, height) {
-    this.size = [width, height];
+  begin(...size) {
+    this.size = size;
     this.svg.replaceChildren();
-    this.place();
+    this.place(this.left, this.top);
+  }
+
+  /** Where a pointer is, as shares of the box's width and height. */
+  share({ clientX, clientY }) {
+    const box = this.svg.getBoundingClientRect();
+    return [(clientX - box.left) / box.width, (clientY - box.top) / box.height];
   }
 
   /** The pixel of a pointer. */
   pixel(event) {
-    const box = this.svg.getBoundingClientRect(), [width, height] = this.size;
-    return [(this.left + (event.clientX - box.left) / box.width / this.zoom) * width - 0.5,
-            (this.top + (event.clientY - box.top) / box.height / this.zoom) * height - 0.5];
+    return this.share(event).map((v, n) => ([this.left, this.top][n] + v / this.zoom) * this.size[n] - 0.5);
   }
 
-  /** Zoom by a factor about a point of the screen; without one about the middle. */
-  scale(factor, x, y) {
-    const box = this.svg.getBoundingClientRect(), before = this.zoom;
+  /** Zoom by a factor about a point of the box. */
+  scale(factor, [across, down] = [0.5, 0.5]) {
+    const before = this.zoom;
     this.zoom = Math.min(16, Math.max(1, before * factor));
-    const moved = 1 / before - 1 / this.zoom;
-    this.left += (x === undefined ? 0.5 : (x - box.left) / box.width) * moved;
-    this.top += (y === undefined ? 0.5 : (y - box.top) / box.height) * moved;
-    this.place();
+    const more = 1 / before - 1 / this.zoom;
+    this.place(this.left + across * more, this.top + down * more);
   }
 
-  place() {
+  /** Put the box's corner at these shares of the frame, or so that the frame fills the box. */
+  place(left, top) {
     const [width, height] = this.size, part = 1 / this.zoom;
-    this.left = Math.min(1 - part, Math.max(0, this.left));
-    this.top = Math.min(1 - part, Math.max(0, this.top));
+    [this.left, this.top] = [left, top].map((v) => Math.min(1 - part, Math.max(0, v)));
     this.image.style.transform = `scale(${this.zoom}) translate(${-100 * this.left}%, ${-100 * this.top}%)`;
-    const corner = [this.left * width - 0.5, this.top * height - 0.5];
-    this.svg.setAttribute("viewBox", [...corner, part * width, part * height].join(" "));
+    const box = [this.left * width - 0.5, this.top * height - 0.5, part * width, part * height];
+    this.svg.setAttribute("viewBox", box.join(" "));
     this.svg.style.fontSize = Math.max(width, height) / 36 * part + "px"; // in the frame's pixels
   }
 
   /** An outline: an ellipse (centre, half axes, rotation in deg) or corners, a label and the index of
       its colour, which it has if its kind is "declared". */
-  mark({ ellipse, corners, label, colour, pass = "" }, kind, below) {
-    const text = Math.max(...this.size) / 36 / this.zoom;
-    const style = kind.startsWith("declared") ? `--c: var(--bright-${colour})` : "";
-    let x, top, bottom;
-    if (corners) {
-      const [columns, rows] = [0, 1].map((n) => corners.map((corner) => corner[n]));
-      drawn(this.svg, "polygon", { points: corners.join(" "), class: kind, style, "data-pass": pass });
-      x = (Math.min(...columns) + Math.max(...columns)) / 2;
-      [top, bottom] = [Math.min(...rows), Math.max(...rows)];
-    } else {
-      const [cx, cy, rx, ry, turn] = ellipse, r = Math.max(rx, ry);
-      drawn(this.svg, "ellipse", { cx, cy, rx, ry, transform: `rotate(${turn} ${cx} ${cy})`, class: kind, style });
-      [x, top, bottom] = [cx, cy - r, cy + r];
-    }
-    drawn(this.svg, "text", { x, y: below ? bottom + 1.5 * text : top - text / 2, class: kind, style }, label);
+  mark({ ellipse: [cx, cy, rx, ry, turn] = [], corners, label, colour, pass = "" }, kind, below) {
+    const look = { class: kind, style: kind.startsWith("declared") ? `--c: var(--bright-${colour})` : "" };
+    const r = Math.max(rx, ry), points = corners ?? [[cx - r, cy - r], [cx + r, cy + r]];
+    const rotated = { cx, cy, rx, ry, transform: `rotate(${turn} ${cx} ${cy})` };
+    if (corners) drawn(this.svg, "polygon", { points: corners.join(" "), "data-pass": pass, ...look });
+    else drawn(this.svg, "ellipse", { ...rotated, ...look });
+    const [columns, rows] = [0, 1].map((n) => points.map((point) => point[n]));
+    const x = (Math.min(...columns) + Math.max(...columns)) / 2;
+    const [y, dy] = below ? [Math.max(...rows), "1.5em"] : [Math.min(...rows), "-0.5em"];
+    drawn(this.svg, "text", { x, y, dy, ...look }, label);
   }
 }
