@@ -230,13 +230,6 @@ def propose(
     finish(quiet, lines, diagnostics.problems, diagnostics.notes)
 
 
-def _spans(_: click.Context, __: click.Parameter, text: str | None) -> Any:
-    from sonarrec.results.run_file import frame_span
-
-    parts = [] if text is None else text.split(",")
-    return [frame_span(p if ":" in p or not p.isdecimal() else f"{p}:{int(p) + 1}") for p in parts]
-
-
 @truth.command(short_help="Make a page to check and correct it by eye.", cls=GroupedCommand)
 @click.argument("log", shell_complete=file_names)
 @in_input(
@@ -254,12 +247,7 @@ def _spans(_: click.Context, __: click.Parameter, text: str | None) -> Any:
 @in_input(
     "--every", type=click.IntRange(min=1), default=1, help="Put every N-th frame in the page."
 )
-@in_input(
-    "--frames",
-    metavar="A:B,C",
-    callback=_spans,
-    help="Put these frames in the page: from A up to, not including, B; and C.",
-)
+@options.frame_list("Put these frames in the page.")
 @in_scoring(
     "--mistakes",
     is_flag=True,
@@ -273,7 +261,7 @@ def review(
     results: Path,
     method: str | None,
     every: int,
-    frames: list[tuple[int, int | None]],
+    frames: list[tuple[int, int | None]] | None,
     mistakes: bool,
     out: Path | None,
     quiet: bool,
@@ -307,7 +295,7 @@ def review(
                 truth=ground_truth,
                 results=results,
                 every=every,
-                spans=frames,
+                spans=frames or (),
                 mistakes=mistakes,
                 method=method,
                 up_to=one.up_to,
