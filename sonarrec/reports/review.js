@@ -217,11 +217,11 @@ function render() {
 }
 
 // What a person does
-/** Choose a pass, and go to its first frame unless it is in this one. */
+/** Choose a pass, and go to its first mistake, or frame, unless it is in this one. */
 function choose(id) {
   chosen = id;
   const rows = current()?.rows ?? [], first = rows.find((one) => images[one.frame]) ?? rows[0];
-  if (first && !at(current(), now)) now = first.frame;
+  if (first && !at(current(), now)) now = (at(current(), current().look) ?? first).frame;
   render();
   const list = part("list"), item = list.querySelector(".chosen"), top = item?.offsetTop;
   if (top < list.scrollTop || top + item?.offsetHeight > list.scrollTop + list.clientHeight) list.scrollTop = top - 40;

@@ -50,7 +50,8 @@ from sonarrec.truth.match import match_truth
 from sonarrec.truth.propose import HEADER, LEAST_DECLARED, Taken, proposals
 from sonarrec.truth.table import FILLED_IN, TRACKED, TRUTH_FILE, read_cells, read_truth
 
-MOST_BYTES = 24_000_000  # of the frames of a page, as text; the page has at most 25 MB
+MOST_BYTES = 24_900_000  # of a page
+ROW_BYTES, POSE_BYTES = 250, 80  # at most, of a row, and of a frame without its image
 QUALITIES = (85, 70, 55, 40)  # of JPEG, which is coded a hundred times as fast as WebP
 PICTURE_PX = 64  # of a pass in the list
 _REPLACED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
@@ -73,7 +74,8 @@ class _Pass:
 
     id: the same on every page of these tracks or this truth. state: open or accepted. left_out:
     whether it is saved only once accepted. why: what speaks against it. belief: see `_look_up`.
-    wrong: frames in which results and truth disagree. corners: of a plate, by frame.
+    wrong: frames in which results and truth disagree; look: the first of the longest such run.
+    corners: of a plate, by frame.
     """
 
     id: str
@@ -85,6 +87,7 @@ class _Pass:
     why: str = ""
     belief: float = 0.0
     wrong: int = 0
+    look: int = -1
     picture: str = ""
     corners: dict[int, list[list[float]]] = field(default_factory=dict)
 
@@ -289,15 +292,19 @@ def _mark_mistakes(
         **dict.fromkeys(("first_frame", "last_frame", "frames", "landmark"), "whole"),
         "other": "blank or number",
     }
-    table = read_table(tables[-1], kinds, tuple(kinds), ",".join(kinds))
+    header = tuple(kinds)
+    table = read_table(tables[-1], kinds | {"at_start": "flag"}, header, ",".join(header))
+    at_start = table.get("at_start", np.zeros(len(table["log"]), bool))
     for n in range(len(table["log"])):
-        if (str(table["log"][n]), str(table["method"][n])) != (found.name, method):
+        of = str(table["log"][n]), str(table["method"][n])
+        if of != (found.name, method) or at_start[n]:  # no track declares where it begins
             continue
         first, last, frames, landmark = (int(table[c][n]) for c in kinds if kinds[c] == "whole")
         ids = {landmark, int(np.nan_to_num(table["other"][n], nan=landmark))}
         why = f"{table['kind'][n]} ID.{landmark} in frames {first}-{last}"
         for one in passes:
             if one.landmark in ids and any(first <= row.frame <= last for row in one.rows):
+                one.look = first if one.wrong == 0 else one.look
                 one.wrong += frames
                 one.state = "open"
                 one.why = "; ".join(filter(None, (one.why, why)))
@@ -307,7 +314,7 @@ def _mark_mistakes(
 
 
 class _Frames:
-    """The frames of a page, at full resolution, in at most MOST_BYTES.
+    """The frames of a page, at full resolution, as many as MOST_BYTES allow.
 
     numbers: of all frames of the run's span. images: those held, as JPEG in a data URI, by number.
     damaged: numbers of frames that cannot be read.
@@ -328,6 +335,8 @@ class _Frames:
         if not wanted:
             raise UsageError(f"{log.path}: none of its frames is chosen; see --frames and --every")
         self.images: dict[int, str] = {}
+        rows = sum(len(one.rows) for one in passes)
+        room = max(0, MOST_BYTES - ROW_BYTES * rows - POSE_BYTES * len(found.frame))
         seen, order, step, span = list[int](), 0, 1, found.run.span() or (0, None)
         middles = defaultdict[int, list[_Pass]](list)
         for one in passes:
@@ -342,11 +351,11 @@ class _Frames:
                 not self.images
             ):  # the first frame decides the quality: the best with which all fit in
                 sizes = ((q, len(wanted) * len(_as_jpeg(frame.image, q))) for q in QUALITIES)
-                quality = next((q for q, size in sizes if size <= MOST_BYTES), QUALITIES[-1])
+                quality = next((q for q, size in sizes if size <= room), QUALITIES[-1])
             if order % step == 0:
                 self.images[frame.index] = _as_jpeg(frame.image, quality)
             order += 1
-            while sum(map(len, self.images.values())) > MOST_BYTES and len(self.images) > 1:
+            while sum(map(len, self.images.values())) > room and len(self.images) > 1:
                 step *= 2
                 self.images = dict([*self.images.items()][::2])
         last = log.frame_count or seen[-1] + 1

@@ -174,10 +174,11 @@ def test_mistakes_come_first(ran: Path, tmp_path: Path) -> None:
     assert str(results) in command[1]
     (results / "evaluation").mkdir(exist_ok=True)
     (results / "evaluation" / "mistakes.csv").write_text(
-        "log,method,kind,landmark,other,first_frame,last_frame,frames,score\n"
-        "dive,framework,missed,3,1,90,111,22,0.1\n"
-        "dive,smi,false,1,,0,10,11,0.9\n"
-        "dive,framework,false,2,,60,79,20,0.91\n"
+        "log,method,kind,landmark,other,first_frame,last_frame,frames,score,at_start\n"
+        "dive,framework,missed,3,1,90,111,22,0.1,0\n"
+        "dive,smi,false,1,,0,10,11,0.9,0\n"
+        "dive,framework,missed,1,,0,3,4,nan,1\n"
+        "dive,framework,false,2,,60,79,20,0.91,0\n"
     )
     found = data_of(review(folder, "--mistakes"))["passes"]
     first = [(p["landmark"], p["rows"][0]["frame"], p["wrong"]) for p in found[:4]]
