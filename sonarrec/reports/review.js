@@ -103,6 +103,7 @@ function back(from, to, text) {
   to.push(from.pop());
   ({ pass: chosen, frame: now = now } = to.at(-1));
   changed(text);
+  choose(chosen);
 }
 
 function csv() {

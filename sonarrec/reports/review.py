@@ -338,13 +338,15 @@ class _Frames:
         rows = sum(len(one.rows) for one in passes)
         room = max(0, MOST_BYTES - ROW_BYTES * rows - POSE_BYTES * len(found.frame))
         seen, order, step, span = list[int](), 0, 1, found.run.span() or (0, None)
-        middles = defaultdict[int, list[_Pass]](list)
+        middles = defaultdict[int, list[tuple[_Pass, _Row]]](list)
         for one in passes:
-            middles[one.rows[len(one.rows) // 2].frame].append(one)
+            most = max(row.visible for row in one.rows)
+            best = [row for row in one.rows if row.visible == most]
+            middles[best[len(best) // 2].frame].append((one, best[len(best) // 2]))
         for frame in log.within(span):
             seen.append(frame.index)
-            for one in middles[frame.index]:
-                one.picture = _picture(frame, one, found.landmarks.radius_m)
+            for one, row in middles[frame.index]:
+                one.picture = _picture(frame, row, found.landmarks.radius_m)
             if frame.index not in wanted:
                 continue
             if (
@@ -373,9 +375,8 @@ def _as_jpeg(image: ByteImage, quality: int) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def _picture(frame: Frame, one: _Pass, radius_m: float) -> str:
-    """The part of a frame of its middle that shows a pass, as a data URI."""
-    row = one.rows[len(one.rows) // 2]
+def _picture(frame: Frame, row: _Row, radius_m: float) -> str:
+    """The part of a frame about a row, as a data URI."""
     side = max(3, round(2.6 * radius_m / frame.fan.metres_per_pixel))
     cut = cv2.getRectSubPix(
         cv2.copyMakeBorder(frame.image, side, side, side, side, cv2.BORDER_CONSTANT),
