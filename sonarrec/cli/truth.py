@@ -240,8 +240,7 @@ def propose(
 @in_input(
     "--results",
     type=ANY,
-    default=Path("sonarrec_out"),
-    help="Results of LOG, or the folder that holds them.",
+    help="Results of LOG, or the folder that holds them.  [default: sonarrec_out]",
 )
 @options.method
 @in_input(
@@ -258,7 +257,7 @@ def propose(
 def review(
     log: str,
     ground_truth: Path | None,
-    results: Path,
+    results: Path | None,
     method: str | None,
     every: int,
     frames: list[tuple[int, int | None]] | None,
@@ -271,7 +270,7 @@ def review(
     It is one HTML file for the browser, which needs no network. It shows each pass of a landmark,
     as the results and a gt.csv have it, the uncertain ones first. You accept it, reject it, give it
     another ID, drag its outline, or draw what is missing; its button Save gives gt.csv. LOG may be
-    a folder of logs: then each has a page.
+    its results, or a folder of logs or of results: then each has a page.
 
     \b
     Examples:
@@ -279,18 +278,19 @@ def review(
       sonarrec truth review pings/ --truth gt.csv --every 2 -o review.html
       sonarrec truth review pings/ --mistakes
     """
+    from sonarrec.overlays.overlay import results_in
     from sonarrec.readers.named_logs import logs_named
-    from sonarrec.readers.open import log_name
     from sonarrec.reports.review import review as write_review
 
-    logs, told, lines = logs_named(log), Diagnostics(), list[str]()
+    logs = results_in(Path(log)) or [Path(one.path) for one in logs_named(log)]
+    told, lines = Diagnostics(), list[str]()
     for one in logs:
         page = out or Path("review.html")
         if logs[1:]:
-            page = Path(out or "review") / f"{log_name(Path(one.path))}.html"
+            page = Path(out or "review") / f"{one.name}.html"
         try:
             line, of_log = write_review(
-                one.path,
+                one,
                 page,
                 truth=ground_truth,
                 results=results,
@@ -298,7 +298,6 @@ def review(
                 spans=frames or (),
                 mistakes=mistakes,
                 method=method,
-                up_to=one.up_to,
             )
         except SonarrecError as error:
             if not logs[1:]:

@@ -10,7 +10,7 @@ import base64
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import dist
 from pathlib import Path
@@ -32,10 +32,10 @@ from sonarrec.errors import (
 )
 from sonarrec.geometry import floor_depth, ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.mapping.path import MOVED, measured_path, read_frames
-from sonarrec.overlays.overlay import results_folder
+from sonarrec.overlays.overlay import find_both
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
-from sonarrec.readers.open import Source, find_log
+from sonarrec.readers.open import Source
 from sonarrec.records import VERSION, Frame
 from sonarrec.reports.template import fill
 from sonarrec.results.columns import leading
@@ -107,23 +107,21 @@ def review(
     out: Path,
     *,
     truth: Path | None = None,
-    results: Path = Path("sonarrec_out"),
+    results: Path | None = None,
     every: int = 1,
     spans: Sequence[tuple[int, int | None]] = (),
     mistakes: bool = False,
     method: str | None = None,
-    up_to: Path | None = None,
 ) -> tuple[str, Diagnostics]:
     """Write the page of one log; (what is in it, in a line, and what is told).
 
-    truth: default: that beside the log, if there is one. results: the folder of this log's
-    results, or one that holds it. every, spans: frames in the page; all rows are in it anyway.
+    log, results: as `find_both` takes them. truth: default: that beside the log, if there is one.
+    every, spans: frames in the page; all rows are in it anyway.
     mistakes: begin with the passes on which results and truth disagree. method: that of the tracks;
-    None: the leading one. up_to: as of find_log.
+    None: the leading one.
     Raises SonarrecError if something cannot be used, UsageError for an invalid option.
     """
-    source, told = find_log(log, up_to), Diagnostics()
-    folder = results_folder(source.path, source, results)
+    (source, folder), told = find_both(Path(log), results), Diagnostics()
     found = read_log(folder)
     if found.fan is None:
         raise SonarrecError(f"{folder}: its run.toml does not tell the sonar's geometry; run again")
@@ -131,16 +129,17 @@ def review(
     truth = truth or source.beside(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
     told.problem(*not_whole(found, "shown"))
+    stretch = dict(zip(found.frame.tolist(), found.stretch.tolist(), strict=True))
     table, passes, taken = _Table([*HEADER]), list[_Pass](), Taken(list)
     if truth is not None:
-        table, passes = _of_truth(truth, source, found, taken, told)
-    passes += _of_tracks(folder, found, method, taken, table, truth is not None)
+        table, passes = _of_truth(truth, source, found, stretch, taken, told)
+    passes += _of_tracks(folder, found, method, stretch, taken, table, truth is not None)
     _look_up(passes, folder, found, method)
     if mistakes:
-        _mark_mistakes(passes, found, method, [folder, results, folder.parent], truth)
+        _mark_mistakes(passes, found, method, [folder, folder.parent], truth)
     passes.sort(key=lambda p: (-p.wrong, p.state != "open", p.belief, p.rows[0].frame))
     options = found.run.complete(LogOptions(), same_log=source.reader.has_topics).arguments()
-    with open_log(source, **(options | {"up_to": up_to})) as recording:
+    with open_log(source, **options) as recording:
         check_same_log(recording, folder, found.run)
         frames = _Frames(recording, found, spans, every, passes)
         told.problem(*recording.diagnostics.problems)
@@ -156,7 +155,12 @@ def review(
 
 
 def _of_truth(
-    path: Path, source: Source, found: LogResults, taken: Taken, told: Diagnostics
+    path: Path,
+    source: Source,
+    found: LogResults,
+    stretch: Mapping[int, int],
+    taken: Taken,
+    told: Diagnostics,
 ) -> tuple[_Table, list[_Pass]]:
     """The passes of a truth, and what else is in it. Raises SonarrecError if it has no positions,
     or cannot be the truth of this log."""
@@ -197,7 +201,7 @@ def _of_truth(
         taken[frame, landmark].append(floor[n].tolist())
     passes, at = [], table.header.index("source")
     for landmark, of_landmark in rows.items():
-        for part in _split(of_landmark):
+        for part in _split(of_landmark, stretch):
             proposed = {row.cells[at] for row in part} & {TRACKED, FILLED_IN}
             made = f"g{landmark}.{part[0].frame}.{part[0].x:.0f}"
             state = "open" if proposed else "accepted"
@@ -219,6 +223,7 @@ def _of_tracks(
     folder: Path,
     found: LogResults,
     method: str,
+    stretch: Mapping[int, int],
     taken: Taken,
     table: _Table,
     has_truth: bool,
@@ -232,7 +237,7 @@ def _of_tracks(
             cells = [of.get(c, "") for c in table.header]
             made.append(_Row(int(of["frame"]), x, y, visible, cells))
         why = [track.left_out] * bool(track.left_out) + ["not in the truth"] * has_truth
-        for part in _split(made):
+        for part in _split(made, stretch):
             # Where the truth begins or ends a little later or sooner there is nothing to decide.
             if not has_truth or len(part) >= LEAST_DECLARED:
                 first, origin = f"t{track.track}.{part[0].frame}", f"track {track.track}"
@@ -241,12 +246,13 @@ def _of_tracks(
                 yield one
 
 
-def _split(rows: Iterable[_Row]) -> list[list[_Row]]:
+def _split(rows: Iterable[_Row], stretch: Mapping[int, int]) -> list[list[_Row]]:
     """Rows of one landmark, rising in frame, as passes: each row goes on with the nearest pass that
-    ended at most PASS_GAP frames ago."""
+    ended at most PASS_GAP frames ago in its stretch. stretch: the number of each frame's."""
     passes: list[list[_Row]] = []
     for row in rows:
-        going = [p for p in passes if 0 < row.frame - p[-1].frame <= PASS_GAP + 1]
+        here = (p for p in passes if stretch[p[-1].frame] == stretch[row.frame])
+        going = [p for p in here if 0 < row.frame - p[-1].frame <= PASS_GAP + 1]
         if going:
             min(going, key=lambda p: dist((p[-1].x, p[-1].y), (row.x, row.y))).append(row)
         else:

@@ -56,7 +56,8 @@ def ran(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a log called dive, without truth, and its results."""
     folder = tmp_path_factory.mktemp("ran")
     shutil.copytree(SAMPLE, folder / "dive", ignore=shutil.ignore_patterns("gt.csv"))
-    shutil.copytree(results, folder / "out" / "dive")
+    ours = shutil.ignore_patterns("evaluation", "*.html")  # what other tests make of them
+    shutil.copytree(results, folder / "out" / "dive", ignore=ours)
     return folder
 
 
@@ -166,9 +167,8 @@ def test_mistakes_come_first(ran: Path, tmp_path: Path) -> None:
     folder = with_tracks(ran, tmp_path / "w", swapped())
     shutil.copy(GT, folder / "dive" / "gt.csv")
     results = folder / "out" / "dive"
-    lacking = sonarrec(
-        *("truth", "review", folder / "dive", "--results", folder / "out", "--mistakes"), code=2
-    )
+    where = ("--results", folder / "out", "-o", folder / "review.html", "--mistakes")
+    lacking = sonarrec("truth", "review", folder / "dive", *where, code=2)
     command = re.search(r"`(sonarrec evaluate .*)`", lacking.stderr)
     assert command is not None
     assert str(results) in command[1]
@@ -229,7 +229,7 @@ def test_a_folder_of_logs_has_a_page_each(tmp_path: Path) -> None:
     assert len(done.stdout.splitlines()) == 2
     assert str(logs / "c.mcap") in done.stderr
     for name in ("a", "b"):
-        page = tmp_path / "pages" / f"{name}.html"
+        page = tmp_path / "pages" / f"{name}.mcap.html"
         assert f"<h1>{name}</h1>" in page.read_text()
         found = data_of(page)
         assert (found["first"], found["frames"], len(found["images"])) == (30, 12, 12)
