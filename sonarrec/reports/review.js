@@ -2,7 +2,7 @@
 // removed. Each is an entry of `work.done`; `fold` makes the passes from those of the page and these
 // entries, so that undo is to leave the last one out, and only entries are kept in the browser.
 const data = JSON.parse(document.getElementById("data").textContent);
-const { fan, ids, images } = data, last = data.first + data.frames - 1, key = `sonarrec review ${data.key}`;
+const { fan, ids, images, radius_m } = data, last = data.first + data.frames - 1, key = `sonarrec review ${data.key}`;
 const damaged = new Set(data.damaged), shown = Object.keys(images).map(Number);
 const part = (id) => document.getElementById(id), button = (act) => document.querySelector(`[data-act=${act}]`);
 const view = new View(part("marks"), part("image"));
@@ -14,8 +14,7 @@ let now = shown[0], chosen = null, range = "all", placing = null, hidden = false
 let saved = true, timer = 0, typed = "", wait = 0;
 
 // The passes
-const placed = (frame, x, y, more) =>
-  ({ frame, x, y, visible: visibleShare(fan, x, y, data.radius_m), moved: true, ...more });
+const placed = (frame, x, y, more) => ({ frame, x, y, visible: visibleShare(fan, x, y, radius_m), moved: true, ...more });
 
 /** The pixel in a frame of what lies at a in one frame and at b in another: on a straight line on the
     floor; in the image where the sonar's motion from one to the other is not known. */
@@ -57,7 +56,7 @@ const moved = (rows, frame, x, y, from = rows.find((one) => one.frame === frame)
 /** The pass an entry is on, or the part of it; then the other part becomes a pass of its own. */
 function partOf(made, { pass: id, from, to }) {
   const pass = made.get(id), first = from ?? to + 1;
-  const early = pass?.rows.filter((one) => one.frame < first), late = pass?.rows.filter((one) => one.frame >= first);
+  const [early, late] = [true, false].map((before) => pass?.rows.filter((one) => one.frame < first === before));
   if (!early?.length || !late.length) return pass;
   const head = { ...pass, rows: early }, tail = { ...pass, rows: late, id: `${id}>${first}` };
   made.set(head.id, head).set(tail.id, tail);
@@ -125,13 +124,14 @@ function csv() {
 
 // The screen
 const count = (n, noun, ending = "s") => `${n} ${noun}${n === 1 ? "" : ending}`;
+const inState = (state) => passes.filter((pass) => pass.state === state);
 const current = () => passes.find((pass) => pass.id === chosen);
 const tint = (landmark) => `--c: var(--bright-${ids.indexOf(landmark)})`;
 const at = (pass, frame) => pass.rows.find((one) => one.frame === frame);
 const spanOf = (pass) => `frames ${pass.rows[0].frame} to ${pass.rows.at(-1).frame}`;
 
 function left() {
-  const open = passes.filter((pass) => pass.state === "open"), out = open.filter((pass) => pass.left_out).length;
+  const open = inState("open"), out = open.filter((pass) => pass.left_out).length;
   const unseen = data.frames - damaged.size - seen.size;
   const of = `${count(open.length, "pass", "es")} open${out ? ` (${out} not saved while open)` : ""}`;
   return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}`;
@@ -145,7 +145,7 @@ function outline({ corners }, { x, y, frame, moved }) {
   if (!(Math.hypot(...floor) > steepest)) floor = [0, steepest];
   const [column, row] = pixelFromFloor(fan, ...floor);
   return Array.from({ length: 48 }, (_, n) => {
-    const [right, ahead] = [Math.cos, Math.sin].map((of, axis) => floor[axis] + data.radius_m * of(n * Math.PI / 24));
+    const [right, ahead] = [Math.cos, Math.sin].map((of, axis) => floor[axis] + radius_m * of(n * Math.PI / 24));
     return pixelFromFloor(fan, right, ahead).map((v, axis) => v + (axis ? y - row : x - column));
   });
 }
@@ -207,9 +207,7 @@ function render() {
     item.dataset.pass = id;
     return make("li", {}, item);
   }));
-  for (const share of part("shares").children) {
-    share.style.flexGrow = passes.filter((pass) => pass.state === share.className).length;
-  }
+  for (const { style, className } of part("shares").children) style.flexGrow = inState(className).length;
   for (const act of ["all", "from", "to"]) button(act).ariaPressed = String(range === act);
   button("place").ariaPressed = String(Boolean(placing));
   button("undo").disabled = !work.done.length;
@@ -220,6 +218,7 @@ function render() {
 // What a person does
 /** Choose a pass, and go to its first mistake, or frame, unless it is in this one. */
 function choose(id) {
+  if (timer) acts.play();
   chosen = id;
   const rows = current()?.rows ?? [], first = rows.find((one) => images[one.frame]) ?? rows[0];
   if (first && !at(current(), now)) now = (at(current(), current().look) ?? first).frame;
@@ -285,9 +284,8 @@ const acts = {
     button("play").ariaPressed = String(Boolean(timer));
   },
   unseen() {
-    const left = shown.filter((n) => !seen.has(n)), n = left.find((one) => one > now) ?? left[0];
-    if (n === undefined) say("All frames in this page were seen.");
-    else go(n);
+    const left = shown.filter((n) => !seen.has(n));
+    go(left.find((n) => n > now) ?? left[0] ?? now);
   },
   place() {
     placing = placing ? null : { landmark: current()?.landmark ?? ids[0] };
@@ -313,6 +311,7 @@ const acts = {
 /** A press places where one is placed; else it takes the outline beneath it, that of the chosen first. */
 view.press = (x, y, event) => {
   let to = [x, y];
+  if (timer) acts.play();
   if (placing) return {
     move(...place) { to = place; },
     end() {

@@ -108,7 +108,7 @@ def unchecked(table: TruthTable, name: str) -> str:
         return ""
     return (
         f"{table.path}: {proposed} of {len(rows)} rows for {name} are unchecked proposals of "
-        "`truth propose` (clear `source` in those that you have checked)"
+        "`truth propose` (check them with `truth review`, or clear `source`)"
     )
 
 

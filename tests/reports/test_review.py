@@ -326,7 +326,8 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
     one = truth_rows()[1]
     page = Page(browser, review(folder), tmp_path)
     assert page.faults["console"] == []
-    page.press("r")  # the stone, which is first
+    page.press(" ", "r")  # the stone, which is first; that ends the play
+    assert not browser.execute_script("return timer")
     assert page.text("pass").startswith("ID.1, frames 0 to 111, open")
     page.go(40)
     page.press("f", "3")  # from here on it is ID.3
