@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import shlex
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypeVar
 
 Place = TypeVar("Place")
@@ -54,6 +56,17 @@ def as_usage() -> Iterator[None]:
 def number_of(count: int, noun: str, ending: str = "s") -> str:
     """A count and its noun, such as "1 log" and "2 logs"; ending: of the plural."""
     return f"{count} {noun}{'' if count == 1 else ending}"
+
+
+def command_line(*words: object) -> str:
+    """A command as messages name it, such as "`sonarrec run 'my dive.mcap'`": it can be pasted.
+
+    words: after `sonarrec`; files as Path, so that no name is taken for an option.
+    """
+    texts = (
+        f"./{word}" if isinstance(word, Path) and str(word)[0] == "-" else word for word in words
+    )
+    return f"`sonarrec {shlex.join(map(str, texts))}`"
 
 
 def name_as_text(name: object) -> str:

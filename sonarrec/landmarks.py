@@ -191,7 +191,7 @@ class _DrawnSetFile:
 
 
 def load_landmarks(source: str | Path, beside: str | Path = "") -> LandmarkSet:
-    """Read a landmark set: the name of a built-in one ("basin") or a TOML file.
+    """Read a landmark set: the name of a built-in one ("basin"), a TOML file, or a run.toml.
 
     beside: the file that names it; a relative path may begin in its folder. Raises UsageError if
     the file is missing or does not describe a landmark set.
@@ -203,7 +203,10 @@ def load_landmarks(source: str | Path, beside: str | Path = "") -> LandmarkSet:
             f"no landmark set {brief(str(source))}: neither a file nor built in ({built_in})"
         )
     with as_usage():
-        return landmarks_from_table(read_toml(path), str(path))
+        table = read_toml(path)
+        if "program" in table and "landmarks" in table:  # the set of an earlier run
+            table = table["landmarks"]
+        return landmarks_from_table(table, str(path))
 
 
 def landmarks_from_table(table: object, where: str) -> LandmarkSet:

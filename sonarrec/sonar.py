@@ -80,6 +80,16 @@ class Sonar:
         return [key for key in needed if getattr(self, key) is None and not stated.get(key)]
 
     @property
+    def order_of_ranges(self) -> RangeOrder:
+        """Which end of the ranges is on top, as stated or by default."""
+        return self.range_order or ("near_first" if self.layout == "polar" else "far_first")
+
+    @property
+    def other_range_order(self) -> RangeOrder:
+        """That in which the images are not read."""
+        return "near_first" if self.order_of_ranges == "far_first" else "far_first"
+
+    @property
     def states_floor(self) -> bool:
         """Whether it states where the floor is, by the tilt or by the height."""
         return self.tilt_deg is not None or self.height_m is not None
@@ -100,8 +110,7 @@ class Sonar:
             missing = self.missing()
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}; complete the log's "
-                "sonar.toml (`sonarrec info LOG --write-sonar FILE` begins one), or give `run` "
-                f"options such as --{missing[0].replace('_', '-')}"
+                f"sonar.toml, or give `run` options such as --{missing[0].replace('_', '-')}"
             )
         wrong = self.contradiction()
         if wrong is not None:
@@ -147,9 +156,6 @@ class Sonar:
                 yield window, f"range_min_m = {low:g} must be >= 0 and below range_max_m = {high:g}"
             if high - low < MIN_WINDOW_M:
                 yield window, f"a window of {high - low:g} m is shorter than {MIN_WINDOW_M:g} m"
-        if self.layout == "fan" and self.range_order == "far_first":
-            wrong = "a fan has far range on top unless range_order = near_first turns it"
-            yield ("range_order",), wrong
         view, height = self.field_of_view_deg, self.height_m
         if view is not None and not 0 < view < 180:
             wrong = f"field_of_view_deg = {view:g} must be above 0 and below 180"
@@ -195,14 +201,14 @@ def _edges(bearings_deg: tuple[float, ...], flip: bool) -> tuple[float, float]:
 
 
 def load_sonar(path: Path) -> Sonar:
-    """Read a sonar.toml.
+    """Read a sonar.toml, or the geometry that a run.toml states.
 
     Raises UsageError if the file cannot be read, is not TOML, has no table [sonar], or has an
     unknown key or an invalid value.
     """
     with as_usage():
         document = read_toml(path)
-        if set(document) != {"sonar"}:
+        if set(document) != {"sonar"} and not {"program", "sonar"} <= set(document):
             raise SonarrecError(f"{path}: expected one table [sonar]; see `sonarrec help geometry`")
         return sonar_from_table(document["sonar"], str(path))
 

@@ -23,7 +23,14 @@ from sonarrec.cli.endings import (
     tell,
 )
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
-from sonarrec.errors import SonarrecError, UsageError, local, name_as_text, number_of
+from sonarrec.errors import (
+    SonarrecError,
+    UsageError,
+    command_line,
+    local,
+    name_as_text,
+    number_of,
+)
 from sonarrec.records import date_text, is_date
 
 if TYPE_CHECKING:
@@ -124,6 +131,8 @@ def info(
             inform(f"{write_sonar}: written; {lacks}")
     if preview is not None and found is not None:
         _draw(preview, logs[0], reading, landmarks)
+        if not quiet:
+            inform(f"{preview}: the first usable frame with the geometry drawn onto it")
     leave(code_of_all(codes))
 
 
@@ -139,8 +148,8 @@ def _draw(preview: Path, log: NamedLog, reading: dict[str, Any], landmarks: str 
     landmark_set, _ = chosen_landmarks(find_log(log.path, log.up_to), landmarks, read_run(None))
     with open_log(log.path, **reading, up_to=log.up_to) as opened:
         first = next(iter(opened))
-        stated = opened.sonar.height_m is not None
-    write_png(preview, draw_preview(first.image, first.fan, landmark_set, height_stated=stated))
+        stated = opened.sonar
+    write_png(preview, draw_preview(first.image, first.fan, landmark_set, stated))
 
 
 # What is printed of a log: what is wrong first, notes last
@@ -164,7 +173,7 @@ def lines(info: LogInfo) -> list[str]:
         by_topic = {images.topic: images.rate_hz for images in info.images}
         out += _container_lines(info.container, by_topic)
     for images in info.images:
-        out += _images_lines(images)
+        out += _images_lines(images, Path(info.path))
     if not info.images:
         out += _entry("images", ["none: no channel holds messages that are read"])
     return out
@@ -229,7 +238,7 @@ def _container_lines(container: Container, by_topic: dict[str | None, float | No
     ]
 
 
-def _images_lines(images: Images) -> list[str]:
+def _images_lines(images: Images, log: Path) -> list[str]:
     if images.usable is None:
         frames = f"{'?' if images.frames is None else images.frames}, not checked"
     else:
@@ -251,13 +260,15 @@ def _images_lines(images: Images) -> list[str]:
         *_entry("frames", [frames]),
         *_entry("images", [size]),
         *_entry("header", [sonar, *rows]),
-        *_entry("geometry", _geometry_lines(images)),
+        *_entry("geometry", _geometry_lines(images, log)),
         *_entry("notes", images.notes),
     ]
 
 
-def _geometry_lines(images: Images) -> Iterator[str]:
+def _geometry_lines(images: Images, log: Path) -> Iterator[str]:
     """The geometry, where each key is from, and what it lacks."""
+    from sonarrec.readers.open import SONAR_FILE, own_file
+
     known, parts = images.geometry, []
     if {"range_min_m", "range_max_m"} <= set(known):
         parts.append(f"{known['range_min_m']:.4g} to {known['range_max_m']:.4g} m")
@@ -282,11 +293,16 @@ def _geometry_lines(images: Images) -> Iterator[str]:
         by_origin.setdefault(names["default"], []).append(f"{key} = {text}")
     yield from (f"{origin}: {', '.join(keys)}" for origin, keys in by_origin.items())
     if images.lacks:
-        flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
-        or_height = " (or --height-m)" if "tilt_deg" in images.lacks else ""
+        flags = ", ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
+        flags = flags.replace("--tilt-deg", "--tilt-deg (or --height-m)")
         yield f"lacks {', '.join(images.lacks)}"
-        yield f"give {flags}{or_height}, or a sonar.toml beside the log, or in it if a folder:"
-        yield "--write-sonar FILE begins one"
+        if images.geometry_from is not None:
+            yield f"give {flags}, or complete {images.geometry_from}"
+        else:
+            topic = [] if images.topic is None else ["--topic", images.topic]
+            yield f"give {flags}, or a sonar.toml beside the log, or in it if a folder:"
+            file = own_file(log, SONAR_FILE)
+            yield f"{command_line('info', log, *topic, '--write-sonar', file)} begins one"
 
 
 # A sonar.toml to complete

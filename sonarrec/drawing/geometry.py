@@ -20,6 +20,7 @@ from sonarrec.drawing.pen import (
 from sonarrec.geometry import floor_depth, pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import Fan
+from sonarrec.sonar import Sonar
 
 
 def nice_steps(low: float, high: float, about: int) -> FloatArray:
@@ -66,14 +67,12 @@ def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
     return float(np.ptp(outline[:, 0]))
 
 
-def draw_preview(
-    image: ByteImage, fan: Fan, landmarks: LandmarkSet, *, height_stated: bool = True
-) -> ByteImage:
+def draw_preview(image: ByteImage, fan: Fan, landmarks: LandmarkSet, stated: Sonar) -> ByteImage:
     """A frame with the stated geometry drawn on it: rings, bearings, the floor's edge, three discs.
 
     image: (fan.rows, fan.columns) uint8. The near edge of the floor is drawn at the slant range of
     the height; nothing nearer can be floor. The discs are at a sixth, half and five sixths of the
-    window. height_stated: whether the fan's height is stated, or was estimated.
+    window. stated: the geometry as stated; the legend tells what of it was estimated.
     Returns (rows, columns, 3) uint8 BGR: the frame as from draw_frame, with a legend below.
     """
     pen = pen_on(image, fan)
@@ -89,14 +88,15 @@ def draw_preview(
         outline = disc_outline(fan, landmarks.radius_m, float(column), float(row))
         pen.line(outline, TRUTH, 1, closed=True)
     # A legend, in the colours of what is drawn.
-    assumed = "" if height_stated else ", estimated (no height is stated)"
+    height = "" if stated.height_m is not None else ", estimated (no height is stated)"
+    tilt = "" if stated.tilt_deg is not None else " estimated"
     window = f"{fan.range_min_m:.4g} to {fan.range_max_m:.4g} m"
     where = ": nearer than the window" if near < fan.range_min_m else ""
     bearings = f"{fan.bearing_min_deg:.3g} to {fan.bearing_max_deg:.3g} deg"
     disc = f"{2 * landmarks.radius_m:.3g} m, {disc_width_px(fan, landmarks):.0f} px wide"
     lines = (
-        (f"stated: {window}, {bearings}, tilt {fan.tilt_deg:g} deg", GRID),
-        (f"floor from {near:.3g} m{where}{assumed}", FLOOR),
+        (f"stated: {window}, {bearings}, tilt {fan.tilt_deg:g} deg{tilt}", GRID),
+        (f"floor from {near:.3g} m{where}{height}", FLOOR),
         (f"disc of {landmarks.name}: {disc} in mid-window", TRUTH),
     )
     width = max(pen.canvas.shape[1], 512)

@@ -29,7 +29,7 @@ from sonarrec.evaluation.match import (
 from sonarrec.evaluation.pairs import Pair, find_truths_beside, read_pairs, usable_pairs
 from sonarrec.evaluation.write import Evaluation, write_evaluation
 from sonarrec.records import Clock
-from sonarrec.results.folders import log_of
+from sonarrec.results.folders import log_of, rerun_left
 from sonarrec.results.read import (
     CountedOnce,
     LogResults,
@@ -112,6 +112,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
             frames = number_of(alone, "frame")
             unused.append(f"{log.name}: {frames} in {folder} only; not compared")
         unused += not_whole(side, "scored")
+        told.note(*rerun_left(folder))
     if sides[1:]:
         sides = [_only(side, common) for side in sides]
     last = sides[-1]

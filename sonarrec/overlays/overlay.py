@@ -26,7 +26,7 @@ from sonarrec.readers.containers.video import opencv_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.records import Estimate, Fan, Frame
-from sonarrec.results.folders import part_of, possible_names
+from sonarrec.results.folders import part_of, possible_names, rerun_left
 from sonarrec.results.read import (
     check_same_log,
     choose_method,
@@ -108,6 +108,7 @@ def overlay(
         if not run.finished:
             last = read_frames(folder)["frame"].max(initial=-1)
             told.problem(f"{folder}: the run was cut short; frames after {last} have no results")
+        told.note(*rerun_left(folder))
         rest = iter(recording)
         first = next(rest)  # raises where there is no usable frame
         truth: dict[int, list[Mark]] = {}

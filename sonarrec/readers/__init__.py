@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import SonarrecError, UsageError, command_line
 from sonarrec.readers.log import Log
-from sonarrec.readers.open import Source, find_log
+from sonarrec.readers.open import SONAR_FILE, Source, find_log, own_file
 from sonarrec.records import Clock
 from sonarrec.sonar import Sonar, sonar_from
 
@@ -49,6 +49,17 @@ def open_log(
     raw = source.open(topic)
     resolved = raw.geometry(resolved)
     try:
+        if not raw.polar and (missing := resolved.missing()):
+            option = f"--{missing[0].replace('_', '-')}"
+            own = own_file(source.path, SONAR_FILE)
+            chosen = [] if topic is None else ["--topic", topic]
+            begin = command_line("info", Path(path), *chosen, "--write-sonar", own)
+            there = file is not None or source.beside(SONAR_FILE) is not None
+            how = "complete it" if there else f"{begin} begins a sonar.toml"
+            raise SonarrecError(
+                f"{where}: sonar geometry lacks {', '.join(missing)}; {how}, or give `run` options "
+                f"such as {option}"
+            )
         if not raw.polar:
             resolved.complete(where)
         elif not resolved.states_floor:

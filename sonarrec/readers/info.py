@@ -194,10 +194,11 @@ def _images(
     stated: the geometry by file and flags, its name in messages. flags: what they state."""
     sonar, where = raw.geometry(stated[0]), stated[1]
     lacks = [key for key in sonar.missing() if key == "tilt_deg" or not raw.polar]
+    bins = sonar.ranges_m or (0.0,)
     # Which frames can be used does not depend on the stand-ins.
     stand_ins = {
         "range_min_m": 0.0,
-        "range_max_m": max(sonar.range_min_m or 0.0, sonar.height_m or 0.0) + 1.0,
+        "range_max_m": 1 + max(sonar.range_min_m or 0.0, sonar.height_m or 0.0, *bins[-1:]),
         "tilt_deg": 0.0,
         "field_of_view_deg": 30.0,
     }
@@ -250,7 +251,10 @@ def _images(
     found.header = dict(raw.header_info.values)
     found.geometry = {key: value for key, value in geometry.items() if key not in lacks}
     found.geometry_from = where if where != name_as_text(source.path) else None
-    found.notes = [*log.diagnostics.notes, *([] if lacks else plausibility.contradictions())]
+    found.notes = [
+        *log.diagnostics.notes,
+        *([] if lacks else plausibility.contradictions(log.sonar)),
+    ]
     if not lacks and (fan := log.fan) is not None:
         if found.layout != "polar":
             found.assumed["metres_per_pixel"] = fan.metres_per_pixel

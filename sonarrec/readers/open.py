@@ -172,7 +172,7 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
     """The file `name` that belongs to a log (a file or folder); None if there is none. Searched in
     this order: LOG.name and then name, beside a file or inside a folder; LOG.name beside a folder;
     both in the folders above, up to and with `up_to`; one of SHARED beside a folder."""
-    own_name = f"{log_name(log)}.{name}"
+    own_name = own_file(log, name).name
     folder = log if log.is_dir() else log.parent
     places = [folder / own_name, folder / name]
     parent = log.parent if log.name not in ("", "..") else log.resolve().parent
@@ -184,6 +184,11 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
     elif folder == log and name in SHARED:
         places.append(parent / name)
     return next(filter(os.path.isfile, places), None)
+
+
+def own_file(log: Path, name: str) -> Path:
+    """Where the file `name` of this log alone would be: beside it, called LOG.name."""
+    return log.parent / f"{log_name(log)}.{name}"
 
 
 def log_name(path: Path) -> str:

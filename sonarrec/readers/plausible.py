@@ -7,6 +7,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 from sonarrec.geometry import fan_mask, pixel_from_polar
 from sonarrec.records import Fan, Frame
+from sonarrec.sonar import Sonar
 
 FRAMES = 5
 """Number of first frames that are used. Each costs one addition of an image."""
@@ -36,9 +37,9 @@ class Plausibility:
         self._sum += frame.pixels
         self._frames += 1
 
-    def contradictions(self) -> list[str]:
+    def contradictions(self, sonar: Sonar) -> list[str]:
         """A line, with the keys to look at, if there are echoes outside of the stated fan, or if it
-        exceeds the picture; none without fan images."""
+        exceeds the picture; none without fan images. sonar: the geometry as stated."""
         if self._sum is None or self._fan is None:
             return []
         picture, fan = self._sum / self._frames, self._fan
@@ -47,7 +48,8 @@ class Plausibility:
         if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
             text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
             if _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
-                return [f"{text}, but none if it is turned upside down: --range-order near_first"]
+                turned = f"--range-order {sonar.other_range_order}"
+                return [f"{text}, but none if it is turned upside down: {turned}"]
             if share > _FILLED:
                 return [f"{text} (is it polar, --layout polar?)"]
             keys = "range_min_m, range_max_m, field_of_view_deg, apex_px and metres_per_pixel"

@@ -89,6 +89,16 @@ def part_of(folder: Path) -> Path:
     return folder.with_name(folder.name + PART)
 
 
+def rerun_left(folder: Path) -> list[str]:
+    """A line if, beside finished results, there is the part of a later run."""
+    if not (folder / "frames.csv").is_file() or not (part_of(folder) / "frames.csv").is_file():
+        return []
+    return [
+        f"{folder}: from before a later run that was stopped, or still runs; what that one has "
+        f"written is in {part_of(folder)}"
+    ]
+
+
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
     """No other run writes `folder` until the end; what a killed run left is put right before.

@@ -16,12 +16,13 @@ import numpy as np
 from cv2.version import opencv_version
 
 from sonarrec import config
-from sonarrec.errors import SonarrecError, UsageError, number_of
+from sonarrec.errors import SonarrecError, UsageError, command_line, number_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import VERSION, Clock, Fan
 from sonarrec.results.folders import TABLES, is_file
 from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.tables.outputs import free_name
 from sonarrec.tables.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of
 
 PROGRAM = {"name": "sonarrec", "version": VERSION}
@@ -217,6 +218,18 @@ def cut_short(name: str, frames: int, action: str) -> str:
         f"{name}: the run was cut short (run.toml says finished = false); "
         f"only {number_of(frames, 'frame')} could be {action}"
     )
+
+
+def rerun(log: Path, run: Path, *options: object, poses: object = None) -> str:
+    """The command that repeats a run with other options, into a folder that is not there yet.
+
+    log: where it is. run: the run.toml. options: the last is the value that is new. poses: the
+    table of the run, which its run.toml does not hold.
+    """
+    given = () if poses is None else ("--odometry", poses)
+    results, how = run.parent.parent, re.sub(r"\W+", "-", str(options[-1]))
+    out = free_name(results.parent / f"{results.resolve().name}_{how}")
+    return command_line("run", log, "--config", run, *options, *given, "-o", out)
 
 
 @dataclass(frozen=True, slots=True)

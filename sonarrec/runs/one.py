@@ -11,16 +11,18 @@ from pathlib import Path
 from time import monotonic
 
 from sonarrec.drawing.geometry import disc_width_px
-from sonarrec.errors import SonarrecError, is_url
+from sonarrec.errors import SonarrecError, command_line, is_url
+from sonarrec.landmarks import load_landmarks
 from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.records import Frame, Stamps
-from sonarrec.results.folders import folder_names, part_of
-from sonarrec.results.run_file import existing_results
+from sonarrec.results.folders import folder_names, part_of, rerun_left
+from sonarrec.results.run_file import existing_results, rerun
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.job import Job, Observe, Outcome, Report
 from sonarrec.runs.prepare import PreparedRun, prepare
+from sonarrec.tables.outputs import free_name
 
 MOST_SIGHTINGS = 20
 """Kept of each method in an Outcome; sightings.csv has all."""
@@ -66,7 +68,7 @@ def plan_job(job: Job) -> str:
             return "done again (asked for)"
         existing = existing_results(local.folder, run.table)
         if existing.up_to_date:
-            return "up to date"
+            return "; ".join(["up to date", *rerun_left(local.folder)])
         if existing.reason:
             return f"done again ({existing.reason})"
         stopped = part_of(local.folder).exists()
@@ -116,6 +118,7 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                         unusable=existing.unusable,
                         candidates=existing.candidates,
                         problems=existing.problems,
+                        notes=[job.shown(line) for line in rerun_left(job.folder)],
                         up_to_date=True,
                     ),
                 )
@@ -144,7 +147,7 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                 problems=problems,
             ),
         )
-        notes = _notes(run, plausibility, about_folder, found=any(outcome.passes.values()))
+        notes = _notes(job, run, plausibility, about_folder, found=any(outcome.passes.values()))
         return replace(outcome, notes=[job.shown(line) for line in notes])
 
 
@@ -176,7 +179,12 @@ def _recognise(
 
 
 def _notes(
-    run: PreparedRun, plausibility: Plausibility, about_folder: Sequence[str], *, found: bool
+    job: Job,
+    run: PreparedRun,
+    plausibility: Plausibility,
+    about_folder: Sequence[str],
+    *,
+    found: bool,
 ) -> list[str]:
     """What the user is told at the end of a run besides problems.
 
@@ -184,10 +192,9 @@ def _notes(
     """
     log, note, path = run.log, run.log.diagnostics.note, run.log.path
     static, saturated = run.recogniser.restored
-    doubts = plausibility.contradictions()
+    doubts = plausibility.contradictions(log.sonar)
     if doubts:
-        look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
-        note(f"{'; '.join(doubts)}; look at {look}")
+        note(f"{'; '.join(doubts)}; {_preview(job, run)} shows it")
     if static:
         note(f"{static:.1%} of the picture never changes, and is filled from beside it")
     if saturated:
@@ -198,16 +205,36 @@ def _notes(
     if found or not run.recogniser.tracking:
         return notes
     # Nothing is recognised: what may be wrong, the likeliest first.
-    order = "near" if log.sonar.layout == "fan" else "far"
     wide = f"{disc_width_px(run.fan, run.landmarks):.0f} px wide here"
-    topic = f"topic (`sonarrec info {path}` has all), " * ("topic" in log.reading())
+    topic = f"topic ({command_line('info', path)} has all), " * ("topic" in log.reading())
+    scale = "linear" if log.reading().get("pixel_scale") == "log" else "log"
     return [
         *notes,
-        f"{path}: no landmark declared; check {topic}range order (`run --range-order "
-        f"{order}_first`) and geometry (`sonarrec info {path} --preview FILE.png`)",
-        f"{path}: then landmark set and size (`sonarrec landmarks`; a landmark of "
-        f"{run.landmarks.name} is {wide}) and level (`run --pixel-scale log`)",
+        f"{path}: no landmark declared; check {topic}range order "
+        f"({_again(job, run, '--range-order', log.sonar.other_range_order)}) and geometry "
+        f"({_preview(job, run)})",
+        f"{path}: then landmark set and size ({command_line('landmarks')}; a landmark of "
+        f"{run.landmarks.name} is {wide}) and level ({_again(job, run, '--pixel-scale', scale)})",
     ]
+
+
+def _again(job: Job, run: PreparedRun, *options: str) -> str:
+    """The command that repeats a run with other options, and leaves its results as they are."""
+    if job.urls:  # run.toml is on a server
+        return f"`run` with {' '.join(options)}"
+    poses = run.log_options.odometry
+    return rerun(Path(job.log), job.folder / "run.toml", *options, poses=poses)
+
+
+def _preview(job: Job, run: PreparedRun) -> str:
+    """The command that draws the geometry of a run onto its first frame."""
+    if job.urls:
+        return "`sonarrec info --preview` of a copy"
+    file, topic = job.folder / "run.toml", run.log.reading().get("topic")
+    words: list[object] = ["info", Path(job.log), "--sonar", file]
+    words += [] if topic is None else ["--topic", topic]
+    words += [] if run.landmarks == load_landmarks("basin") else ["--landmarks", file]
+    return command_line(*words, "--preview", free_name(Path(job.out, f"{job.name}_preview.png")))
 
 
 def _with_sightings(methods: Sequence[str], outcome: Outcome) -> Outcome:

@@ -31,6 +31,7 @@ class PreparedRun:
     """An opened log, and what recognises landmarks in it."""
 
     log: Log
+    log_options: LogOptions  # as used: completed by an earlier run and what lies beside the log
     frames: Iterator[Frame]  # those asked for; the first ones were read already
     frame_count: int | None  # how many; None if the log does not say
     fan: Fan
@@ -95,6 +96,7 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
         geometry = _geometry(log, first.fan, source, given, earlier)
         yield PreparedRun(
             log=log,
+            log_options=log_options,
             frames=chain([first], frames),
             frame_count=_frames_in(span, log.frame_count),
             fan=first.fan,
@@ -208,12 +210,12 @@ def _geometry(log: Log, fan: Fan, source: Source, given: LogOptions, earlier: Ru
         file = earlier.path
     origins = [f"topic {topic}"] * (topic is not None) + ["options"] * (given.sonar != Sonar())
     origins += [str(file)] * (file is not None)
-    top = log.sonar.range_order or ("near_first" if log.sonar.layout == "polar" else "far_first")
+    unstated = "assumed" if fan.height_m is None else "estimated"
     parts = (
         f"geometry {fan.range_min_m:.4g} to {fan.range_max_m:.4g} m",
         f"{fan.bearing_max_deg - fan.bearing_min_deg:.4g} deg wide",
-        f"{top.removesuffix('_first')} range on top",
+        f"{log.sonar.order_of_ranges.removesuffix('_first')} range on top",
         f"tilt {fan.tilt_deg:.4g} deg" + " assumed" * (log.sonar.tilt_deg is None),
-        f"height {floor_depth(fan):.3g} m" + " assumed" * (fan.height_m is None),
+        f"height {floor_depth(fan):.3g} m" + f" {unstated}" * (log.stated.height_m is None),
     )
     return f"{', '.join(parts)} ({', '.join(origins) or 'log'})"

@@ -83,6 +83,13 @@ def check_output(
         )
 
 
+def free_name(path: Path) -> Path:
+    """The path, or if there is something already, the first free one with a number behind it."""
+    whole = Path(path.resolve().name)  # also of "."
+    names = (path.parent / f"{whole.stem}_{n}{whole.suffix}" for n in itertools.count(2))
+    return next(name for name in itertools.chain([path], names) if not os.path.lexists(name))
+
+
 def _same(one: Path, other: Path) -> bool:
     """Whether both are the same file, possibly through a link."""
     try:

@@ -15,6 +15,7 @@ from sonarrec.drawing.pen import FLOOR, GRID, TRUTH, Pen, pixel_unit
 from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_strip
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import Fan
+from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 from tests.support.drawn import draw_on_floor, make_fan
 from tests.support.logs import PERIOD_NS, frames, image_folder
@@ -75,7 +76,7 @@ def test_the_grid_is_the_stated_fan_and_round_ranges_and_bearings() -> None:
 def preview(fan: Fan) -> np.ndarray:
     """The frame of a preview of 512 rows, without what is beside and below it."""
     left = (512 - fan.columns) // 2
-    return draw_preview(blank(fan), fan, BASIN)[: fan.rows, left : left + fan.columns]
+    return draw_preview(blank(fan), fan, BASIN, Sonar())[: fan.rows, left : left + fan.columns]
 
 
 def test_the_floor_s_near_edge_lies_at_the_height() -> None:
