@@ -19,7 +19,7 @@ from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, p
 from sonarrec.evaluation.count import Counts, Scored
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import LogToScore, lacks, score_logs
-from sonarrec.evaluation.figures import BY_NAME, MAIN, draws, rates_of, units_text
+from sonarrec.evaluation.figures import BY_NAME, MAIN, draws, few_units, rates_of, units_text
 from sonarrec.evaluation.match import ScoringOptions, scoring_options
 from sonarrec.evaluation.pairs import Pair, find_truths_beside, pair_up, read_pairs
 from sonarrec.evaluation.uncertainty import differences
@@ -294,7 +294,7 @@ def _compared(
         rates=tuple(_changes(before, after, compared)),
         lost=tuple(m for m in methods if m not in after.methods),
         gained=tuple(m for m in methods if m not in before.methods),
-        notes=tuple(told.notes),
+        notes=(*told.notes, *few_units(after)),
         unused=tuple(told.problems),
     )
 

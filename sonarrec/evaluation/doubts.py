@@ -1,27 +1,43 @@
-"""Doubts about a truth: with what figures mean something else than they seem to."""
+"""Doubts about a truth: with what figures mean something else than they seem to.
+
+The rows of a truth, also those that matching drops, are compared with the claims of the leading
+method: as they are, and as if positions or frames had been stated in another way. Such a reading is
+told as the reason only if nearly all rows and claims meet under it; if others fit clearly better
+but none explains it, what was seen is told, and not why.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.errors import number_of
-from sonarrec.evaluation.match import PROTOCOLS, Matched, equal_pairs, judge
-from sonarrec.geometry import plane_from_polar, polar_from_plane
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.errors import SonarrecError, number_of
+from sonarrec.evaluation.match import Matched, equal_pairs
+from sonarrec.evaluation.pairs import recorded_at
+from sonarrec.geometry import plane_from_polar, plane_position, polar_from_plane
+from sonarrec.readers.poses import POSES_FILE
 from sonarrec.results.read import LogResults
+from sonarrec.results.run_file import rerun
 from sonarrec.truth.check import FEWEST, unchecked
 from sonarrec.truth.match import Truth
 from sonarrec.truth.table import TruthTable
 
-MOST_ROWS = 4000  # are asked which reading fits
-MOST_SHIFT = 20  # frames by which the truth may be early or late
+MOST_ROWS = 500  # are asked which reading fits; more add nothing
+MOST_SHIFT = 500  # frames by which the truth may be early or late
 BETTER = 0.05  # by which another reading must fit better; with right truths none ever did
+NEARLY_ALL = 0.8  # of rows and of claims meet under the reading that is told as the reason
 LEAST_STRETCH = 0.25  # of the log, without a row, at its beginning or end
 
 
-def doubts(table: TruthTable, log: LogResults, truth: Truth, matched: Matched) -> Iterator[str]:
+def doubts(
+    table: TruthTable, log: LogResults, truth: Truth, matched: Matched, min_visible: float
+) -> Iterator[str]:
     """A line on each. truth, matched: of the log; its leading method is asked."""
     path, name = table.path, log.name
     if proposed := unchecked(table, name):
@@ -29,77 +45,255 @@ def doubts(table: TruthTable, log: LogResults, truth: Truth, matched: Matched) -
     if len(truth.visible) and not truth.visible.any():
         yield f"{path}: `visible` is 0 in all rows on {name}, so no landmark is ever in view"
     claims = np.flatnonzero(matched.declared & (matched.method_index == 0))
-    rows = np.flatnonzero(matched.truth_positive)
-    if min(len(claims), len(rows)) < FEWEST:
+    both = _sightings(table, log, matched, claims, min_visible)
+    if min(both.rows.sure.sum(), len(both.claims.frame)) < FEWEST:
         return
-    ends_m = log.fan.range_min_m + log.fan.range_max_m if log.fan else np.nan
-    other = _other_reading(matched, claims, rows, ends_m) if matched.placed else ""
-    if other and log.timestamp_ns is not None and other[0].isdigit():
-        step_s = np.median(np.diff(np.sort(log.timestamp_ns))) / 1e9
-        other += f" ({int(other.split()[0]) * step_s:.3g} s)"
-    if other:
-        yield f"{path}: its rows fit the claims in {name} clearly better {other}; which is right?"
-    elif not len(judge(matched, matched.methods[0], PROTOCOLS[matched.placed]).right):
+    reason = _reason(both, log) if matched.placed else None
+    seen = both.meeting(both.rows)
+    if reason:
+        yield f"{path}: its rows fit the claims in {name} clearly better {reason}; which is right?"
+    elif reason is not None or not seen.claims_met:
         yield (
-            f"{path}: none of the {len(claims)} claims of {matched.methods[0]} in {name} is right; "
-            "is this the truth of this recording, and are its positions and their units right?"
+            f"{path}: {seen.rows_met} of {number_of(seen.rows, 'row')} on {name} and "
+            f"{seen.claims_met} of {number_of(seen.claims, 'claim')} of {matched.methods[0]} meet; "
+            "is this its truth, and are positions, times and units right?"
         )
-    yield from _without_rows(f"{path}: its rows for {name}", matched, claims)
+    elif len(matched.truth_frame_index):
+        yield from _without_rows(f"{path}: its rows for {name}", log, matched, claims)
 
 
-def _other_reading(log: Matched, claims: IntArray, rows: IntArray, ends_m: float) -> str:
-    """How the rows fit the claims clearly better than as given; empty if they do not. ends_m: the
-    sum of the log's least and largest range."""
-    rows = rows[:: max(len(rows) // MOST_ROWS, 1)]
-    frame, position = log.truth_frame_index[rows], log.truth_position[rows]
-    range_m, bearing_deg = polar_from_plane(position)
-    readings = {
-        "with the sign of their bearings turned": (frame, position * (-1, 1)),
-        "with the other --range-order": (frame, plane_from_polar(ends_m - range_m, bearing_deg)),
-        "with bearings in radians": (frame, plane_from_polar(range_m, np.degrees(bearing_deg))),
+class _Points(NamedTuple):
+    """frame: (n,) by number; by rank in time if the truth names frames by time. landmark: (n,) into
+    ids. position: (n, 2) m in the fan plane. sure: (n,) whether enough of the landmark is in view
+    that a claim is missing without one."""
+
+    frame: IntArray
+    landmark: IntArray
+    position: FloatArray
+    sure: BoolArray
+
+    def of(self, some: BoolArray | slice) -> _Points:
+        """Some of the points."""
+        return _Points(self.frame[some], self.landmark[some], self.position[some], self.sure[some])
+
+
+class _Meeting(NamedTuple):
+    """How many rows lie on frames of the log, how many claims on frames with a row; and of both how
+    many meet one of the other."""
+
+    rows: int
+    rows_met: int
+    claims: int
+    claims_met: int
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        return self.rows_met / max(self.rows, 1), self.claims_met / max(self.claims, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sightings:
+    """The rows of the truth and the claims on one log.
+
+    frames, stretch: (F,) of the log, rising. A row meets a claim of its ID and frame nearer than
+    gate_m.
+    """
+
+    rows: _Points
+    claims: _Points
+    frames: IntArray
+    stretch: IntArray
+    gate_m: float
+
+    def meeting(self, rows: _Points) -> _Meeting:
+        """How these rows and the claims meet."""
+        rows = rows.of(np.isin(rows.frame, self.frames))
+        claims = self.claims.of(np.isin(self.claims.frame, rows.frame))
+        row, claim = equal_pairs(rows.frame, claims.frame)
+        offset = np.linalg.norm(rows.position[row] - claims.position[claim], axis=1)
+        meet = (offset <= self.gate_m) & (rows.landmark[row] == claims.landmark[claim])
+        rows_met = np.zeros(len(rows.frame), bool)
+        rows_met[row[meet]] = True
+        return _Meeting(
+            rows=int(rows.sure.sum()),
+            rows_met=int((rows.sure & rows_met).sum()),
+            claims=len(claims.frame),
+            claims_met=len(np.unique(claim[meet])),
+        )
+
+    def fits(self, rows: _Points, most: int) -> FloatArray:
+        """(2 most + 1,) how near claims come to these rows, 0 to 1 on average, if the rows are
+        `most` frames earlier ... as they are ... `most` frames later."""
+        near = np.zeros((len(rows.frame), 2 * most + 1), np.float32)
+        for landmark in np.unique(rows.landmark):
+            of = np.flatnonzero(rows.landmark == landmark)
+            claims = np.flatnonzero(self.claims.landmark == landmark)
+            claims = claims[np.argsort(self.claims.frame[claims], kind="stable")]
+            at = self.claims.frame[claims]
+            low = np.searchsorted(at, rows.frame[of] - most)
+            count = np.searchsorted(at, rows.frame[of] + most, "right") - low
+            row = np.repeat(of, count)
+            within = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+            claim = claims[np.repeat(low, count) + within]
+            # A shift is one within a stretch: pauses are of another length in frames.
+            own = self._stretch_of(rows.frame[row]) == self._stretch_of(self.claims.frame[claim])
+            row, claim = row[own], claim[own]
+            offset = self.claims.position[claim] - rows.position[row]
+            nearness = 1 - np.minimum(np.linalg.norm(offset, axis=1) / self.gate_m, 1)
+            shift = self.claims.frame[claim] - rows.frame[row] + most
+            np.fmax.at(near, (row, shift), nearness)  # NaN: a position that is not known
+        return np.asarray(near.mean(axis=0))
+
+    def _stretch_of(self, frame: IntArray) -> IntArray:
+        """(n,) the stretches of frames, also of those beyond the log."""
+        index = np.searchsorted(self.frames, frame, "right") - 1
+        return self.stretch[index.clip(0)]
+
+
+def _sightings(
+    table: TruthTable, log: LogResults, matched: Matched, claims: IntArray, min_visible: float
+) -> _Sightings:
+    """The rows on a log, whether or not matching kept them, and the claims."""
+    rows = table.rows_of(log.name)
+    rows = rows[table.visible[rows] > 0]
+    at, frames, stretch = table.at[rows], log.frame, log.stretch
+    of_index = frames
+    if table.key != "frame" and log.timestamp_ns is not None:
+        order = np.argsort(log.timestamp_ns, kind="stable")
+        times, stretch = log.timestamp_ns[order], stretch[order]
+        frames, of_index = np.arange(len(times)), np.argsort(order)
+        step = max(float(np.median(np.diff(times))), 1.0) if len(times) > 1 else 1.0
+        beyond = np.clip(at, times[0], times[-1])
+        rank = np.interp(beyond, times, np.arange(len(times))) + (at - beyond) / step
+        at = np.rint(rank).astype(np.int64)
+    position: FloatArray | None = None
+    claimed: FloatArray = np.zeros((len(claims), 2))
+    if matched.placed and table.position is not None:
+        kind, first, second = table.position
+        position = plane_position((kind, first[rows], second[rows]), log.fan)
+        claimed = matched.claim_position[claims]
+    if position is None:
+        position = np.zeros((len(rows), 2))
+    number = {landmark: k for k, landmark in enumerate(matched.ids)}
+    landmark = np.array([number[i] for i in table.landmark[rows].tolist()], dtype=np.int64)
+    sure = table.visible[rows] >= min_visible
+    return _Sightings(
+        rows=_Points(at, landmark, position, sure),
+        claims=_Points(
+            of_index[matched.claim_frame_index[claims]],
+            matched.claim_landmark_index[claims],
+            claimed,
+            np.ones(len(claims), bool),
+        ),
+        frames=frames,
+        stretch=stretch,
+        gate_m=matched.gate_m,
+    )
+
+
+Way = Callable[[FloatArray], FloatArray]
+"""From (n, 2) positions as stated to those that were meant."""
+
+
+def _reason(both: _Sightings, log: LogResults) -> str | None:
+    """How rows and claims fit clearly better than as given, if that explains nearly all of them.
+
+    Empty if others fit clearly better, but none explains it; None if they fit best as given. One
+    other reading is tried first, then several at once.
+    """
+    rows = both.rows
+    sure = rows.of(rows.sure)
+    sample = sure.of(slice(None, None, -(-len(sure.frame) // MOST_ROWS)))
+    most = min(MOST_SHIFT, int(np.ptp(both.frames)))
+    ways = _other_positions(log)
+    fits: dict[tuple[str, ...], FloatArray] = {(): both.fits(sample, most)}
+    given = float(fits[()][most])
+    explained, doubtful = min(both.meeting(rows).shares) >= NEARLY_ALL, False
+    for count in (1,) if explained else (1, 2, 3):
+        for words in combinations(ways, count):
+            fits[words] = both.fits(_placed(sample, words, ways), most)
+        # With the frames as they are; and moved by those that fit best, if these are not the last.
+        readings = [(float(fit[most]), words, 0) for words, fit in fits.items()]
+        for words, fit in fits.items():
+            if len(words) < count and 0 < (best := int(fit.argmax())) < 2 * most:
+                readings.append((float(fit[best]), words, best - most))
+        best_fit, words, shift = max(readings, key=lambda reading: reading[0])
+        moved = _placed(rows, words, ways)
+        moved = moved._replace(frame=moved.frame + shift)
+        better = best_fit > given + BETTER
+        if better and _explains(both.meeting(moved), int(rows.sure.sum())):
+            return " and ".join([*words, *([_shift(shift, log)] if shift else [])])
+        doubtful = doubtful or better
+    return "" if doubtful else None
+
+
+def _explains(found: _Meeting, rows: int) -> bool:
+    """Whether nearly all rows and claims meet. rows: how many there are, also beyond the log."""
+    enough = min(found.rows, found.claims) >= FEWEST and 2 * found.rows >= rows
+    return enough and min(found.shares) >= NEARLY_ALL
+
+
+def _other_positions(log: LogResults) -> dict[str, Way]:
+    """The ways in which positions may have been stated, in words."""
+    ways: dict[str, Way] = {
+        "with the sign of their bearings turned": lambda position: position * (-1, 1),
+        "with bearings in radians": lambda position: _radians(*polar_from_plane(position)),
     }
-    for shift in range(1, MOST_SHIFT + 1):
-        frames = number_of(shift, "frame")
-        readings[f"{frames} later"] = _shifted(log, frame, shift), position
-        readings[f"{frames} earlier"] = _shifted(log, frame, -shift), position
-    fits = {text: _fit(log, claims, rows, *reading) for text, reading in readings.items()}
-    given = _fit(log, claims, rows, frame, position)
-    best = max(fits, key=lambda text: fits[text])
-    return best if fits[best] > given + BETTER else ""
+    if log.fan is not None:
+        ends_m = log.fan.range_min_m + log.fan.range_max_m
+
+        def from_other_end(position: FloatArray) -> FloatArray:
+            range_m, bearing_deg = polar_from_plane(position)
+            return plane_from_polar(ends_m - range_m, bearing_deg)
+
+        ways["with the other --range-order"] = from_other_end
+    return ways
 
 
-def _shifted(log: Matched, frame: IntArray, shift: int) -> IntArray:
-    """(n,) indices of frames so much later; -1 where that is in another stretch, or none."""
-    moved = frame + shift
-    near = moved.clip(0, len(log.frame) - 1)
-    return np.where((near == moved) & (log.stretch[near] == log.stretch[frame]), moved, -1)
+def _radians(range_m: FloatArray, bearing: FloatArray) -> FloatArray:
+    return plane_from_polar(range_m, np.degrees(bearing))
 
 
-def _fit(
-    log: Matched, claims: IntArray, rows: IntArray, frame: IntArray, position: FloatArray
-) -> float:
-    """How near claims of their IDs come to rows at frame (n,), position (n, 2): mean, 0 to 1."""
-    cell = frame * len(log.ids) + log.truth_landmark_index[rows]
-    claimed = log.claim_frame_index[claims] * len(log.ids) + log.claim_landmark_index[claims]
-    row, claim = equal_pairs(cell, claimed)
-    offset_m = np.linalg.norm(log.claim_position[claims[claim]] - position[row], axis=1)
-    nearness = np.zeros(len(rows))
-    np.fmax.at(nearness, row, 1 - np.minimum(offset_m / log.gate_m, 1))  # NaN: unknown
-    return float(nearness.mean())
+def _placed(rows: _Points, words: tuple[str, ...], ways: Mapping[str, Way]) -> _Points:
+    """The rows with their positions read in these ways."""
+    for word in words:
+        rows = rows._replace(position=ways[word](rows.position))
+    return rows
 
 
-def _without_rows(of: str, log: Matched, claims: IntArray) -> Iterator[str]:
+def _shift(frames: int, log: LogResults) -> str:
+    text = f"{number_of(abs(frames), 'frame')} {'later' if frames > 0 else 'earlier'}"
+    if log.timestamp_ns is not None:
+        step_s = float(np.median(np.diff(np.sort(log.timestamp_ns)))) / 1e9
+        text += f" ({abs(frames) * step_s:.3g} s)"
+    return text
+
+
+def _without_rows(of: str, log: LogResults, matched: Matched, claims: IntArray) -> Iterator[str]:
     """A line if a long beginning or end has no row, but a claim in most frames."""
-    first, last = log.truth_frame_index.min(), log.truth_frame_index.max()
-    claimed = np.unique(log.claim_frame_index[claims])
-    frames = len(log.frame)
+    first, last = matched.truth_frame_index.min(), matched.truth_frame_index.max()
+    claimed = np.unique(matched.claim_frame_index[claims])
+    frames = len(matched.frame)
     for length, found, word in (
-        (first, claimed < first, f"begin at frame {log.frame[first]}"),
-        (frames - 1 - last, claimed > last, f"end at frame {log.frame[last]}"),
+        (first, claimed < first, f"begin at frame {matched.frame[first]}"),
+        (frames - 1 - last, claimed > last, f"end at frame {matched.frame[last]}"),
     ):
         if length > LEAST_STRETCH * frames and found.sum() > length / 2:
+            span = f"{matched.frame[first]}:{matched.frame[last] + 1}"
             yield (
                 f"{of} {word}, and {found.sum()} of the {length} frames without one have claims, "
-                f"which count as false; `sonarrec run --frames {log.frame[first]}:"
-                f"{log.frame[last] + 1}` gives results of the labelled part alone"
+                f"which count as false; {_run_of(log, span)} gives results of the labelled part "
+                "alone"
             )
+
+
+def _run_of(log: LogResults, span: str) -> str:
+    """The command that runs a span of the log again, into another folder."""
+    run, poses = log.run, None
+    with suppress(SonarrecError):
+        source = recorded_at(run.path.parent, run.input)
+        by_table = bool(run.odometry) and "topic" not in run.odometry
+        poses = source.beside(POSES_FILE) if by_table else None
+        if poses is not None or not by_table:
+            return rerun(source.path, run.path, "--frames", span, poses=poses)
+    return f"`sonarrec run` with --frames {span} and another --out"

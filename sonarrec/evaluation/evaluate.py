@@ -26,7 +26,7 @@ from sonarrec.evaluation.match import (
     match,
     scoring_options,
 )
-from sonarrec.evaluation.pairs import Pair, find_truths_beside, read_pairs, usable_pairs
+from sonarrec.evaluation.pairs import Pair, check_of, find_truths_beside, read_pairs, usable_pairs
 from sonarrec.evaluation.write import Evaluation, write_evaluation
 from sonarrec.records import Clock
 from sonarrec.results.folders import log_of, rerun_left
@@ -44,7 +44,14 @@ from sonarrec.results.read import (
 from sonarrec.runs.logs_table import NAME, read_logs
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import Breaks
-from sonarrec.truth.check import misfit, tell_fit, tell_other_logs, tell_rows, without_rows
+from sonarrec.truth.check import (
+    misfit,
+    tell_fit,
+    tell_other_logs,
+    tell_rows,
+    unread_columns,
+    without_rows,
+)
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -122,7 +129,9 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
         for side in sides
     ]
     truth = truths[-1]
-    tell_fit(told, table, last, truth)
+    if unread := unread_columns(table):
+        unused.append(unread)
+    tell_fit(told, table, last, truth, check_of(table.path, last, options))
     told.note(*_about_clock(last), about=log.name)
     score = LogScore(
         log=log,
@@ -142,7 +151,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
                 side, of_side, options.min_visible, score.ids, within_m=options.within_m
             )
             score.counts.append(count_log(matched, rates_only=len(sides) > 1))
-        score.unused[:0] = doubts(table, last, truth, matched)
+        score.unused[:0] = doubts(table, last, truth, matched, options.min_visible)
     return score
 
 

@@ -7,6 +7,7 @@ row for all units, or of a row for each bootstrap draw.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -325,14 +326,6 @@ def summarise(counts: Counts) -> Summary:
     units = counts.units
     weights, tosses = draws(units)
     figures: list[Figure] = []
-    notes = []
-    if units.count < MIN_UNITS:
-        each = {"pass": "pass of a landmark", "log": "log"}[units.kind]
-        notes.append(
-            f"no intervals and no tests: only {number_of(units.count, 'independent unit')} (each a "
-            f"{each}), and with fewer than {MIN_UNITS} no difference can be distinguished from "
-            "chance"
-        )
     totals: dict[tuple[str, str], list[Tally]] = defaultdict(list)  # of a kind and protocol
     for kind, of_kind in KINDS.items():
         for tally in of_kind(counts):
@@ -350,7 +343,28 @@ def summarise(counts: Counts) -> Summary:
             for a, b in [sorted(pair, key=lambda tally: follows(tally.method))]
             for difference in differences(a, b, weights, tosses)
         ),
-        notes=tuple(map(printable, notes)),
+        notes=tuple(map(printable, few_units(counts, figures))),
+    )
+
+
+def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
+    """A note if the units are too few for intervals and tests: why they are, how much it takes.
+
+    figures: so that one on those with cases in too few of the units can be given.
+    """
+    units, logs, passes = counts.units, len(counts.parts), len(counts.passes)
+    cases = [f.units for f in figures if f.landmark == "total" and 0 < f.units < MIN_UNITS]
+    least = min([units.count, *cases]) if units.kind == "pass" else MIN_UNITS
+    if least >= MIN_UNITS:
+        return
+    which, has = "no intervals and no tests", "are"
+    if units.count >= MIN_UNITS:
+        which, has = "some figures have no interval and no test", "have cases in"
+    more, like = math.ceil((MIN_UNITS - least) * logs / least), "these" if logs > 1 else "it"
+    yield (
+        f"{which}: {number_of(passes, 'pass', 'es')} of landmarks in {number_of(logs, 'log')} "
+        f"{has} {number_of(least, 'independent unit')}, as passes at the same time are one; "
+        f"{MIN_UNITS} are needed, so some {number_of(more, 'more log')} like {like}"
     )
 
 

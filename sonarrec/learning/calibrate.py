@@ -11,7 +11,14 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.config import Config
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
+from sonarrec.errors import (
+    Diagnostics,
+    SonarrecError,
+    UsageError,
+    command_line,
+    number_of,
+    printable,
+)
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.learning.fit import fit, part_of
 from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
@@ -175,7 +182,8 @@ def _lesson(
     else:
         if proposed := check.unchecked(table, name):
             told.note(f"{proposed}; they teach what the program takes for true already")
-        check.tell_fit(told, table, tracks, truth)
+        again = command_line("truth", "check", table.path, Path(log.path))
+        check.tell_fit(told, table, tracks, truth, again)
         check.tell_rows(told, name, truth.rows, truth.between)
         if truth.unprocessed:
             told.problem(

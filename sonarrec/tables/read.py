@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import count, islice
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +21,7 @@ from sonarrec.errors import SonarrecError, printable
 
 Kind = Literal[
     "whole",
-    "whole or none",
+    "landmark",
     "number",
     "time",
     "place",
@@ -41,6 +42,8 @@ are, else an int64 number per distinct one, -1 where blank."""
 
 NONE = -(2**62)
 """The number that stands for the word none."""
+ID_IN_LABELS = r"(?:id|landmark)[\s._-]*"
+"""What may stand before the number in a label that names an ID."""
 LARGEST = 10**9
 """Larger positions (pixels, m, deg) are invalid; their squares could not be used."""
 POSITION_KINDS: dict[str, Kind] = dict.fromkeys(
@@ -56,6 +59,7 @@ _OPTIONS: dict[str, Any] = {
     "low_memory": False,
     "compression": None,
 }
+_ALIKE = 0.7  # of difflib's ratio: visibility is near visible, comment is near none
 _ROWS_AT_ONCE = 2**16
 """A table as a whole is read in parts of so many rows: data frames take several times its size."""
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
@@ -75,7 +79,7 @@ _FINITE = _Bounds("a finite number")
 _PLACE = _Bounds("a finite number", -LARGEST, LARGEST)
 _BOUNDS: dict[Kind, _Bounds] = {
     "whole": _Bounds("a whole number", whole=True),
-    "whole or none": _Bounds("a whole number, or none", whole=True),
+    "landmark": _Bounds("an ID such as 3 or ID.3, or none", whole=True),
     "number": _FINITE,
     "blank or number": _FINITE,
     "time": _Bounds("a finite number, or a time with its UTC offset such as 2024-05-01T12:00:00Z"),
@@ -136,6 +140,24 @@ def read_tables(
 def data_frame(path: Path, expected: str) -> pd.DataFrame:
     """All columns as pandas reads them. Raises SonarrecError if the file is not a table."""
     return pd.concat(_parts(path, expected, {}, None))
+
+
+def mistaken_columns(
+    path: Path, known: Iterable[str], wanted: Container[str], expected: str
+) -> list[tuple[str, str]]:
+    """(name, the known one that it is nearest to) of the columns that are not read, if that is one
+    of the wanted, such as x for x_px. The name alone, with "", if it is near none."""
+    names = read_header(path, expected)
+    known = [*known]
+    unread = [(name, _nearest(name, known)) for name in names if name not in known]
+    return [(name, near) for name, near in unread if not near or near in wanted]
+
+
+def _nearest(name: str, known: Sequence[str]) -> str:
+    """The known name of a column that another name may stand for; empty: none."""
+    plain = name.strip().lower()
+    begun = [one for one in known if plain and (one.startswith(plain) or plain.startswith(one))]
+    return next(iter(begun or get_close_matches(plain, known, 1, _ALIKE)), "")
 
 
 def read_header(path: Path, expected: str) -> list[str]:
@@ -207,8 +229,10 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
     else:
         bounds = _BOUNDS[kind]
         values = _nanoseconds(column) if kind == "time" else _numbers(column)
-        if kind == "whole or none":
-            values = np.where(np.asarray(column.astype(object) == "none"), NONE, values)
+        if kind == "landmark" and not is_numeric_dtype(column):
+            text = column.astype(str).str.strip()
+            number = text.str.replace(rf"^{ID_IN_LABELS}(?=\d)", "", case=False, regex=True)
+            values = np.where(text == "none", NONE, _numbers(number))
         bad, must = ~((values >= bounds.least) & (values <= bounds.most)), bounds.words
         if bounds.whole and values.dtype.kind == "f":
             bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)

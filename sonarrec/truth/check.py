@@ -13,20 +13,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.geometry import ground_range, plane_from_polar, polar_from_pixel, polar_from_plane
+from sonarrec.geometry import (
+    ground_range,
+    in_image,
+    plane_from_polar,
+    polar_from_pixel,
+    polar_from_plane,
+)
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
+from sonarrec.records import Fan
 from sonarrec.results.folders import possible_names
 from sonarrec.stretches import stretch_numbers
 from sonarrec.tables.read import line_numbers
-from sonarrec.truth.match import ReadLog, Truth, match_times, share_in_image
+from sonarrec.truth.match import ReadLog, Truth, match_times, share_in_image, wrong_unit
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
 """Tolerance for labels made by eye: a tenth of the radius in position, of the area in `visible`."""
+MOST_FRAMES = 3  # named in a note
 FEWEST = 5  # frames from which on a pattern in them is told
 
 
@@ -38,11 +46,16 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
 
     truth: as matched to the log.
     """
-    at, fan = table.at[table.rows_of(log.name)], log.fan
+    at, fan, times = table.at[table.rows_of(log.name)], log.fan, log.timestamp_ns
+    if table.key == "timestamp_ns" and times is not None and (unit := wrong_unit(times, at)):
+        return (
+            f"{table.path}: its {table.key} ({at.min()} to {at.max()}) fit the times of {log.name} "
+            f"({times.min()} to {times.max()} ns) only if they are in {unit}; give them in ns"
+        )
     if truth.rows and not len(truth.frame_index):
         near, of_frames = "on", log.frame
-        if truth.tolerance_ns is not None and log.timestamp_ns is not None:
-            near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", log.timestamp_ns
+        if truth.tolerance_ns is not None and times is not None:
+            near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", times
         return (
             f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) "
             f"lies {near} a processed frame of {log.name} ({number_of(len(log.frame), 'frame')}, "
@@ -101,6 +114,20 @@ def tell_other_logs(
         )
 
 
+def unread_columns(table: TruthTable) -> str:
+    """The columns that are not read and may have been meant to be; empty: none.
+
+    Without positions these are all that have no meaning.
+    """
+    found = [(name, near) for name, near in table.unread if near or table.position is None]
+    if not found:
+        return ""
+    names = ", ".join(name for name, _ in found)
+    near = ", ".join(dict.fromkeys(near for _, near in found if near))
+    asked = f"; rename to {near}" * bool(near)
+    return f"{table.path}: {'columns' if found[1:] else 'column'} {names} not read{asked}"
+
+
 def unchecked(table: TruthTable, name: str) -> str:
     """How many rows for a log are as `truth propose` wrote them, a clause; empty: none."""
     rows = table.rows_of(name)
@@ -112,13 +139,22 @@ def unchecked(table: TruthTable, name: str) -> str:
     )
 
 
-def tell_fit(told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth) -> None:
-    """Tell what a reader should know of the rows on one log. truth: as matched to the log."""
+def tell_fit(
+    told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, check: str = ""
+) -> None:
+    """Tell what a reader should know of the rows on one log.
+
+    truth: as matched to the log. check: the command that checks the truth of this log.
+    """
     path, name = table.path, log.name
-    if outside := np.count_nonzero(_outside_image(log, truth)):
+    outside = _outside_image(log, truth)
+    if outside.any():
+        found = log.frame[np.unique(truth.frame_index[outside])].tolist()
+        listed = ", ".join(map(str, found[:MOST_FRAMES])) + " ..." * (len(found) > MOST_FRAMES)
+        how = f"; {check} has their lines" * bool(check)
         told.note(
-            f"{path}: {outside} of {len(truth.frame_index)} positions lie outside the image of "
-            f"{name}; `sonarrec truth check` names them"
+            f"{path}: {np.sum(outside)} of {len(outside)} positions lie outside the image of "
+            f"{name}, in frame{'s' * bool(found[1:])} {listed}{how}"
         )
     frames = np.unique(truth.frame_index)
     if len(frames) >= FEWEST and np.diff(frames).min() > 1:
@@ -131,19 +167,19 @@ def tell_fit(told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth) -
 
 def _outside_image(log: ReadLog, truth: Truth) -> BoolArray:
     """(T,) which discs lie wholly outside the fan; (0,) if positions or the fan are not known."""
-    fan, radius_m = log.fan, log.landmarks.radius_m
-    if fan is None or truth.position is None:
+    if log.fan is None or truth.position is None:
         return np.zeros(0, dtype=bool)
-    range_m, bearing_deg = polar_from_plane(truth.position)
-    aside = bearing_deg - np.clip(bearing_deg, fan.bearing_min_deg, fan.bearing_max_deg)
-    outside = np.asarray(
-        (range_m < fan.range_min_m - radius_m)
-        | (range_m > fan.range_max_m + radius_m)
-        | (np.radians(np.abs(aside)) * range_m > radius_m)
-    )
-    # Only these are computed exactly, on the floor, since that takes long.
-    share = share_in_image(fan, range_m[outside], bearing_deg[outside], radius_m)
-    outside[outside] = share == 0
+    return outside_image(log.fan, *polar_from_plane(truth.position), log.landmarks.radius_m)
+
+
+def outside_image(
+    fan: Fan, range_m: FloatArray, bearing_deg: FloatArray, radius_m: float
+) -> BoolArray:
+    """(T,) which floor discs, by their centres, lie wholly outside the fan image, and by more than
+    SLACK."""
+    outside = ~in_image(fan, range_m, bearing_deg)  # the centre
+    near = share_in_image(fan, range_m[outside], bearing_deg[outside], radius_m * (1 + SLACK))
+    outside[outside] = near == 0
     return outside
 
 
@@ -178,6 +214,8 @@ def check_truth(
     lines = np.fromiter(line_numbers(path), np.int64, len(table.at))
     line, landmark, visible = lines[row].tolist(), table.landmark[row], table.visible[row]
     frame, stretch, faults = _frames(table, row, line, log)
+    if unread := unread_columns(table):
+        faults.append(Fault(1, "columns", unread.removeprefix(f"{path}: ")))
     known = ", ".join(map(str, landmarks.ids))
     for strange in np.setdiff1d(landmark, landmarks.ids):
         found = np.flatnonzero(landmark == strange)
@@ -199,12 +237,12 @@ def check_truth(
         # Nearer than the floor counts as straight below.
         floor = plane_from_polar(np.nan_to_num(ground_range(fan, range_m)), bearing_deg)
         share = share_in_image(fan, range_m, bearing_deg, radius_m)
-        near = share_in_image(fan, range_m, bearing_deg, radius_m * (1 + SLACK))
+        outside = outside_image(fan, range_m, bearing_deg, radius_m)
         # Something else may hide a landmark too, so `visible` may be less.
-        for n in np.flatnonzero((near == 0) | ((visible <= 1) & (visible > share + SLACK))):
+        for n in np.flatnonzero(outside | ((visible <= 1) & (visible > share + SLACK))):
             kind = "visible"
             text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
-            if near[n] == 0:
+            if outside[n]:
                 where = f"range {range_m[n]:.2f} m, bearing {bearing_deg[n]:.1f} deg"
                 kind, text = "outside", f"the whole disc is outside the fan ({where})"
             faults.append(Fault(line[n], kind, text))
@@ -235,6 +273,8 @@ def _frames(
         # If truth is denser than the frames, the nearest row counts, as in scoring.
         frames = np.where(kept, numbers[nearest], -1)
     faults = []
+    if table.key != "frame" and (unit := wrong_unit(stamps, at)):
+        faults.append(Fault(line[0], "unit", f"{table.key} fits the log's times only in {unit}"))
     for n in np.flatnonzero(~known):
         text = f"frame {at[n]} is not in the log, which has 0 to {last}"
         if table.key != "frame":

@@ -21,12 +21,13 @@ from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.tables import natural_order
+from sonarrec.tables.read import ID_IN_LABELS
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
 
 PARTLY_HIDDEN = 0.5  # `visible` of a shape flagged as occluded; the flag does not say by how much
 HALF_A_PIXEL = 0.5  # tools put (0, 0) at the image's corner, we at the centre of its first pixel
-_PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECASE)
+_PLAIN_LABEL = re.compile(rf"(?:{ID_IN_LABELS})?(\d{{1,18}})", re.IGNORECASE)
 _LAST_NUMBER = re.compile(r"[0-9]{1,18}$")
 # Label Studio puts a hash before the names of images, Roboflow one behind.
 _HASH = re.compile(

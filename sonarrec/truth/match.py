@@ -156,6 +156,35 @@ def match_times(
     return order[near], matched, matched & (at == stamp[near])
 
 
+UNITS = {"us": 10**3, "ms": 10**6, "s": 10**9}
+"""Of times that should be in ns."""
+FEWEST_FRAMES = 5
+CLEARLY_MORE = 4  # times as many frames have a row if times are read in another unit
+
+
+def wrong_unit(timestamp_ns: IntArray, at: IntArray) -> str:
+    """The unit in which times of truth, (R,), clearly are if they are not in ns; else empty.
+
+    timestamp_ns: (F,) of the frames. In the right unit the rows spread over many frames; in ns all
+    would lie on few, or on none.
+    """
+
+    def frames(factor: int) -> int:
+        """How many frames have a row."""
+        sized = at[np.abs(at) < 2**62 // factor] * factor
+        if not len(sized):
+            return 0
+        nearest, matched, _ = match_times(timestamp_ns, sized)
+        return len(np.unique(nearest[matched]))
+
+    if len(timestamp_ns) < 2 or not len(at):
+        return ""
+    found = {unit: frames(factor) for unit, factor in UNITS.items()}
+    best = max(found, key=lambda unit: found[unit])
+    enough = found[best] >= max(FEWEST_FRAMES, CLEARLY_MORE * frames(1))
+    return best if enough else ""
+
+
 _POINTS = 500  # of a disc: shares are good to a hundredth
 _BATCH = 2_000  # discs at a time, which bounds the memory
 

@@ -19,6 +19,7 @@ from sonarrec.tables.read import (
     POSITION_KINDS,
     Kind,
     line_number,
+    mistaken_columns,
     position_pair,
     read_table,
 )
@@ -30,7 +31,7 @@ TRACKED, FILLED_IN = "tracked", "interpolated"
 _KINDS: dict[str, Kind] = {
     "frame": "whole",
     "timestamp_ns": "whole",
-    "landmark": "whole or none",
+    "landmark": "landmark",
     "visible": "blank or number",
     "orientation_deg": "blank or number",
     "log": "text",
@@ -47,7 +48,8 @@ class TruthTable:
     (R,) IDs; NONE for an object that is no landmark of the set: a stranger. visible: (R,) share of
     the disc, 0 to 1. log: (R,) names. position: as tables.position_pair gives it. orientation: (R,)
     deg, NaN where blank. All three are None without their columns. proposed: (R,) whether
-    `truth propose` wrote the row, by the column `source`.
+    `truth propose` wrote the row, by the column `source`. unread: other columns, and the one that
+    each may stand for, which the table lacks; empty: none.
     """
 
     path: Path
@@ -59,6 +61,7 @@ class TruthTable:
     position: tuple[str, FloatArray, FloatArray] | None
     orientation: FloatArray | None
     proposed: BoolArray
+    unread: tuple[tuple[str, str], ...]
 
     def rows_of(self, name: str, *, strangers: bool = False) -> IntArray:
         """(n,) the rows on a log that name a landmark, or those on strangers; rising."""
@@ -105,7 +108,9 @@ def read_rows(path: Path) -> TruthTable:
             f"{path}: wrong columns, neither frame nor timestamp_ns; "
             f"expected a header such as {HEADER}"
         )
-    rows = len(table["landmark"])
+    rows, position = len(table["landmark"]), position_pair(path, table)
+    # Of two ways to say the same, one suffices.
+    spare = {*table, "frame", "timestamp_ns", *(POSITION_KINDS if position else ())}
     visible, source = table.get("visible", np.ones(rows)), table.get("source")
     return TruthTable(
         path=path,
@@ -114,9 +119,10 @@ def read_rows(path: Path) -> TruthTable:
         landmark=table["landmark"],
         visible=np.where(np.isnan(visible), 1.0, visible),
         log=table.get("log"),
-        position=position_pair(path, table),
+        position=position,
         orientation=table.get("orientation_deg"),
         proposed=np.zeros(rows, bool) if source is None else source.isin((TRACKED, FILLED_IN)),
+        unread=(*mistaken_columns(path, (*_KINDS, "track"), {*_KINDS} - spare, HEADER),),
     )
 
 
