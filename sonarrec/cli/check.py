@@ -19,7 +19,7 @@ from sonarrec.cli.groups import (
     in_batch,
     in_output,
 )
-from sonarrec.errors import SonarrecError, UsageError, number_of
+from sonarrec.errors import SonarrecError, UsageError, command_line, number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.check_file import Check, LogToRun
@@ -85,7 +85,7 @@ def check(
     if not update:
         new = [log for log in logs if not is_recorded(one.record, log.name)]
         logs = [log for log in logs if log not in new]
-        again = f"`sonarrec check {file} --update` records them; then commit them"
+        again = f"{command_line('check', file, '--update')} records them; then commit them"
         if not logs:
             raise UsageError(f"{one.record}: no results on record yet; {again}")
         tell(
@@ -103,7 +103,7 @@ def check(
             of_set = _compare(one, logs, one.record, folder)
         except SonarrecError as error:
             if not update:
-                again = f"`sonarrec check {file} --update` records the results anew"
+                again = f"{command_line('check', file, '--update')} records the results anew"
                 raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
             new_alone = _compare(one, logs, folder, folder)  # raises if no truth can be used
             unused = [line for compared in new_alone.values() for line in compared.unused]

@@ -67,8 +67,12 @@ def evaluate(
         raise UsageError("--json is not available with --compare; compare.csv has the rates")
     if pairs is not None and (ground_truth or results):
         raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
-    if compare is not None and (details or results):
-        raise UsageError("--compare names both results; leave out RESULTS and --details")
+    if compare is not None and results:
+        raise UsageError(f"--compare names both results; leave out {results}")
+    if compare is not None and details:
+        raise UsageError(
+            "-v (--details) is not available with --compare; compare.csv has the rates"
+        )
     limits = replace(limits, methods=scoring.methods)
     from sonarrec.evaluation.pairs import read_pairs
 

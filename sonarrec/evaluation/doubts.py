@@ -147,7 +147,7 @@ class _Sightings:
     def _stretch_of(self, frame: IntArray) -> IntArray:
         """(n,) the stretches of frames, also of those beyond the log."""
         index = np.searchsorted(self.frames, frame, "right") - 1
-        return self.stretch[index.clip(0)]
+        return np.asarray(self.stretch[index.clip(0)])
 
 
 def _sightings(

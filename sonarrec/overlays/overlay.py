@@ -18,7 +18,15 @@ import numpy as np
 from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import draw_picture, write_png
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
-from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, local, number_of
+from sonarrec.errors import (
+    Diagnostics,
+    MissingError,
+    SonarrecError,
+    UsageError,
+    command_line,
+    local,
+    number_of,
+)
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlays.foxglove_mcap import WriteFrame, foxglove_file
 from sonarrec.readers import open_log
@@ -213,7 +221,7 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
                 return source, folder
     raise MissingError(
         f"{results}: no results of {path} here (no frames.csv, nor {source.name}/frames.csv); "
-        f"`sonarrec run {path}` writes them"
+        f"{command_line('run', path, '-o', results)} writes them"
     )
 
 

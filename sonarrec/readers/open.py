@@ -271,7 +271,9 @@ def _why_no_log(folder: Path) -> str:
             f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
         )
     endings = ", ".join(sorted(IMAGE_SUFFIXES))
-    why = f"no log and no image in this folder ({endings}); --recursive looks into those below"
+    below = any(is_image(path) or names_a_log(path.name) for path in folder.rglob("*"))
+    how = "; --recursive looks into those below" if below else ", nor in those below"
+    why = f"no log and no image in this folder ({endings}){how}"
     return f"{folder}: {why if entries else 'the folder is empty'}"
 
 

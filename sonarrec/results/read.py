@@ -22,7 +22,14 @@ import numpy.typing as npt
 import pandas as pd
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.errors import Diagnostics, MissingError, SonarrecError, number_of, printable
+from sonarrec.errors import (
+    Diagnostics,
+    MissingError,
+    SonarrecError,
+    command_line,
+    number_of,
+    printable,
+)
 from sonarrec.geometry import pixel_from_polar, plane_position, polar_from_pixel
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.records import PART, Estimate, Fan
@@ -44,6 +51,7 @@ from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, ro
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import stretch_numbers
 from sonarrec.tables import natural_order
+from sonarrec.tables.outputs import free_name
 from sonarrec.tables.read import (
     POSITION_KINDS,
     Table,
@@ -451,7 +459,7 @@ def check_same_log(log: Any, folder: Path, run: RunFile) -> None:
             raise SonarrecError(
                 f"{folder}: results of another log, {made_from.path or made_from.name}, or of "
                 f"{log.path} before its files changed; give the log they were made from, or "
-                f"`sonarrec run {log.path}`"
+                f"{command_line('run', log.path, '-o', free_name(folder.parent))}"
             )
     elif log.frame_count is not None:
         last = read_frames(folder)["frame"].max(initial=-1)

@@ -15,6 +15,7 @@ from sonarrec.errors import SonarrecError, command_line, is_url
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.readers.plausible import Plausibility
+from sonarrec.recogniser.ring_sizes import RingSizes
 from sonarrec.records import Frame, Stamps
 from sonarrec.results.folders import folder_names, part_of, rerun_left
 from sonarrec.results.run_file import existing_results, rerun
@@ -128,10 +129,10 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                 )
         # Recognise the landmarks frame by frame, and write what is found.
         report(job.shown(run.basis))
-        plausibility = Plausibility()
+        plausibility, sizes = Plausibility(), RingSizes(run.landmarks)
         collector = Sightings(run.landmarks, run.fan, run.poses)
         with ResultsWriter(job.folder, run.landmarks, run.table, collector) as writer:
-            _recognise(run, writer, plausibility, observe)
+            _recognise(run, writer, (plausibility, sizes), observe)
             run.recogniser.report(diagnostics)
             problems = [job.shown(line) for line in diagnostics.problems]
             about_folder = writer.finish(problems, diagnostics.unusable)
@@ -147,20 +148,29 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                 problems=problems,
             ),
         )
-        notes = _notes(job, run, plausibility, about_folder, found=any(outcome.passes.values()))
+        notes = _notes(
+            job, run, plausibility, sizes, about_folder, found=any(outcome.passes.values())
+        )
         return replace(outcome, notes=[job.shown(line) for line in notes])
 
 
 def _recognise(
-    run: PreparedRun, writer: ResultsWriter, plausibility: Plausibility, observe: Observe | None
+    run: PreparedRun,
+    writer: ResultsWriter,
+    checks: Sequence[Plausibility | RingSizes],
+    observe: Observe | None,
 ) -> None:
-    """Recognise every frame and write the results, also those waiting when the run is stopped."""
+    """Recognise every frame and write the results, also those waiting when the run is stopped.
+
+    checks: see every frame.
+    """
     stamps = dict[int, Stamps]()  # of frames that are not written yet, in their order
 
     def frames() -> Iterator[Frame]:
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
-            plausibility.look(frame)
+            for check in checks:
+                check.look(frame)
             yield frame
 
     try:
@@ -182,6 +192,7 @@ def _notes(
     job: Job,
     run: PreparedRun,
     plausibility: Plausibility,
+    sizes: RingSizes,
     about_folder: Sequence[str],
     *,
     found: bool,
@@ -195,6 +206,12 @@ def _notes(
     doubts = plausibility.contradictions(log.sonar)
     if doubts:
         note(f"{'; '.join(doubts)}; {_preview(job, run)} shows it")
+    elif other := sizes.other():
+        note(
+            f"rings of some {other:.2g} m radius fit clearly better than those of "
+            f"{run.landmarks.name}, {run.landmarks.radius_m:g} m: is radius_m right, and the "
+            f"window? {_preview(job, run)} shows both"
+        )
     if static:
         note(f"{static:.1%} of the picture never changes, and is filled from beside it")
     if saturated:
@@ -213,7 +230,7 @@ def _notes(
         f"{path}: no landmark declared; check {topic}range order "
         f"({_again(job, run, '--range-order', log.sonar.other_range_order)}) and geometry "
         f"({_preview(job, run)})",
-        f"{path}: then landmark set and size ({command_line('landmarks')}; a landmark of "
+        f"{path}: then landmark set and size ({_landmarks(job, run)}; a landmark of "
         f"{run.landmarks.name} is {wide}) and level ({_again(job, run, '--pixel-scale', scale)})",
     ]
 
@@ -224,6 +241,12 @@ def _again(job: Job, run: PreparedRun, *options: str) -> str:
         return f"`run` with {' '.join(options)}"
     poses = run.log_options.odometry
     return rerun(Path(job.log), job.folder / "run.toml", *options, poses=poses)
+
+
+def _landmarks(job: Job, run: PreparedRun) -> str:
+    """The command that shows the landmark set of a run."""
+    own = [] if job.urls or run.landmarks == load_landmarks("basin") else [job.folder / "run.toml"]
+    return command_line("landmarks", *own)
 
 
 def _preview(job: Job, run: PreparedRun) -> str:

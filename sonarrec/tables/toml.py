@@ -76,11 +76,25 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as fault:  # also of Python's own limit on digits
-        comma = "; decimals have a point" if re.search(r"=\s*[-+]?[0-9]+,[0-9]", text) else ""
-        raise SonarrecError(f"{where}: not a readable TOML file ({fault}){comma}") from None
+        how = _how_to_write(text, str(fault))
+        raise SonarrecError(f"{where}: not a readable TOML file ({fault}){how}") from None
     if why := _beyond_toml(table):
         raise SonarrecError(f"{where}: not a readable TOML file ({why})")
     return table
+
+
+def _how_to_write(text: str, fault: str) -> str:
+    """What is usually meant where a text is not TOML; empty: not known."""
+    if re.search(r"=\s*[-+]?[0-9]+,[0-9]", text):
+        return "; decimals have a point"
+    number = re.search(r"\(at line (\d+),", fault)
+    lines = text.splitlines()[int(number[1]) - 1 : int(number[1])] if number else []
+    bare = (
+        re.match(r"\s*([\w.-]+\s*=\s*)([^\W\d_][^\"'#\[\]{}=]*?)\s*(#.*)?$", lines[0])
+        if lines
+        else None
+    )
+    return f'; text wants quotes: {bare[1]}"{bare[2]}"' if bare else ""
 
 
 def _beyond_toml(value: Any, depth: int = 0) -> str:
