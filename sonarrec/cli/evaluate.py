@@ -71,7 +71,7 @@ def evaluate(
         raise UsageError(f"--compare names both results; leave out {results}")
     if compare is not None and details:
         raise UsageError(
-            "-v (--details) is not available with --compare; compare.csv has the rates"
+            "--compare names both results, and compare.csv has all; leave out -v (--details)"
         )
     limits = replace(limits, methods=scoring.methods)
     from sonarrec.evaluation.pairs import read_pairs

@@ -108,7 +108,8 @@ topic = in_input("--topic", help="Image channel of an MCAP or bag that has sever
 _SONAR_FILE = in_input(
     "--sonar sonar_file",
     type=FILE,
-    help="Geometry file, in place of the sonar.toml beside the log.",
+    help="Geometry file, or the run.toml of an earlier run, in place of the sonar.toml beside the "
+    "log.",
 )
 _TIME = in_input(
     "--time",
@@ -226,7 +227,7 @@ def numbers(flag: str, text: str, count: int | None = None) -> list[float]:
 landmarks = in_input(
     "--landmarks",
     shell_complete=file_names,
-    help="Landmark set: a built-in name or a TOML file.  "
+    help="Landmark set: a built-in name, a TOML file, or the run.toml of an earlier run.  "
     "[default: that of the run.toml that is read, or landmarks.toml beside the log; else basin]",
 )
 pairs = in_input(

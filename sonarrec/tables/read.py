@@ -93,14 +93,21 @@ _MAY_BE_BLANK: tuple[Kind, ...] = ("blank or number", "blank or place", "share")
 
 
 def read_table(
-    path: Path, kinds: Mapping[str, Kind], required: tuple[str, ...], expected: str
+    path: Path,
+    kinds: Mapping[str, Kind],
+    required: tuple[str, ...],
+    expected: str,
+    others: list[str] | None = None,
 ) -> Table:
     """Read the columns named in `kinds`, if they exist; others are ignored.
 
-    required: columns that must exist. expected: a header for error messages.
+    required: columns that must exist. expected: a header for error messages. others: is filled with
+    the names of the columns that are ignored.
     Raises SonarrecError if the file, its header or a cell cannot be used.
     """
-    parts = [table for _, table in read_tables(path, kinds, required, expected, _ROWS_AT_ONCE)]
+    parts = [
+        table for _, table in read_tables(path, kinds, required, expected, _ROWS_AT_ONCE, others)
+    ]
     if len(parts) == 1:
         return parts[0]
     return {name: _joined([part.pop(name) for part in parts]) for name in [*parts[0]]}
@@ -119,6 +126,7 @@ def read_tables(
     required: tuple[str, ...],
     expected: str,
     rows: int | None = None,
+    others: list[str] | None = None,
 ) -> Iterator[tuple[int, Table]]:
     """As `read_table` in parts of at most `rows` rows: (index of the first row, table)."""
     texts = {name: str for name, kind in kinds.items() if kind in _TEXTS}
@@ -126,6 +134,8 @@ def read_tables(
     first = 0
     for part in _parts(path, expected, texts, rows):
         _check_header(path, [*part.columns], kinds, required, expected)
+        if others is not None:
+            others[:] = [str(name) for name in part.columns if name not in kinds]
         yield (
             first,
             {
@@ -143,14 +153,12 @@ def data_frame(path: Path, expected: str) -> pd.DataFrame:
 
 
 def mistaken_columns(
-    path: Path, known: Iterable[str], wanted: Container[str], expected: str
+    others: Iterable[str], known: Sequence[str], wanted: Container[str]
 ) -> list[tuple[str, str]]:
-    """(name, the known one that it is nearest to) of the columns that are not read, if that is one
-    of the wanted, such as x for x_px. The name alone, with "", if it is near none."""
-    names = read_header(path, expected)
-    known = [*known]
-    unread = [(name, _nearest(name, known)) for name in names if name not in known]
-    return [(name, near) for name, near in unread if not near or near in wanted]
+    """(name, the known one that it is nearest to) of columns that are ignored, if that is one of
+    the wanted, such as x for x_px. The name with "" if it is near none."""
+    near = [(name, _nearest(name, known)) for name in others if name not in known]
+    return [(name, one) for name, one in near if not one or one in wanted]
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:

@@ -101,7 +101,8 @@ def read_rows(path: Path) -> TruthTable:
 
     Raises SonarrecError on wrong columns and on a cell that is no number.
     """
-    table = read_table(path, _KINDS, ("landmark",), HEADER)
+    others: list[str] = []
+    table = read_table(path, _KINDS, ("landmark",), HEADER, others)
     key = "frame" if "frame" in table else "timestamp_ns"
     if key not in table:
         raise SonarrecError(
@@ -122,7 +123,7 @@ def read_rows(path: Path) -> TruthTable:
         position=position,
         orientation=table.get("orientation_deg"),
         proposed=np.zeros(rows, bool) if source is None else source.isin((TRACKED, FILLED_IN)),
-        unread=(*mistaken_columns(path, (*_KINDS, "track"), {*_KINDS} - spare, HEADER),),
+        unread=(*mistaken_columns(others, (*_KINDS, "track"), {*_KINDS} - spare),),
     )
 
 

@@ -161,8 +161,9 @@ def test_copies_of_one_recording_count_once(logs: Path) -> None:
 def test_positions_by_other_names_are_no_positions(tmp_path: Path) -> None:
     results, gt = write_case(tmp_path, FRAMES, [(0, "m", 2.0, 0.0, 1, 0.9, 1)], [])
     gt.write_text("frame,landmark,x,y\n0,1,2.0,0.0\n")
-    told = command("--ground-truth", gt, results).stdout
-    assert "the strict protocol is not scored: truth or estimates have no positions" in told
+    done = command("--ground-truth", gt, results, code=3)
+    assert "the strict protocol is not scored: truth or estimates have no positions" in done.stdout
+    assert done.stderr == f"sonarrec: {gt}: columns x, y not read; rename to x_px, y_px\n"
 
 
 @pytest.mark.parametrize("unit", [100.0, 0.001])

@@ -133,10 +133,9 @@ def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -
     assert images["lacks"] == ["range_min_m", "field_of_view_deg"]
     text = info(path, "--range-max-m", "9").output
     assert "20 of 20 can be used, once the geometry is complete" in text
-    assert (
-        "give --range-min-m --tilt-deg --field-of-view-deg (or --height-m), or a sonar.toml" in text
-    )
-    assert "--write-sonar FILE begins one" in text
+    # The height replaces the tilt, and no other key.
+    assert "give --range-min-m, --tilt-deg (or --height-m), --field-of-view-deg, or" in text
+    assert f"--write-sonar {tmp_path / 'log.sonar.toml'}` begins one" in text
 
 
 def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:

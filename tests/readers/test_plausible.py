@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.plausible import FRAMES, Plausibility
 from sonarrec.records import Fan, Frame
@@ -29,13 +28,13 @@ def doubts(log: Path, **stated: float | str) -> list[str]:
     with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
         for frame in islice(opened, FRAMES):
             plausibility.look(frame)
-        return plausibility.contradictions()
+        return plausibility.contradictions(opened.sonar)
 
 
 def of_picture(image: np.ndarray, fan: Fan) -> list[str]:
     plausibility = Plausibility()
     plausibility.look(Frame(0, 0, image, fan))
-    return plausibility.contradictions()
+    return plausibility.contradictions(Sonar())
 
 
 def floor(fan: Fan) -> np.ndarray:
@@ -108,8 +107,13 @@ def test_a_fan_upside_down_is_turned(tmp_path: Path) -> None:
     with open_log(SAMPLE / "pan") as right, open_log(turned, sonar=near) as log:
         for one, other in zip(log, right, strict=False):
             np.testing.assert_array_equal(one.image, other.image)
-    with pytest.raises(SonarrecError, match="near_first"):
-        open_log(turned, sonar={"range_order": "far_first"})
+    # Stated by a flag, the default overrules a sonar.toml.
+    with (turned / "sonar.toml").open("a") as file:
+        file.write('range_order = "near_first"\n')
+    far = {"range_order": "far_first"}
+    with open_log(SAMPLE / "pan", sonar=far) as right, open_log(turned, sonar=far) as log:
+        for one, other in zip(log, right, strict=False):
+            np.testing.assert_array_equal(one.image, other.image[::-1])
 
 
 def test_a_picture_without_a_fan_is_asked_for_polar() -> None:
@@ -129,7 +133,7 @@ def test_run_tells_it_in_one_note_and_is_done(tmp_path: Path) -> None:
     (line,) = [line for line in wrong.stderr.splitlines() if "note: " in line]
     assert line.startswith(f"sonarrec: note: {log}: ")
     assert "of the picture outside of the stated fan" in line
-    assert f"`sonarrec info {log} --preview FILE.png`" in line
+    assert f"`sonarrec info {log} --sonar {tmp_path}/wrong/log/run.toml --preview " in line
 
 
 def test_what_to_check_where_nothing_is_recognised_is_told_last(tmp_path: Path) -> None:

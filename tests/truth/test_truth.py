@@ -107,8 +107,8 @@ def test_time_matching_against_brute_force(case: Path) -> None:
         ("landmark,x_px,y_px\n1,2,3\n", "neither frame nor timestamp_ns"),
         ("frame,landmark\n0,1\n\none,1\n", "line 4: frame must be a whole number, not 'one'"),
         (
-            "frame,landmark\n0,ID.1\n",
-            "line 2: landmark must be a whole number, or none, not 'ID.1'",
+            "frame,landmark\n0,north\n",
+            "line 2: landmark must be an ID such as 3 or ID.3, or none, not 'north'",
         ),
         ("frame,landmark,visible\n0,1,95\n", "line 2: visible is the share of the disc"),
         ("frame,landmark,range_m,bearing_deg\n0,1,2,3\n1,1,,\n", "line 3: range_m or bearing_deg"),

@@ -1,0 +1,478 @@
+"""What messages promise: a command that is named runs as it is, shows what it is said to show,
+loses nothing, and was not tried just now."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import Result
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.readers import open_log
+from sonarrec.recogniser.ring_sizes import RingSizes
+from tests.support.command import SAMPLE, sample_log, sonarrec
+from tests.support.rows import read_rows
+
+SAMPLES = SAMPLE.parent
+DATA = Path("/work/shared/data")
+Row = dict[str, str]
+
+
+def commands(told: str) -> list[list[str]]:
+    """The words of the commands that a text names, as a shell would split them."""
+    named = re.findall(r"`sonarrec ([^`]*)`", told)
+    return [shlex.split(words) for words in dict.fromkeys(named)]
+
+
+def contents(*folders: Path) -> dict[Path, bytes]:
+    return {f: f.read_bytes() for one in folders for f in sorted(one.rglob("*")) if f.is_file()}
+
+
+def run_named(told: str, *kept: Path, code: int = 0) -> list[Result]:
+    """Run each command that a text names. kept: folders whose files stay as they are."""
+    before = contents(*kept)
+    assert before or not kept
+    done = [sonarrec(*words, code=code) for words in commands(told)]
+    assert done
+    after = contents(*kept)
+    assert {file: after.get(file) for file in before} == before
+    return done
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def pan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the sample log."""
+    out = tmp_path_factory.mktemp("results")
+    sonarrec("run", SAMPLE, "-q", "-o", out)
+    return out / "pan"
+
+
+def changed(path: Path, source: Path, change: Callable[[Row], Row]) -> Path:
+    """A gt.csv whose rows are changed."""
+    rows = [change(row) for row in read_rows(source)]
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [*rows[0]])
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+# --- Nothing was recognised ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("folder", "tried", "offered"),
+    [
+        ("pan", "near_first", "far_first"),
+        ("pan", "far_first", "near_first"),
+        ("polar", "far_first", "near_first"),
+        ("polar", "near_first", "far_first"),
+    ],
+)
+@pytest.mark.usefixtures("here")
+def test_the_range_order_that_was_tried_is_not_offered(
+    folder: str, tried: str, offered: str
+) -> None:
+    log = Path("my dives") / f"{folder} 'a'"
+    log.mkdir(parents=True)
+    shutil.copy(SAMPLES / folder / "sonar.toml", log)
+    image = cv2.imread(str(SAMPLES / folder / "000040.png"), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    cv2.imwrite(str(log / "000000.png"), np.full_like(image, 20))  # nothing to recognise
+    out = Path("my results")
+    told = sonarrec("run", log, "-o", out, "--range-order", tried, "-q").stderr
+    assert f"--range-order {offered}" in told
+    assert f"--range-order {tried}" not in told
+    again = [words for words in commands(told) if words[0] == "run"]
+    assert len({words[-1] for words in again}) == len(again) == 2  # none replaces another's results
+    run_named(told, out / log.name)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_fan_turned_by_mistake_is_told_to_be_turned_back(here: Path) -> None:
+    log = sample_log(here / "log", 8)
+    with (log / "sonar.toml").open("a") as file:
+        file.write('range_order = "near_first"\n')
+    told = sonarrec("run", log, "-q").stderr
+    assert "none if it is turned upside down: --range-order far_first" in told
+    (preview,) = [words for words in commands(told) if "--preview" in words][:1]
+    done = sonarrec(*preview)
+    assert Path(preview[-1]).read_bytes()[:4] == b"\x89PNG"
+    assert preview[-1] in done.stderr  # it says what it wrote
+    turned = sonarrec("run", log, "-q", "--range-order", "far_first", "-o", "turned").stderr
+    assert "upside down" not in turned
+
+
+def test_the_geometry_of_flags_and_the_poses_go_into_the_command(here: Path) -> None:
+    """Without them the command would fail, or give something else."""
+    log = sample_log(here / "log", 3)
+    (log / "sonar.toml").unlink()
+    Path("poses.csv").write_text("timestamp,yaw,x,y\n0,0,0,0\n1,0,0,0\n2,0,0,0\n")
+    stated = {"range-min-m": 1.25, "range-max-m": 3.75, "field-of-view-deg": 28.8, "tilt-deg": 20}
+    flags = [word for key, value in stated.items() for word in (f"--{key}", str(value))]
+    told = sonarrec("run", log, *flags, "--odometry", "poses.csv", "-q", "-o", "out").stderr
+    assert "no landmark declared" in told
+    run_named(told, Path("out"))
+
+
+def test_a_log_without_geometry_is_told_the_command_that_begins_one(here: Path) -> None:
+    log = here / "my log.mcap"
+    shutil.copy(SAMPLES / "pan.mcap", log)
+    told = sonarrec("run", log, code=1).stderr
+    run_named(told, log.parent)
+    written = here / "my log.sonar.toml"
+    assert "missing" in written.read_text()
+    again = sonarrec("run", log, code=1).stderr  # now it is there, and to be completed
+    assert f"{written}: sonar geometry lacks" in again
+    assert commands(again) == []
+
+
+# --- Truth ---------------------------------------------------------------------------------------
+
+
+def test_rows_outside_the_image_are_named_and_checked_alike(here: Path, pan: Path) -> None:
+    def far(row: Row) -> Row:
+        kept = {key: row[key] for key in ("frame", "landmark", "range_m", "bearing_deg")}
+        return kept | ({"range_m": "9"} if row["frame"] in ("5", "7") else {})
+
+    truth = changed(here / "my truth.csv", SAMPLES / "pan.gt.csv", far)
+    told = sonarrec("evaluate", pan, "--ground-truth", truth, "-o", "ev").stdout
+    (note,) = [line for line in told.splitlines() if "outside the image" in line]
+    assert "2 of 199 positions" in note
+    assert "frames 5, 7" in note
+    (checked,) = run_named(note, pan, code=3)
+    assert checked.stdout.count("the whole disc is outside the fan") == 2
+
+
+@pytest.mark.slow
+def test_a_disc_that_an_edge_only_just_cuts_off_is_no_fault(here: Path) -> None:
+    """The truth of a simulation: evaluate counted rows as outside that check found no fault in."""
+    sonarrec("simulate", "--scene", "paper", "--seed", "1", "--frames", "248", "-q", "-o", "sim")
+    assert "no fault" in sonarrec("truth", "check", "sim/gt.csv", "sim").stdout
+    frames = "frame\n" + "".join(f"{n}\n" for n in range(248))
+    Path("out").mkdir()
+    Path("out/frames.csv").write_text(frames)
+    Path("out/estimates.csv").write_text(
+        "frame,method,range_m,bearing_deg,landmark,score,declared\n0,m,2,0,1,0.5,0\n"
+    )
+    scored = ("evaluate", "out", "--ground-truth", "sim/gt.csv", "--sonar", "sim/sonar.toml")
+    assert "outside the image" not in sonarrec(*scored).output
+    assert here.is_dir()
+
+
+@pytest.mark.parametrize(
+    ("header", "named", "meant"),
+    [
+        ("frame,landmark,x,y", ("x", "y"), ("x_px", "y_px")),
+        ("frame,landmark,X_PX,Y_PX", ("X_PX", "Y_PX"), ("x_px", "y_px")),
+        ("frame,landmark,range,bearing", ("range", "bearing"), ("range_m", "bearing_deg")),
+        ("frame,landmark,u,v", ("u", "v"), ()),
+    ],
+)
+def test_columns_that_are_not_read_are_named(
+    here: Path, pan: Path, header: str, named: tuple[str, ...], meant: tuple[str, ...]
+) -> None:
+    truth = here / "gt.csv"
+    rows = (f"{n},1,{100 + n},{180 - n}" for n in range(20))
+    truth.write_text("\n".join([header, *rows]))
+    told = sonarrec("evaluate", pan, "--ground-truth", truth, "-o", "ev", code=3).stderr
+    checked = sonarrec("truth", "check", truth, SAMPLE, code=3).stdout
+    for text in (told, checked):
+        (line,) = [line for line in text.splitlines() if "not read" in line]
+        assert all(re.search(rf"\b{name}\b", line) for name in (*named, *meant))
+
+
+def test_columns_of_the_user_s_own_are_no_fault(here: Path, pan: Path) -> None:
+    def noted(row: Row) -> Row:
+        return {**row, "comment": "seen", "time": "12:00", "x": "1"}  # positions are there
+
+    truth = changed(here / "gt.csv", SAMPLES / "pan.gt.csv", noted)
+    assert sonarrec("evaluate", pan, "--ground-truth", truth, "-o", "ev").stderr == ""
+    assert "no fault" in sonarrec("truth", "check", truth, SAMPLE).stdout
+
+
+def test_ids_are_written_in_truth_as_in_annotations(here: Path, pan: Path) -> None:
+    plain = changed(here / "plain.csv", SAMPLES / "pan.gt.csv", lambda row: row)
+    labelled = changed(
+        here / "labelled.csv",
+        SAMPLES / "pan.gt.csv",
+        lambda row: {**row, "landmark": f"ID.{row['landmark']}"},
+    )
+    scores = [
+        sonarrec("evaluate", pan, "--ground-truth", truth, "-o", "ev").stdout
+        for truth in (plain, labelled)
+    ]
+    assert scores[0] == scores[1]
+
+
+# --- A truth that may mean something else --------------------------------------------------------
+
+
+def polar(row: Row) -> Row:
+    return {key: row[key] for key in ("frame", "landmark", "range_m", "bearing_deg", "visible")}
+
+
+def moved(frames: int) -> Callable[[Row], Row]:
+    return lambda row: {**polar(row), "frame": str(int(row["frame"]) + frames)}
+
+
+def radians(row: Row, sign: int = 1) -> Row:
+    bearing = sign * math.radians(float(row["bearing_deg"]))
+    return {**polar(row), "bearing_deg": f"{bearing:.6f}"}
+
+
+def mirrored(row: Row, frames: int = 0) -> Row:
+    bearing, frame = -float(row["bearing_deg"]), int(row["frame"]) + frames
+    return {**polar(row), "bearing_deg": f"{bearing:.4f}", "frame": str(frame)}
+
+
+def far_end(row: Row) -> Row:  # the log shows 1.25 to 3.75 m
+    return {**mirrored(row), "range_m": f"{5 - float(row['range_m']):.4f}"}
+
+
+@pytest.mark.parametrize(
+    ("change", "reasons"),
+    [
+        (polar, None),
+        (moved(1), ["1 frame earlier (0.25 s)"]),
+        (moved(24), ["24 frames earlier (6 s)"]),
+        (moved(60), ["60 frames earlier (15 s)"]),
+        (moved(100), ["100 frames earlier (25 s)"]),
+        (mirrored, ["sign of their bearings"]),
+        (radians, ["radians"]),
+        (lambda row: radians(row, -1), ["sign of their bearings", "radians"]),
+        (far_end, ["sign of their bearings", "--range-order"]),
+        (lambda row: mirrored(row, 12), ["sign of their bearings", "12 frames earlier"]),
+    ],
+)
+def test_another_reading_is_told_where_it_explains_nearly_all(
+    here: Path, pan: Path, change: Callable[[Row], Row], reasons: list[str] | None
+) -> None:
+    truth = changed(here / "gt.csv", SAMPLES / "pan.gt.csv", change)
+    scored = ("evaluate", pan, "--ground-truth", truth, "-o", "ev")
+    told = sonarrec(*scored, code=0 if reasons is None else 3).stderr
+    line = told.partition("\n")[0]
+    assert ("clearly better" in line) == (reasons is not None)
+    assert all(reason in line for reason in reasons or ())
+    assert line.count(" and ") == len(reasons or [0]) - 1
+
+
+@pytest.mark.slow
+def test_of_a_truth_that_nothing_explains_is_told_what_was_seen(here: Path, pan: Path) -> None:
+    """The truth of another recording was said to be some frames late."""
+    sonarrec("simulate", "--scene", "paper", "--seed", "1", "--frames", "128", "-q", "-o", "sim")
+    shuffled = changed(
+        here / "gt.csv",
+        SAMPLES / "pan.gt.csv",
+        lambda row: {**polar(row), "landmark": {"1": "2", "3": "4"}[row["landmark"]]},
+    )
+    for truth in (Path("sim/gt.csv"), shuffled):
+        told = sonarrec("evaluate", pan, "--ground-truth", truth, "-o", "ev", code=3).stderr
+        line = told.partition("\n")[0]
+        assert re.search(r"\b0 of \d+ rows on pan and 0 of \d+ claims of framework meet", line)
+        assert "clearly better" not in line
+        assert "frames earlier" not in line
+
+
+def in_unit(ns: int) -> Callable[[Row], Row]:
+    """Times from the first frame of the log, which has 4 Hz."""
+
+    def change(row: Row) -> Row:
+        time = int(row["frame"]) * 250_000_000 // ns
+        kept = {key: row[key] for key in ("landmark", "range_m", "bearing_deg", "visible")}
+        return {"timestamp_ns": str(time), **kept}
+
+    return change
+
+
+@pytest.mark.parametrize(("unit", "ns"), [("s", 10**9), ("ms", 10**6), ("us", 10**3), ("", 1)])
+def test_times_in_another_unit_are_refused(here: Path, pan: Path, unit: str, ns: int) -> None:
+    """The log begins at 0, so all rows fell on its first frame, and nothing was said."""
+    truth = changed(here / "gt.csv", SAMPLES / "pan.gt.csv", in_unit(ns))
+    scored = ("evaluate", pan, "--ground-truth", truth, "-o", "ev")
+    told = sonarrec(*scored, code=1 if unit else 0).stderr
+    checked = sonarrec("truth", "check", truth, SAMPLE, code=3 if unit else 0).stdout
+    if unit:
+        assert re.search(rf"only if they are in {unit}\b", told)
+        assert re.search(rf"only in {unit}\n", checked)
+
+
+def test_a_part_that_is_labelled_is_run_by_the_command_that_is_named(here: Path) -> None:
+    """`run --frames 0:64` had no log, and would have replaced the results of all frames."""
+    shutil.copytree(SAMPLE, "my pan")
+    sonarrec("run", "my pan", "-q", "-o", "all out")
+    part = [row for row in read_rows(SAMPLES / "pan.gt.csv") if int(row["frame"]) < 64]
+    truth = here / "gt.csv"
+    truth.write_text("\n".join([",".join(part[0]), *(",".join(row.values()) for row in part)]))
+    results = Path("all out/my pan")
+    told = sonarrec("evaluate", results, "--ground-truth", truth, code=3).stderr
+    assert "64 frames without one have claims" in told
+    run_named(told, results)
+    (words,) = commands(told)
+    assert len(read_rows(Path(words[-1]) / "my pan" / "frames.csv")) == 64
+    sonarrec("evaluate", words[-1], "--ground-truth", truth)
+
+
+# --- Rings of another radius ---------------------------------------------------------------------
+
+SET = """
+name = "own"
+radius_m = {radius}
+ring = [0.8, 1.0]
+symbol = [0.0, 0.62]
+[[landmark]]
+id = 11
+sectors = [1, 0, 0, 0]
+[[landmark]]
+id = 12
+sectors = [1, 1, 0, 0]
+"""
+
+
+@pytest.mark.parametrize("log", ["pan", "polar", "faint", "pan.mcap"])
+def test_a_radius_that_is_clearly_wrong_is_told(here: Path, log: str) -> None:
+    for radius in (0.075, 0.15, 0.2):
+        Path("own.toml").write_text(SET.format(radius=radius))
+        with open_log(SAMPLES / log) as opened:
+            sizes = RingSizes(_set("own.toml"))
+            for frame in opened:
+                sizes.look(frame)
+        found = sizes.other()
+        assert (found is None) == (radius == 0.15)
+        if found is not None:
+            assert found == pytest.approx(0.15, rel=0.15)
+    assert here.is_dir()
+
+
+def _set(path: str) -> LandmarkSet:
+    from sonarrec.landmarks import load_landmarks
+
+    return load_landmarks(path)
+
+
+def test_run_tells_it_with_the_radius_that_fits(here: Path) -> None:
+    Path("own.toml").write_text(SET.format(radius=0.075))
+    told = sonarrec("run", SAMPLES / "pan.mcap", "--landmarks", "own.toml", "-q").stderr
+    found = re.search(r"rings of some (\S+) m radius fit clearly better .* own, 0.075 m", told)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(0.15, rel=0.15)
+    run_named(told, Path("sonarrec_out/pan"))
+    assert here.is_dir()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="the recordings of others are not here")
+def test_right_radii_of_others_recordings_are_not_doubted() -> None:
+    tried = 0
+    for folder in sorted({toml.parent for toml in DATA.rglob("sonar.toml")}):
+        if not (folder / "gt.csv").exists() and folder.parent.name != "rays":
+            continue
+        with open_log(folder) as opened:
+            sizes = RingSizes(_set("basin"))
+            for frame in opened:
+                sizes.look(frame)
+        assert sizes.other() is None, folder
+        tried += 1
+    assert tried >= 10
+
+
+# --- Runs, geometry, options ---------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_rerun_that_was_stopped_is_told(here: Path) -> None:
+    log = here / "pan.mcap"
+    for name in ("pan.mcap", "pan.sonar.toml", "pan.gt.csv"):
+        shutil.copy(SAMPLES / name, here)
+    sonarrec("run", log, "-q")
+    line = f"what that one has written is in {Path('sonarrec_out/pan.part')}"
+    for words in (["run", log, "-q"], ["evaluate", "sonarrec_out/pan"]):
+        assert line not in sonarrec(*words).output
+    rerun = subprocess.Popen(
+        [sys.executable, "-m", "sonarrec", "run", log, "--preset", "paper,default,offline", "-q"],
+        stderr=subprocess.PIPE,
+    )
+    frames = here / "sonarrec_out/pan.part/frames.csv"
+    while rerun.poll() is None and not (frames.is_file() and frames.read_bytes().count(b"\n") > 9):
+        pass
+    rerun.send_signal(signal.SIGINT)
+    rerun.communicate()
+    assert rerun.returncode == 130
+    for words in (
+        ["run", log],
+        ["run", log, "--dry-run"],
+        ["evaluate", "sonarrec_out/pan"],
+        ["overlay", log, "-o", "x.mp4", "--frames", "0:2"],
+    ):
+        assert line in sonarrec(*words).output, words
+
+
+def test_heights_and_tilts_that_nobody_stated_are_not_told_as_stated(here: Path) -> None:
+    log = sample_log(here / "log", 6)
+    toml = log / "sonar.toml"
+    toml.write_text(toml.read_text().replace("height_m = 0.68\n", ""))
+    (line,) = [x for x in sonarrec("run", log).stderr.splitlines() if ": geometry " in x]
+    assert re.search(r"tilt 20 deg, height 0\.\d+ m estimated", line)
+    toml.write_text(toml.read_text().replace("tilt_deg = 20.0", "height_m = 0.68"))
+    (line,) = [x for x in sonarrec("run", log).stderr.splitlines() if ": geometry " in x]
+    assert re.search(r"tilt \S+ deg assumed, height 0.68 m \(", line)
+
+
+@pytest.mark.usefixtures("here")
+def test_ranges_without_a_window_lack_it_and_contradict_nothing(here: Path) -> None:
+    log = here / "polar"
+    log.mkdir()
+    for n in range(2):
+        shutil.copy(SAMPLES / "polar" / f"{n:06d}.png", log)
+    image = cv2.imread(str(log / "000000.png"), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    ranges = np.linspace(2, 5, image.shape[0]).round(4).tolist()
+    (log / "sonar.toml").write_text(
+        f'[sonar]\nlayout = "polar"\nranges_m = {ranges}\nfield_of_view_deg = 28.8\ntilt_deg = 20\n'
+    )
+    told = sonarrec("info", log).stdout
+    assert "lacks range_min_m, range_max_m" in told
+    assert "contradicts" not in told
+    assert "2 of 2 can be used" in told
+    assert "lacks range_min_m, range_max_m" in sonarrec("run", log, code=1).stderr
+
+
+@pytest.mark.usefixtures("here")
+def test_small_slips_are_told_as_they_were_typed(here: Path, pan: Path) -> None:
+    told = sonarrec("evaluate", "--compare", pan, pan, "-v", code=2).stderr
+    assert "-v" in told
+    assert "RESULTS" not in told
+    log = sample_log(here / "log", 1)
+    toml = log / "sonar.toml"
+    toml.write_text(toml.read_text().replace('"fan"', "fan"))
+    assert 'layout = "fan"' in sonarrec("run", log, code=1).stderr
+    (here / "empty" / "sub").mkdir(parents=True)
+    (here / "empty" / "notes.txt").touch()
+    assert "--recursive" not in sonarrec("run", here / "empty", "--recursive", code=2).stderr
+    sample_log(here / "empty" / "sub" / "log", 1)
+    assert "--recursive" in sonarrec("run", here / "empty", code=2).stderr
+
+
+def test_overlay_names_the_run_that_writes_the_results_it_looked_for(here: Path) -> None:
+    log = sample_log(here / "my log", 3)
+    call = ("overlay", log, "no results", "-o", "x.mp4")
+    run_named(sonarrec(*call, code=2).stderr, log)
+    sonarrec(*call)
