@@ -65,6 +65,12 @@ def pan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / "pan"
 
 
+def nothing_in(image: Path) -> None:
+    """Make an image in which there is nothing to recognise."""
+    shape = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).shape  # type: ignore[union-attr]
+    cv2.imwrite(str(image), np.full(shape, 20, np.uint8))
+
+
 def changed(path: Path, source: Path, change: Callable[[Row], Row]) -> Path:
     """A gt.csv whose rows are changed."""
     rows = [change(row) for row in read_rows(source)]
@@ -94,9 +100,7 @@ def test_the_range_order_that_was_tried_is_not_offered(
     log = Path("my dives") / f"{folder} 'a'"
     log.mkdir(parents=True)
     shutil.copy(SAMPLES / folder / "sonar.toml", log)
-    image = cv2.imread(str(SAMPLES / folder / "000040.png"), cv2.IMREAD_GRAYSCALE)
-    assert image is not None
-    cv2.imwrite(str(log / "000000.png"), np.full_like(image, 20))  # nothing to recognise
+    nothing_in(Path(shutil.copy(SAMPLES / folder / "000040.png", log)))
     out = Path("my results")
     told = sonarrec("run", log, "-o", out, "--range-order", tried, "-q").stderr
     assert f"--range-order {offered}" in told
@@ -125,6 +129,8 @@ def test_the_geometry_of_flags_and_the_poses_go_into_the_command(here: Path) -> 
     """Without them the command would fail, or give something else."""
     log = sample_log(here / "log", 3)
     (log / "sonar.toml").unlink()
+    for image in log.glob("*.png"):
+        nothing_in(image)
     Path("poses.csv").write_text("timestamp,yaw,x,y\n0,0,0,0\n1,0,0,0\n2,0,0,0\n")
     stated = {"range-min-m": 1.25, "range-max-m": 3.75, "field-of-view-deg": 28.8, "tilt-deg": 20}
     flags = [word for key, value in stated.items() for word in (f"--{key}", str(value))]
@@ -463,7 +469,7 @@ def test_small_slips_are_told_as_they_were_typed(here: Path, pan: Path) -> None:
     log = sample_log(here / "log", 1)
     toml = log / "sonar.toml"
     toml.write_text(toml.read_text().replace('"fan"', "fan"))
-    assert 'layout = "fan"' in sonarrec("run", log, code=1).stderr
+    assert 'layout = "fan"' in sonarrec("run", log, code=2).stderr
     (here / "empty" / "sub").mkdir(parents=True)
     (here / "empty" / "notes.txt").touch()
     assert "--recursive" not in sonarrec("run", here / "empty", "--recursive", code=2).stderr

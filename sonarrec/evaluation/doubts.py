@@ -19,11 +19,11 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, number_of
 from sonarrec.evaluation.match import Matched, equal_pairs
-from sonarrec.evaluation.pairs import recorded_at
 from sonarrec.geometry import plane_from_polar, plane_position, polar_from_plane
 from sonarrec.readers.poses import POSES_FILE
 from sonarrec.results.read import LogResults
 from sonarrec.results.run_file import rerun
+from sonarrec.runs.recorded import recorded_at
 from sonarrec.truth.check import FEWEST, unchecked
 from sonarrec.truth.match import Truth
 from sonarrec.truth.table import TruthTable
