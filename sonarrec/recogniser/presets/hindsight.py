@@ -30,6 +30,9 @@ class Hindsight:
     An ID is never declared in a frame where too little of its object is in view. A belief holds for
     one episode of a track (see Evidence), since another object may have got the track's number.
 
+    An ID that most frames of an episode declared by themselves is taken back in none of them, since
+    the mean of many frames is blurred where their motion is not quite known.
+
     lag: number of frames that a result waits for its revision.
     """
 
@@ -67,6 +70,9 @@ class Hindsight:
                 continue
             opinion = self._opinions.current(estimate.object, estimate.episode, self._frame)
             opinion.add(estimate.probabilities)
+            if estimate.declared:
+                frames = opinion.declared.get(estimate.landmark, 0)
+                opinion.declared[estimate.landmark] = frames + 1
             if estimate.score > opinion.orientations.get(estimate.landmark, (0.0,))[0]:
                 orientation = estimate.orientation_deg + _sight_rotation(estimate)
                 found = estimate.score, orientation, estimate.orientation_sigma_deg
@@ -76,8 +82,23 @@ class Hindsight:
 
     def revised(self, result: FrameResult) -> FrameResult:
         """A past result, which `learn` has had, with its tracks' beliefs by now."""
-        result = self._of_tracks(result)
-        return result if self._look is None else self._look.revised(result)
+        of_tracks = self._kept(result, self._of_tracks(result))
+        if self._look is None:
+            return of_tracks
+        return self._kept(of_tracks, self._look.revised(of_tracks))
+
+    def _kept(self, before: FrameResult, after: FrameResult) -> FrameResult:
+        """A revised result without what it takes back of the IDs that most frames declared."""
+        estimates = list(after.estimates)  # those of `before` first
+        for i, earlier in enumerate(before.estimates):
+            later = estimates[i]
+            same = later.declared and later.landmark == earlier.landmark
+            if earlier.method != self._method or not earlier.declared or same:
+                continue
+            opinion = self._opinions.get(earlier.object, earlier.episode)
+            if 2 * opinion.declared.get(earlier.landmark, 0) > opinion.frames:
+                estimates[i] = earlier
+        return replace(after, estimates=tuple(estimates))
 
     def _of_tracks(self, result: FrameResult) -> FrameResult:
         """A past result with the beliefs of its tracks."""

@@ -37,6 +37,8 @@ class Opinion:
     """Sum of the weights."""
     frames: int = 0
     """Number of frames."""
+    declared: dict[int, int] = field(default_factory=dict)
+    """By hindsight, in how many frames each ID was declared."""
     orientations: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     """By hindsight, for each ID, by the frame with its highest score: (score, orientation in
     degrees from the line of sight at the track's beginning, its standard error)."""
@@ -58,6 +60,8 @@ class Opinion:
         self.weight += other.weight
         self.frames += other.frames
         self.beliefs_sum += other.beliefs_sum
+        for landmark, frames in other.declared.items():
+            self.declared[landmark] = self.declared.get(landmark, 0) + frames
         for landmark, found in other.orientations.items():
             self.orientations[landmark] = max(found, self.orientations.get(landmark, found))
 
