@@ -51,7 +51,8 @@ class Layers(NamedTuple):
     level: brightness over the floor, dB. owner: number of the object, -1: the floor. height: m.
     relief: standard deviation of the height, m; negative for bumps that only rise. lifted: how tall
     an object standing in the cell would have to be, for the sonar to see its top at the depression
-    of the leaning disc that shows there, m. silt: smooth noise that shapes it.
+    of the leaning disc that shows there, m. silt: smooth noise that shapes it. glitter: by how much a cell is brighter if it is of
+    a disc's bright parts, dB.
     """
 
     level: np.ndarray
@@ -60,6 +61,7 @@ class Layers(NamedTuple):
     relief: np.ndarray
     lifted: np.ndarray
     silt: np.ndarray
+    glitter: np.ndarray
 
 
 class Canvas:
@@ -98,13 +100,18 @@ class Canvas:
         self.line = (dx * x0 + dy * y0) / (np.maximum(np.hypot(dx, dy), 1e-6) * item.ground_m)
         self.facing = specular_db * (np.abs(self.line) - 0.5)
 
-    def paint(self, where: BoolArray, level_db: FloatArray | float, gravel_m: float = 0.0) -> None:
-        """Paint cells. where: (box) which. gravel_m: mean height of their bumps.
+    def paint(
+        self, where: BoolArray, level_db: FloatArray | float, gravel_m: float | None = None
+    ) -> None:
+        """Paint cells. where: (box) which. gravel_m: mean height of the gravel that they are made
+        of, whose stones may glitter; None: of no gravel.
 
         They keep half of the floor's texture.
         """
-        self.layers.relief[where] = -gravel_m
+        self.layers.relief[where] = -(gravel_m or 0.0)
         shade = np.broadcast_to(np.asarray(level_db, dtype=np.float32), where.shape)
+        if gravel_m is not None:
+            shade = shade + self.layers.glitter
         self.layers.level[where] = (shade + 0.5 * self.texture)[where]
         self.layers.owner[where] = self.number
 
@@ -163,7 +170,7 @@ def _ringed(item: PlacedObject, on: Canvas, bright_db: float, _: float) -> None:
 
 
 def _filled(item: PlacedObject, on: Canvas, bright_db: float, _: float) -> None:
-    on.paint(on.rho <= 1, bright_db, item.relief_m)
+    on.paint(on.rho <= 1, bright_db, None if item.kind == "cover" else item.relief_m)
 
 
 def _stone(_: PlacedObject, on: Canvas, bright_db: float, tall_m: float) -> None:

@@ -155,6 +155,9 @@ class FloorSection:
     ripple_towards_deg: Finite = 0.0  # azimuth across the crests
     ripple_bends: Share = 0.3  # how far crests stray from straight lines, in wavelengths
     silt_m: Positive = 0.08  # size of the patches of silt on things that have some
+    glitter_db: Spread = 0.0  # by how much, on average, single stones of bright parts are brighter
+    glitter_m: Positive = 0.015  # size of such a stone
+    glitter_share: Annotated[float, bounds(0.001, 0.5)] = 0.1  # of the bright parts' area
 
 
 @dataclass(frozen=True, slots=True)

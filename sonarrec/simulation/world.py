@@ -58,6 +58,7 @@ class World:
             relief=np.full(grid.shape, scene.floor.relief_m, np.float32),
             lifted=none.copy() if leaning else none,
             silt=self._noise(scene.floor.silt_m, 13) if silted else none,
+            glitter=self._glitter() if scene.floor.glitter_db else none,
         )
         for number, item in enumerate(scene.items):
             draw_object(item, number, scene, grid, layers)
@@ -93,6 +94,15 @@ class World:
         """Smooth noise over the grid. of: a generator, or the number of one for this alone."""
         rng = np.random.default_rng([self._scene.seed, of]) if isinstance(of, int) else of
         return smooth_noise(rng, self._grid.shape, self._grid.cells(size_m))
+
+    def _glitter(self) -> np.ndarray:
+        """By how much each cell is brighter where it is of gravel, dB: single stones reflect much
+        more than the others, and few of them most."""
+        floor = self._scene.floor
+        stones = self._noise(floor.glitter_m, 16)
+        above = np.maximum(stones - np.quantile(stones, 1 - floor.glitter_share), 0)
+        mean = np.float32(above.mean() / floor.glitter_share)
+        return np.asarray(np.float32(floor.glitter_db) * np.minimum(above / mean, 3))
 
     def _relieve(self, layers: Layers) -> None:
         """Add bumps and ripples, whose slopes are lit by the sonar; then twigs and shade."""

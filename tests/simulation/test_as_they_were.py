@@ -20,9 +20,9 @@ from tests.studies.learning.other_worlds import LEARNED_WORLDS, OTHER_WORLDS
 from tests.studies.learning.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from tests.support.slow import but_first
 
-NEW = ("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle")
+NEW = ("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle", "glitter")
 # Mean grey of the middle eight of four by four parts of the second frame, before there were slopes,
-# leaning or silted discs, ripples, multipath, fish and vehicles.
+# leaning or silted discs, ripples, multipath, fish, vehicles and glitter.
 WERE = {
     "basin": (47.98, 48.83, 62.64, 65.35, 76.67, 83.93, 61.84, 62.27),
     "all_hard": (36.69, 39.67, 45.62, 42.38, 47.40, 46.80, 38.46, 36.69),
@@ -66,6 +66,7 @@ def test_every_kind_has_its_nuisance_and_renders(kind: str) -> None:
             "multipath": scene.multipath != MultipathSection(),
             "fish": scene.fish.number > 0,
             "vehicle": scene.motion.speeds.any(),
+            "glitter": scene.floor.glitter_db > 0,
         }
         assert [name for name, shown in shows.items() if shown] == [kind] * (kind in NEW)
         assert bool(scene.landmarks) == (kind != "no_landmark")

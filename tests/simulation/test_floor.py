@@ -217,3 +217,25 @@ def test_ripples_are_as_long_as_stated(length: float) -> None:
     per_m = np.fft.rfftfreq(2**16, even[1] - even[0])
     spectrum[per_m < 2] = 0
     assert 1 / per_m[np.argmax(spectrum)] == pytest.approx(length, rel=0.04)
+
+
+def test_single_stones_glitter_on_bright_parts_alone() -> None:
+    """Two discs side by side, one of gravel all over, one a bare plate with a blank's ring."""
+    filled = PlacedObject("filled", 2.0, -6.0, size_m=RADIUS, bright_db=10)
+    blank = PlacedObject("blank", 2.0, 6.0, size_m=RADIUS, bright_db=10, plate_db=-6)
+    scene = replace(POLAR, landmarks=(), objects=(filled, blank))
+    glitter = {"glitter_db": 6.0, "glitter_m": 0.02, "glitter_share": 0.1}
+    with_glitter = replace(scene, floor=replace(scene.floor, **glitter))
+    gain_db = 10 * np.log10(even_power(with_glitter) / even_power(scene))
+    beam = np.degrees(np.arctan(0.6 * RADIUS / 2.0)) / 0.3  # half of what is looked at
+    rows = np.abs(RANGE_M - math.hypot(2.0, HEIGHT)) < 0.5 * RADIUS
+    gravel, plate = (
+        gain_db[rows][:, round(47.5 + at / 0.3 - beam) : round(47.5 + at / 0.3 + beam)]
+        for at in (-6.0, 6.0)
+    )
+    # Most of the gravel is as it was, but where the beam mixes it with a stone.
+    assert 0.04 < np.mean(gravel > 3) < 0.25
+    assert np.median(gravel) < 1
+    assert gravel.max() > 6
+    assert np.abs(plate).max() < 1
+    assert np.abs(gain_db[RANGE_M < 1.7]).max() < 0.1  # the floor

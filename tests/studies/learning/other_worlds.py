@@ -21,7 +21,7 @@ from sonarrec.simulation.scene import (
 
 OTHER_WORLDS = (
     *("any_floor", "relief", "light", "debris", "symbols", "wide", "other_symbols"),
-    *("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle"),
+    *("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle", "glitter"),
 )
 """Kinds, in the order in which they were added. New ones go last, because the number of a kind is
 part of the seed of its scenes.
@@ -34,10 +34,12 @@ floor. Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degre
 floor rises by up to 8 deg some way. Leaning: discs lie tilted by up to 15 deg. Silted: a tenth to
 two fifths of each disc is under silt. Ripples: in the sand around the discs. Multipath: a later
 copy of the scene, and bands, by way of the surface. Fish: singly and in schools. Vehicle: the
-sonar travels and turns, with pitch and roll."""
+sonar travels and turns, with pitch and roll. Glitter: single stones of ring and sectors, a
+twentieth to a third of their area, are 2 to 10 dB brighter than the others in the mean; in every
+second recording the floor has little speckle."""
 LEARNED_WORLDS = (
     *("any_floor", "relief", "light", "debris", "symbols", "wide"),
-    *("leaning", "ripples", "fish", "vehicle"),
+    *("leaning", "ripples", "fish", "vehicle", "glitter"),
 )
 """Kinds from which `make model` learns, in addition to those of the basin. Left out are
 other_symbols, slope, silted and multipath."""
@@ -91,6 +93,20 @@ def _debris(scene: Scene, rng: np.random.Generator) -> Scene:
     sonar = replace(scene.sonar, pulse_m=round(u(0.005, 0.02), 4))
     scene = replace(scene, floor=floor, sonar=sonar)
     return _lit(scene, u(2, 8), rng) if u() < 0.5 else scene
+
+
+def _glitter(scene: Scene, rng: np.random.Generator) -> Scene:
+    u = rng.uniform
+    plate = u(-12, 0)
+    scene = _with_levels(scene, plate, plate + u(5, 14), rng)
+    floor = replace(
+        scene.floor,
+        coherence=round(u(0, 0.5), 3) if u() < 0.5 else 1.0,
+        glitter_db=round(u(2, 10), 2),
+        glitter_m=round(u(0.008, 0.025), 4),
+        glitter_share=round(u(0.05, 0.33), 3),
+    )
+    return replace(scene, floor=floor)
 
 
 def _slope(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -258,5 +274,6 @@ _CHANGES: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
     "ripples": _ripples,
     "multipath": _with_multipath,
     "fish": _fish,
+    "glitter": _glitter,
 }
 """The function that changes a scene, by kind. random_scenes draws symbols, wide and vehicle."""

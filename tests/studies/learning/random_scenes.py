@@ -306,7 +306,7 @@ def _objects(
         names += [str(k) for k in rng.choice(LEARNED_SYMBOLS, 5)]
     elif kind == "other_symbols":
         names += [str(k) for k in rng.choice(OTHER_SYMBOLS, 5)]
-    elif kind in ("any_floor", "relief", "light", "debris", "wide"):
+    elif kind in ("any_floor", "relief", "light", "debris", "wide", "glitter"):
         names += [str(k) for k in rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
     elif kind in _FAKES:
         names += ["spokes", "half_ring", "blank", "filled"]
