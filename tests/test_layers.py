@@ -42,11 +42,11 @@ MOST_LINES = {
     "mapping": 1312,
     "overlays": 496,
     "readers": 5653,
-    "recogniser": 6689,
+    "recogniser": 6714,
     "reports": 2077,
     "results": 1794,
     "runs": 1653,
-    "simulation": 2469,
+    "simulation": 2489,
     "tables": 862,
     "truth": 1172,
 }

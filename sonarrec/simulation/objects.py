@@ -51,8 +51,8 @@ class Layers(NamedTuple):
     level: brightness over the floor, dB. owner: number of the object, -1: the floor. height: m.
     relief: standard deviation of the height, m; negative for bumps that only rise. lifted: how tall
     an object standing in the cell would have to be, for the sonar to see its top at the depression
-    of the leaning disc that shows there, m. silt: smooth noise that shapes it. glitter: by how much a cell is brighter if it is of
-    a disc's bright parts, dB.
+    of the leaning disc that shows there, m. silt: smooth noise that shapes it. glitter: by how much
+    a cell is brighter if it is of a disc's bright parts, dB.
     """
 
     level: np.ndarray
