@@ -258,6 +258,30 @@ def test_one_missing_ring_quarter_shows_in_the_weakest():
     assert described(matrix)["weakest_ring"] == pytest.approx(0 - 0.5 * (-1 + 0))
 
 
+@pytest.mark.parametrize("landmark", sorted(SECTORS))
+def test_glitter_costs_the_independent_opinion_less(landmark):
+    """One in eight of the bright cells is thrice as bright as the others."""
+    clear = drawn_matrix(landmark, 0)
+    stones = np.random.default_rng(landmark).random(clear.shape) < 0.125
+    glittering = np.where((clear == 2.0) & stones, 6.0, clear)
+    before, after = described(clear, landmark), described(glittering, landmark)
+    for name in ("correlation", "rival_misfit"):
+        lost = abs(after[name] - before[name])
+        assert abs(after[f"independent_{name}"] - before[f"independent_{name}"]) < 0.5 * lost
+
+
+@pytest.mark.parametrize(("steps", "hides"), [(5, False), (15, True), (ANGLES, False)])
+def test_an_arc_without_ring_is_hidden_but_no_gap_and_no_disc_without_a_ring(steps, hides):
+    matrix = drawn_matrix(1, 0)
+    arc = np.arange(4, 4 + steps) % ANGLES
+    matrix[:, :, arc] = 0.0  # the floor
+    hidden = DESCRIBE.hidden(matrix, np.full(matrix.shape, 8.0))[0]
+    assert hidden.any() == hides
+    if hides:
+        assert hidden[arc[3:-3]].all()
+        assert not np.delete(hidden, np.arange(1, 7 + steps)).any()
+
+
 def curves(rng: np.random.Generator, scale: float = 1.0) -> AppearanceModel:
     # As `fit` places them: a file tells knots apart that differ by 0.01.
     knots = tuple(np.unique(rng.normal(size=rng.integers(1, 6)).round(2)) for _ in FEATURES)

@@ -7,9 +7,9 @@ import pytest
 
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.description import FEATURES
-from tests.studies.learning.built_in import samples_of
+from tests.studies.learning.built_in import FOLDS, folds, samples_of
 from tests.studies.learning.random_scenes import ALL_KINDS
-from tests.studies.transfer import FOLDS, figures, folds
+from tests.studies.transfer import figures
 
 
 def test_every_kind_is_left_out_once() -> None:
@@ -32,7 +32,7 @@ def test_figures_by_hand() -> None:
 
 @pytest.mark.slow
 def test_landmarks_look_like_what_they_are() -> None:
-    samples = samples_of(("plain", 2000), every=3)
+    samples = samples_of(("plain", 2000))
     on = samples.label < samples.features.shape[1]
     assert np.count_nonzero(on) > 20
     best = samples.features[on][..., FEATURES.index("rival_misfit")].argmin(axis=1)

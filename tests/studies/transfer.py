@@ -6,67 +6,78 @@ pooling along tracks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.description import FEATURES
-from tests.studies.learning.built_in import samples_of
+from tests.studies.learning.built_in import (
+    LEAST_LIKELY,
+    both_log_odds,
+    folds,
+    joined_model,
+    opinions,
+    samples_of,
+    weights_of,
+)
 from tests.studies.learning.random_scenes import ALL_KINDS
 from tests.studies.results.record import options, save, show
 from tests.support.simulated import in_processes
 
 SEEDS = range(2000, 2004)
-EVERY = 3  # so many frames apart are those that are judged: neighbours are much the same
-FOLDS = 5
 DECLARE = 0.75
 BOLD = (0.75, 0.9)
-LEAST_LIKELY = 0.01  # a probability that is lower costs no more: else few samples decide
 FALSE_RATES = (0.001, 0.002, 0.004)  # false claims to a track in a frame
 WITHOUT: dict[str, tuple[str, ...]] = {
     "all": (),
+    "correlated noise alone": (),
     "without texture": ("texture", "texture_share"),
     "without edges": ("edge", "weakest_edge"),
     "without halves of sectors": ("weakest_bright_half_share", "strongest_dark_half_share"),
-    "without rivals": ("rival_misfit",),
-    "without structure": ("structure",),
+    "without rivals": ("rival_misfit", "independent_rival_misfit"),
+    "without structure": ("structure", "independent_structure"),
     "without the ring over the floor": ("ring_over_floor",),
 }
 """Candidates, by the features that they lack."""
+ALONE = {"correlated noise alone": np.array([1.0, 0.0, 0.0])}
+"""Those of which the weights of the opinions are given."""
 
 
-def folds(kinds: Iterable[str]) -> list[list[str]]:
-    """The kinds that are left out together, every kind once."""
-    shuffled = np.random.default_rng(5).permutation(sorted(set(kinds))).tolist()
-    return [shuffled[i::FOLDS] for i in range(FOLDS)]
+def left_out(samples: Sequence[tuple[str, Samples]], candidate: str) -> list[FloatArray]:
+    """Probabilities of every recording by a model that was learned from other kinds.
 
-
-def left_out(samples: Sequence[tuple[str, Samples]], names: Sequence[str]) -> list[FloatArray]:
-    """Probabilities of every recording by a model that was learned from other kinds, without some
-    features."""
-    columns = [i for i, name in enumerate(FEATURES) if name not in names]
+    So are the weights of the model's two opinions.
+    """
+    names = [name for name in FEATURES if name not in WITHOUT[candidate]]
+    columns = [FEATURES.index(name) for name in names]
     few = [(kind, replace(s, features=s.features[..., columns])) for kind, s in samples]
-    found: list[FloatArray] = [np.empty(0)] * len(few)
-    for fold in folds(kind for kind, _ in few):
-        model = fit([s for kind, s in few if kind not in fold])
-        for i, (kind, s) in enumerate(few):
-            if kind in fold:
-                found[i] = model.probabilities(s.features, s.smear)
-    return found
+    parts = folds(kind for kind, _ in few)
+    models = [opinions([s for kind, s in few if kind not in part], names) for part in parts]
+    part_of = [next(n for n, part in enumerate(parts) if kind in part) for kind, _ in few]
+    odds = [
+        (kind, both_log_odds(models[n], s, names), s)
+        for n, (kind, s) in zip(part_of, few, strict=True)
+    ]
+    joined = []
+    for n in range(len(parts)):
+        others = [one for one, part in zip(odds, part_of, strict=True) if part != n]
+        weights = ALONE[candidate] if candidate in ALONE else weights_of(others)
+        joined.append(joined_model(models[n], weights, names))
+    return [
+        joined[n].probabilities(s.features, s.smear) for n, (_, s) in zip(part_of, few, strict=True)
+    ]
 
 
 def figures(
-    samples: Sequence[tuple[str, Samples]], probabilities: Sequence[FloatArray]
+    samples: Sequence[tuple[str, Samples]], beliefs: Sequence[FloatArray]
 ) -> dict[str, str]:
     """Log loss (a mean over kinds of scene), rates, and how honest bold beliefs are."""
     losses: dict[str, list[float]] = {}
     belief, right, on = [], [], 0
-    for (kind, s), p in zip(samples, probabilities, strict=True):
+    for (kind, s), p in zip(samples, beliefs, strict=True):
         true = p[np.arange(len(p)), s.label]
         losses.setdefault(kind, []).extend(-np.log(np.maximum(true, LEAST_LIKELY)))
         best = p[:, :-1].argmax(axis=1)
@@ -99,11 +110,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--only", nargs="*", choices=WITHOUT, default=list(WITHOUT))
     asked = parser.parse_args(arguments)
     wanted = [(kind, n) for kind in ALL_KINDS for n in asked.seeds]
-    made = in_processes(partial(samples_of, every=EVERY), wanted)
+    made = in_processes(samples_of, wanted)
     samples = [(kind, one) for (kind, _), one in zip(wanted, made, strict=True)]
     table = []
     for name in asked.only:
-        found = figures(samples, left_out(samples, WITHOUT[name]))
+        found = figures(samples, left_out(samples, name))
         table.append({"features": name, "number": len(FEATURES) - len(WITHOUT[name]), **found})
     show("Kinds of the simulator, each left out of learning", table)
     save(asked.record)

@@ -19,7 +19,7 @@ from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
-from sonarrec.recogniser.stage3.description import Describer
+from sonarrec.recogniser.stage3.description import Describer, Description
 from sonarrec.recogniser.stage3.opinions import TrackBelief
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, whole_steps
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
@@ -32,6 +32,8 @@ LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 # likelier an object than not. Its picture changes little from frame to frame: once it has more than
 # SETTLED frames, every third is judged, and between them the last judgement counts.
 SETTLED, JUDGED_EVERY, LEAST_EXISTENCE = 8, 3, 0.5
+# Arcs that something hides are left out where an ID is likely: it has this probability.
+LIKELY = 0.4
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
 
 
@@ -145,7 +147,7 @@ class AppearanceMeasurement:
             evidence.brightness[due], evidence.count[due], tracked.existence[due], smear[due]
         )
         now = _Judged(
-            self._model.probabilities(description.features, smear[due]),
+            self._probabilities(description, evidence, tracked.existence, smear, due),
             description.rotation + steps[due, None],
             description.rotation_sigma,
         )
@@ -157,6 +159,38 @@ class AppearanceMeasurement:
         self._earlier = _Judged(*(getattr(judged, f.name)[of_kept] for f in fields(judged)))
         self._rows = {key: i for i, key in enumerate(kept, 1)}
         return judged, row
+
+    def _probabilities(
+        self,
+        description: Description,
+        evidence: Evidence,
+        existence: FloatArray,
+        smear: FloatArray,
+        due: Sequence[int],
+    ) -> FloatArray:
+        """(m, K + 1) by the model, of the objects that are due; description: of these.
+
+        What lies under silt is not dark: an ID keeps the smaller of its probabilities with and
+        without the arcs where no ring shows.
+        """
+        probabilities = self._model.probabilities(description.features, smear[due])
+        if self._model.every_frame:
+            return probabilities
+        likely = np.flatnonzero(probabilities[:, :-1].max(axis=1, initial=0) >= LIKELY)
+        if not len(likely):
+            return probabilities
+        row = np.asarray(due)[likely]
+        hidden = self._describe.hidden(evidence.brightness[row], evidence.count[row])
+        some = hidden.any(axis=1)
+        if some.any():
+            likely, row, hidden = likely[some], row[some], hidden[some]
+            shown = evidence.count[row] * ~hidden[:, None]
+            parts = self._describe(evidence.brightness[row], shown, existence[row], smear[row])
+            least = self._model.probabilities(parts.features, smear[row])
+            np.minimum(least, probabilities[likely], out=least)
+            least[:, -1] = 1 - least[:, :-1].sum(axis=1)
+            probabilities[likely] = least
+        return probabilities
 
     def _smear(self, positions: FloatArray) -> FloatArray:
         """(n,) the beam's standard deviation across the line of sight, in disc radii.

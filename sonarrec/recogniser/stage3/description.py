@@ -8,7 +8,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3.expected_symbol import expected_symbols
+from sonarrec.recogniser.stage3.expected_symbol import SymbolFit, expected_symbols
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands, rotated_codes
 
 # Levels are in standard deviations of the grey levels around the object (see ShapeSampler). Those
@@ -44,7 +44,15 @@ FEATURES = (
     "ring_texture_share",  # standard deviation along the ring
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
+    # The first three again, by the fit under INDEPENDENT noise.
+    "independent_correlation",
+    "independent_rival_misfit",
+    "independent_structure",
 )
+# Two opinions on noise: correlated between neighbouring cells, as speckle is that stays with the
+# floor, or independent from cell to cell, as single stones glitter on bright sectors. The second
+# limits glitter: no cell counts as brighter than this percentile of the symbol's cells.
+INDEPENDENT, GLITTER_PERCENTILE = 0.0, 80
 BEST_FIT = 0.995  # largest correlation that counts
 LEAST_CONTRAST = 0.3  # least contrast of the ring by which features are divided
 # The neighbours of each step, and their neighbours, which the smear of an edge hardly reaches.
@@ -52,6 +60,9 @@ BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
 # (ANGLES, ANGLES): column i is 1 over the quarter circle that begins at step i.
 QUARTERS = np.stack([np.roll(np.arange(ANGLES) < ANGLES // 4, i) for i in range(ANGLES)], 1) * 1.0
+# An arc of HIDDEN_STEPS or more is hidden where the ring, averaged over RING_STEPS, has less than
+# HIDDEN_SHARE of its contrast on its better parts (its upper quartile).
+HIDDEN_STEPS, RING_STEPS, HIDDEN_SHARE = 9, 7, 0.3
 ROTATION_SIGMA = 0.12  # scale of the standard error; tuning seeds, checked by `make scenes`
 LIMIT = 9.0  # largest magnitude of every feature
 
@@ -133,6 +144,8 @@ class Describer:
         # As a beam sees them: sector edges smeared over a step.
         self._codes = 0.5 * codes + 0.25 * (codes[..., BEFORE] + codes[..., AFTER])
         self._expected = expected_symbols(landmarks, correlation_length)
+        self._independent = expected_symbols(landmarks, INDEPENDENT)
+        self._symbol = bands.symbol
         # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
         self._edges = codes[..., AFTER] - codes[..., BEFORE]
         table = np.asarray(landmarks.sectors, dtype=bool)
@@ -152,16 +165,15 @@ class Describer:
         count = count * self._area
         bands = self._bands(average, count)
         lines = self._expected.lines
-        fit = self._expected.fit(average[:, lines], count[:, lines] > 0, smear)
-        rotation = fit.rotation  # (n, K)
-        best = fit.correlation[
-            np.arange(len(rotation))[:, None], rotation, np.arange(rotation.shape[1])
-        ]
+        cells, seen = average[:, lines], count[:, lines] > 0
+        fit = self._expected.fit(cells, seen, smear)
+        brightest = _brightest(average[:, self._symbol], count[:, self._symbol])
+        second = self._independent.fit(np.minimum(cells, brightest), seen, smear)
+        rotation, best = fit.rotation, fit.best  # (n, K)
         # (n, K), or (n,) if equal for every ID
         values = {
-            "correlation": best,
-            "rival_misfit": np.log(_unexplained(best) / _unexplained(fit.rival)[:, None]),
-            "structure": fit.structure,
+            **_of_fit(fit),
+            **{f"independent_{name}": value for name, value in _of_fit(second).items()},
             **self._of_symbol(average, count, bands, rotation),
             **_of_ring(bands, frames),
             "log_frames": np.log(frames),
@@ -173,6 +185,22 @@ class Describer:
             features[:, :, i] = value if value.ndim == 2 else value[:, None]
         exact, rotation_sigma = _exact_rotation(fit.correlation, rotation, best)
         return Description(np.clip(features, -LIMIT, LIMIT), exact, rotation_sigma)
+
+    def hidden(self, average: FloatArray, count: FloatArray) -> BoolArray:
+        """(n, ANGLES) the directions in which something covers the disc, as its ring shows.
+
+        average, count: (n, L, ANGLES), from TrackMatrix.
+        """
+        _, ring, gap, outer = self._bands(average, count * self._area).profiles
+        around = np.arange(ANGLES)[:, None] + np.arange(RING_STEPS) - RING_STEPS // 2
+        contrast = (ring - 0.5 * (gap + outer))[:, around % ANGLES].mean(axis=2)
+        better = np.maximum(np.quantile(contrast, 0.75, axis=1), LEAST_CONTRAST)
+        weak = contrast < HIDDEN_SHARE * better[:, None]
+        # An opening: what is covered by windows of HIDDEN_STEPS that lie within weak arcs.
+        window = (np.arange(ANGLES)[:, None] + np.arange(HIDDEN_STEPS)) % ANGLES
+        begins = weak[:, window].all(axis=2)
+        covered = begins[:, (np.arange(ANGLES)[:, None] - np.arange(HIDDEN_STEPS)) % ANGLES]
+        return np.asarray(covered.any(axis=2) & ~weak.all(axis=1, keepdims=True))
 
     def _bands(self, average: FloatArray, count: FloatArray) -> _BandAverages:
         """The matrices' bands: the mean over each one's lines, and how often cells were seen."""
@@ -226,6 +254,24 @@ class Describer:
             "texture": texture,
             "texture_share": texture * share,
         }
+
+
+def _of_fit(fit: SymbolFit) -> dict[str, FloatArray]:
+    """The features of a fit, each (n, K)."""
+    return {
+        "correlation": fit.best,
+        "rival_misfit": np.log(_unexplained(fit.best) / _unexplained(fit.rival)[:, None]),
+        "structure": fit.structure,
+    }
+
+
+def _brightest(symbol: FloatArray, count: FloatArray) -> FloatArray:
+    """(n, 1, 1) the GLITTER_PERCENTILE of the seen cells of (n, L, ANGLES); infinite if none is."""
+    cells = symbol.shape[1] * ANGLES
+    values = np.sort(np.where(count > 0, symbol, np.inf).reshape(len(symbol), cells), axis=1)
+    last = np.maximum((count > 0).sum(axis=(1, 2)) - 1, 0)
+    index = np.rint(last * GLITTER_PERCENTILE / 100).astype(int)
+    return np.asarray(values[np.arange(len(values)), index][:, None, None])
 
 
 def _of_ring(bands: _BandAverages, frames: FloatArray) -> dict[str, FloatArray]:

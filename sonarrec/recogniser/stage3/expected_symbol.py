@@ -86,6 +86,12 @@ class SymbolFit:
     rotation: IndexArray
     structure: FloatArray
 
+    @property
+    def best(self) -> FloatArray:
+        """(n, K) the correlation with each ID at its best rotation."""
+        at = self.rotation[:, None]
+        return np.asarray(np.take_along_axis(self.correlation, at, axis=1)[:, 0])
+
 
 @dataclass(frozen=True, slots=True)
 class _Products:
@@ -284,7 +290,7 @@ class ExpectedSymbols:
         return np.concatenate([ids, cross.reshape(cells, CROSS_ROTATIONS), rivals], axis=1)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)  # two opinions on noise
 def expected_symbols(landmarks: LandmarkSet, correlation_length: float) -> ExpectedSymbols:
     """The expected symbols of a set on the lines of its shape matrices.
 
