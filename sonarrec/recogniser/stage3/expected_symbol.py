@@ -133,6 +133,7 @@ class ExpectedSymbols:
         self._broad = _broad(self._radii, landmarks.symbol[1])
         self._whitened_broad = self._precision @ self._broad
         self._of_broad = self._broad.T @ self._whitened_broad
+        self._inverse_of_broad = _steady_inverse(self._of_broad)
         # Only the smears that occur in a log are computed.
         self._expected = cache(self._whitened)
         self._broad_in_ids = cache(self._broad_in)
@@ -153,17 +154,20 @@ class ExpectedSymbols:
         for step in set(steps.tolist()):
             of = steps == step
             symbols[of] = values[of] @ self._expected(step)
-        products = _Products(
-            own=(whitened * values).sum(axis=1),
-            symbols=symbols,
-            patterns=whitened @ self._broad,
-            inverse=np.repeat(_steady_inverse(self._of_broad)[None], len(cells), axis=0),
-            of_ids={},
-        )
         # Objects with the same unseen cells, as one track in many frames, share most of the work.
         equally_seen: dict[tuple[int, bytes], list[int]] = {}
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)).tolist():
             equally_seen.setdefault((int(steps[i]), seen[i].tobytes()), []).append(i)
+        inverse = np.broadcast_to(
+            self._inverse_of_broad, (len(cells), *self._inverse_of_broad.shape)
+        )
+        products = _Products(
+            own=(whitened * values).sum(axis=1),
+            symbols=symbols,
+            patterns=whitened @ self._broad,
+            inverse=inverse.copy() if equally_seen else inverse,
+            of_ids={},
+        )
         for (step, _), of_step in equally_seen.items():
             hidden = np.flatnonzero(~seen[of_step[0]])
             self._leave_out(hidden, products, np.array(of_step), whitened, step)
