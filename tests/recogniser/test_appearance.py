@@ -282,6 +282,12 @@ def test_an_arc_without_ring_is_hidden_but_no_gap_and_no_disc_without_a_ring(ste
         assert not np.delete(hidden, np.arange(1, 7 + steps)).any()
 
 
+def test_a_ring_as_dark_as_the_floor_hides_nothing():
+    matrix = drawn_matrix(1, 0, bright=0.0, dark=-2.0)
+    matrix[:, SAMPLER.bands.ring, :18] = -0.3  # the floor's own unevenness
+    assert not DESCRIBE.hidden(matrix, np.full(matrix.shape, 8.0)).any()
+
+
 def curves(rng: np.random.Generator, scale: float = 1.0) -> AppearanceModel:
     # As `fit` places them: a file tells knots apart that differ by 0.01.
     knots = tuple(np.unique(rng.normal(size=rng.integers(1, 6)).round(2)) for _ in FEATURES)

@@ -193,7 +193,9 @@ class Describer:
         """
         _, ring, gap, outer = self._bands(average, count * self._area).profiles
         around = np.arange(ANGLES)[:, None] + np.arange(RING_STEPS) - RING_STEPS // 2
-        contrast = (ring - 0.5 * (gap + outer))[:, around % ANGLES].mean(axis=2)
+        # A ring may be as dark as the floor, and wide beams fill the gap: either contrast will do.
+        contrast = ring - np.minimum(gap, 0.5 * (gap + outer))
+        contrast = contrast[:, around % ANGLES].mean(axis=2)
         better = np.maximum(np.quantile(contrast, 0.75, axis=1), LEAST_CONTRAST)
         weak = contrast < HIDDEN_SHARE * better[:, None]
         # An opening: what is covered by windows of HIDDEN_STEPS that lie within weak arcs.
