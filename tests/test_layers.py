@@ -42,7 +42,7 @@ MOST_LINES = {
     "mapping": 1312,
     "overlays": 496,
     "readers": 5653,
-    "recogniser": 6714,
+    "recogniser": 6807,
     "reports": 2077,
     "results": 1794,
     "runs": 1653,
