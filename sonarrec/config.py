@@ -59,7 +59,7 @@ class Candidates:
         "all N pixels, which no recording reaches); ring: see ring_full_contrast",
     )
     ring_full_contrast: Annotated[float, bounds(0.01)] = _setting(
-        1.7, "speckle sigmas", "ring: mean contrast of ring over surroundings that scores 1"
+        1.6, "speckle sigmas", "ring: mean contrast of ring over surroundings that scores 1"
     )
     min_visible: Annotated[float, bounds(0.01, 1)] = _setting(
         0.35, "share", "least share of the ring inside the fan"

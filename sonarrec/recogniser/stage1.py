@@ -26,10 +26,10 @@ from sonarrec.records import Fan, Selection
 GAP_MARGIN = 0.03
 OUTSIDE = (1.08, 1.35)
 # Weight of the gap in that comparison; the floor outside has the rest. A ring always stands out
-# from its plate, whatever the floor is like (0.75 finds fewer of the rings that are darker than the
-# floor, 0.9 no more, at as many candidates; tuning seeds); but beams as wide as the gap fill it
-# with echoes of ring and symbol.
-GAP_SHARE, FILLED_GAP_SHARE = 0.85, 0.5
+# from its plate, whatever the floor is like; but beams as wide as the gap fill it with echoes of
+# ring and symbol. A share of 0.85 finds more rings that are darker than the floor (candidates near
+# them .48 -> .74 and .96 -> .94 in two sets of tuning seeds), and more false ones.
+GAP_SHARE, FILLED_GAP_SHARE = 0.75, 0.5
 # Widths of the gap, in beams at the middle of the window, at which it is filled, and is clear.
 FILLED_BEAMS, CLEAR_BEAMS = 1.0, 1.5
 BLUR_PX = 13  # side of the Gaussian kernel before Canny; by hand
