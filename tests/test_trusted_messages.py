@@ -321,7 +321,9 @@ def test_times_in_another_unit_are_refused(here: Path, pan: Path, unit: str, ns:
         assert re.search(rf"only in {unit}\n", checked)
 
 
-def test_a_part_that_is_labelled_is_run_by_the_command_that_is_named(here: Path) -> None:
+def test_a_part_that_is_labelled_is_run_by_the_command_that_is_named(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """`run --frames 0:64` had no log, and would have replaced the results of all frames."""
     shutil.copytree(SAMPLE, "my pan")
     sonarrec("run", "my pan", "-q", "-o", "all out")
@@ -335,6 +337,10 @@ def test_a_part_that_is_labelled_is_run_by_the_command_that_is_named(here: Path)
     (words,) = commands(told)
     assert len(read_rows(Path(words[-1]) / "my pan" / "frames.csv")) == 64
     sonarrec("evaluate", words[-1], "--ground-truth", truth)
+    monkeypatch.chdir(results)  # the results as "." are those of the same log
+    (again,) = commands(sonarrec("evaluate", ".", "--ground-truth", truth, code=3).stderr)
+    assert not Path(again[-1]).resolve().is_relative_to(results.resolve())
+    monkeypatch.chdir(here)
 
 
 # --- Rings of another radius ---------------------------------------------------------------------

@@ -53,9 +53,10 @@ def doubts(
     if reason:
         yield f"{path}: its rows fit the claims in {name} clearly better {reason}; which is right?"
     elif reason is not None or not seen.claims_met:
+        claimed = seen.claims or len(both.claims.frame)  # all, if none is on a frame with a row
         yield (
             f"{path}: {seen.rows_met} of {number_of(seen.rows, 'row')} on {name} and "
-            f"{seen.claims_met} of {number_of(seen.claims, 'claim')} of {matched.methods[0]} meet; "
+            f"{seen.claims_met} of {number_of(claimed, 'claim')} of {matched.methods[0]} meet; "
             "is this its truth, and are positions, times and units right?"
         )
     elif len(matched.truth_frame_index):

@@ -86,7 +86,18 @@ def is_file(path: Path) -> bool:
 
 def part_of(folder: Path) -> Path:
     """The folder that a run writes; at its end it replaces `folder`."""
+    folder = _named(folder)
     return folder.with_name(folder.name + PART)
+
+
+def parent_of(folder: Path) -> Path:
+    """The folder that holds the results of several logs, of which `folder` is one."""
+    return _named(folder).parent
+
+
+def _named(folder: Path) -> Path:
+    """The folder by its name, also where it is given as "." or ".."."""
+    return folder.resolve() if folder.name in ("", "..") else folder
 
 
 def rerun_left(folder: Path) -> list[str]:

@@ -46,7 +46,7 @@ from sonarrec.results.columns import (
     leading,
     needed,
 )
-from sonarrec.results.folders import log_of, part_of
+from sonarrec.results.folders import log_of, parent_of, part_of
 from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, rows_lost
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import stretch_numbers
@@ -459,7 +459,7 @@ def check_same_log(log: Any, folder: Path, run: RunFile) -> None:
             raise SonarrecError(
                 f"{folder}: results of another log, {made_from.path or made_from.name}, or of "
                 f"{log.path} before its files changed; give the log they were made from, or "
-                f"{command_line('run', log.path, '-o', free_name(folder.parent))}"
+                f"{command_line('run', log.path, '-o', free_name(parent_of(folder)))}"
             )
     elif log.frame_count is not None:
         last = read_frames(folder)["frame"].max(initial=-1)

@@ -20,7 +20,7 @@ from sonarrec.errors import SonarrecError, UsageError, command_line, number_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import VERSION, Clock, Fan
-from sonarrec.results.folders import TABLES, is_file
+from sonarrec.results.folders import TABLES, is_file, parent_of
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.tables.outputs import free_name
 from sonarrec.tables.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of
@@ -227,7 +227,7 @@ def rerun(log: Path, run: Path, *options: object, poses: object = None) -> str:
     table of the run, which its run.toml does not hold.
     """
     given = () if poses is None else ("--odometry", poses)
-    results, how = run.parent.parent, re.sub(r"\W+", "-", str(options[-1]))
+    results, how = parent_of(run.parent), re.sub(r"\W+", "-", str(options[-1]))
     out = free_name(results.parent / f"{results.resolve().name}_{how}")
     return command_line("run", log, "--config", run, *options, *given, "-o", out)
 
