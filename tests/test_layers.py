@@ -29,21 +29,21 @@ FLOORS = (
 )
 """The rooms from the ground up. A room imports from floors below its own; of its own, itself."""
 PARTS = (
-    *("evaluation.match", "evaluation.mistakes", "evaluation.passes", "evaluation.curves"),
-    *("evaluation.count", "evaluation.uncertainty", "evaluation.figures"),
+    *("evaluation.rows", "evaluation.mistakes", "evaluation.counts"),
+    *("evaluation.uncertainty", "evaluation.figures"),
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "cli": 2822,
     "drawing": 673,
-    "evaluation": 4022,
+    "evaluation": 3608,
     "geometry": 415,
     "learning": 554,
     "mapping": 1312,
     "overlays": 496,
     "readers": 5653,
     "recogniser": 6807,
-    "reports": 2077,
+    "reports": 2079,
     "results": 1805,
     "runs": 1653,
     "simulation": 2489,
@@ -68,6 +68,9 @@ MAY_IMPORT = {
     "pandas": (
         "tables.read",
         "results.read",
+        "evaluation.counts",
+        "evaluation.figures",
+        "evaluation.plots",
         "evaluation.write",
         "evaluation.compare",
         "mapping.write",
@@ -296,9 +299,9 @@ def test_imports_run_downward_only() -> None:
         ),
         ("evaluation.pairs", "from sonarrec.evaluation import evaluate", "import each other"),
         (
-            "evaluation.match",
-            "from sonarrec.evaluation import passes",
-            "uphill from evaluation.passes",
+            "evaluation.rows",
+            "from sonarrec.evaluation import counts",
+            "uphill from evaluation.counts",
         ),
         ("runs.one", "import click", "runs.one must not import click"),
         (

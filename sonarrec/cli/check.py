@@ -189,8 +189,8 @@ def _compare(
 ) -> dict[str, Comparison]:
     """Compare the new results with old ones, those of each landmark set by themselves."""
     from sonarrec.evaluation.compare import compare_sets
-    from sonarrec.evaluation.match import ScoringOptions
     from sonarrec.evaluation.pairs import Pair
+    from sonarrec.evaluation.rows import ScoringOptions
 
     pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
     scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)

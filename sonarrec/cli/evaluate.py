@@ -16,7 +16,7 @@ from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.compare import Limits
-    from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.evaluation.rows import ScoringOptions
 
 
 @command(short_help="Score results against ground truth, or compare them.")
@@ -103,7 +103,7 @@ def evaluate(
         )
         notes, unused, folder = scored.notes, scored.unused, out or beside / "evaluation"
         files = write_evaluation(folder, scored)
-        worse = limits.broken(scored.counts.scored)
+        worse = limits.broken(scored.counts)
         document = json_text(scored) if as_json else ""
         shown = screen(scored, details) + "\n"
     tell(unused)

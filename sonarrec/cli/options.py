@@ -30,7 +30,7 @@ from sonarrec.records import Clock
 if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.evaluation.compare import Limits
-    from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.evaluation.rows import ScoringOptions
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.sonar import Sonar
 
@@ -296,7 +296,7 @@ _SCORING = {
 
 
 def _scoring(values: dict[str, Any]) -> ScoringOptions:
-    from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.evaluation.rows import ScoringOptions
 
     sonar = _stated_in(values)
     return ScoringOptions(sonar=sonar, **{k: v for k, v in values.items() if k != "sonar_file"})

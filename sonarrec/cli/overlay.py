@@ -136,7 +136,7 @@ def _worst(
     """The longest mistakes of a method, at most `most` in all: (results, truth, mistakes) of each
     log that has one."""
     from sonarrec.evaluation.evaluate import evaluate_logs
-    from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.evaluation.rows import ScoringOptions
     from sonarrec.sonar import load_sonar
 
     file = reading["sonar_file"]

@@ -13,7 +13,7 @@ from sonarrec.cli.groups import ANY, NEW_FILE, command, in_input
 from sonarrec.errors import number_of
 
 if TYPE_CHECKING:
-    from sonarrec.evaluation.match import ScoringOptions
+    from sonarrec.evaluation.rows import ScoringOptions
 
 
 @command(short_help="Write results as one HTML page.")

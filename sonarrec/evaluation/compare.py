@@ -7,7 +7,7 @@ that means. `evaluate --compare`, `check` and limits rest on both.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,13 +16,12 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
-from sonarrec.evaluation.count import Counts, Scored
-from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.evaluate import LogToScore, lacks, score_logs
-from sonarrec.evaluation.figures import BY_NAME, MAIN, draws, few_units, rates_of, units_text
-from sonarrec.evaluation.match import ScoringOptions, scoring_options
+from sonarrec.evaluation.figures import MAIN, METRICS, differences, few_units, rates, units_text
 from sonarrec.evaluation.pairs import Pair, find_truths_beside, pair_up, read_pairs
-from sonarrec.evaluation.uncertainty import differences
+from sonarrec.evaluation.rows import ScoringOptions, scoring_options
+from sonarrec.evaluation.uncertainty import draws
 from sonarrec.evaluation.write import write_table
 from sonarrec.records import follows
 from sonarrec.results.columns import chosen
@@ -32,7 +31,7 @@ from sonarrec.tables.outputs import check_no_recording, check_tables, writing
 
 FRAMES_FREE = 2
 """So many frames may get worse, whatever the band: 2 of 24 are no trend, though they are .083."""
-RATES = ("tpr", "fpr")
+RATES = ["tpr", "fpr"]
 """Those that a judgement rests on."""
 SAME = 5e-5
 """Without a band: a smaller change of a rate does not show in its digits."""
@@ -40,13 +39,17 @@ SIGNIFICANT = 0.05
 """The largest p that is not told as possibly due to chance."""
 EACH = ""
 """Stands for every method that is looked at, in the limits."""
-TOTAL = "total"
 MOST_NAMED = 3
 """Logs that a sentence names."""
 MOST_ROWS = 24
 """Of the table; if there are more, those of logs that are not worse are left out."""
 MOST_PASSES = 6
 """Changed passes that are listed."""
+COMPARE = [
+    *("protocol", "method", "landmark", "rate", "old", "new", "worse_by", "of"),
+    *("log", "low", "high", "p", "units", "note"),
+]
+"""Columns of compare.csv. low, high and p are of the difference; of: the cases of the rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,93 +78,24 @@ class Limits:
             raise UsageError(f"method {unknown[0]}: the results have no such method, but {has}")
         return self.methods or tuple(filter(follows, there)) or there
 
-    def broken(self, scored: Sequence[Scored], looked_at: Sequence[str] = ()) -> list[str]:
+    def broken(self, counts: Counts, looked_at: Sequence[str] = ()) -> list[str]:
         """A line for each absolute limit that the results do not keep.
 
         looked_at: methods; empty: as of `looked_at`, which raises UsageError for one not there.
         """
-        looked_at = looked_at or self.looked_at(s.method for s in scored)
-        protocol = max(s.protocol for s in scored)  # strict, if it is scored
-        lines = []
-        for s in scored if self.are_given else ():
-            for name, limits in (("TPR", self.least_tpr), ("FPR", self.most_fpr)):
-                limit = limits.get(s.method, limits.get(EACH) if s.method in looked_at else None)
-                if limit is None or s.protocol != protocol:
-                    continue
-                rate = getattr(s.count(), name.lower())
+        looked_at = looked_at or self.looked_at(counts.methods)
+        protocol, lines = counts.protocols[-1], []  # strict, if it is scored
+        for method in counts.methods:
+            for name, limits in (("tpr", self.least_tpr), ("fpr", self.most_fpr)):
+                limit = limits.get(method, limits.get(EACH) if method in looked_at else None)
+                rate = getattr(counts.count(method, protocol), name)
                 # A TPR of 0/0 shows nothing, so it keeps no limit.
-                if not rate >= limit if name == "TPR" else rate > limit:
-                    beyond = f"{'below' if name == 'TPR' else 'above'} {limit:g}"
-                    told = f"{name} {rate_text(rate)} ({s.method}, {protocol}) is {beyond}"
-                    lines.append(f"limit not kept: {told}")
+                if limit is None or (rate >= limit if name == "tpr" else not rate > limit):
+                    continue
+                beyond = f"{'below' if name == 'tpr' else 'above'} {limit:g}"
+                told = f"{METRICS[name].label} {rate_text(rate)} ({method}, {protocol})"
+                lines.append(f"limit not kept: {told} is {beyond}")
         return lines
-
-
-class Change(NamedTuple):
-    """A rate of one method, before and now; low, high and p are of the difference."""
-
-    protocol: str
-    method: str
-    landmark: str
-    """An ID or "total"."""
-    rate: str
-    """Name of a metric of MAIN."""
-    old: float
-    new: float
-    """NaN where 0/0."""
-    of: int
-    """The denominator: how many cases the rate is over."""
-    log: str = ""
-    """"": over all logs."""
-    low: float = math.nan
-    high: float = math.nan
-    p: float = math.nan
-    units: int = 0
-    note: str = ""
-    """Why there is no interval or no test."""
-
-    @property
-    def worse(self) -> float:
-        """By how much it got worse; negative if it got better. 0/0 counts as 0."""
-        up = float(np.nan_to_num(self.new) - np.nan_to_num(self.old))
-        return up if self.rate == "fpr" else -up
-
-    def sign(self, band: float | None) -> int:
-        """1 if it got worse by more than `band` and than FRAMES_FREE frames, -1 if better, or 0."""
-        least = SAME if band is None else max(band, FRAMES_FREE / max(self.of, 1)) + 1e-9
-        return int(np.sign(self.worse)) * (abs(self.worse) >= least)
-
-    @property
-    def text(self) -> str:
-        """The rate before and now; once if its digits are the same."""
-        old, new = rate_text(self.old), rate_text(self.new)
-        return old if old == new else f"{old} -> {new}"
-
-
-def rate_text(rate: float) -> str:
-    """A rate to four digits, or "0/0"."""
-    return "0/0" if math.isnan(rate) else f"{rate:.4f}"
-
-
-class Row(NamedTuple):
-    """The rates of one method under one protocol: of a log, or of all (TOTAL)."""
-
-    log: str
-    method: str
-    protocol: str
-    tpr: Change
-    fpr: Change
-    mark: str
-    """"worse", "better", or "" if no rate changed by more than the band. With a band "worse" if
-    either rate is; without, the rate that changed more decides."""
-
-    @property
-    def text(self) -> str:
-        """Such as "TPR 0.9861 -> 0.6903 (framework, strict)": what changed, or both rates."""
-        rates = {"TPR": self.tpr.text, "FPR": self.fpr.text}
-        changed = {name: text for name, text in rates.items() if "->" in text}
-        told = ", ".join(f"{name} {text}" for name, text in (changed or rates).items())
-        return f"{told} ({self.method}, {self.protocol})"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -173,8 +107,8 @@ class Comparison:
     """Of the same logs, frames and passes."""
     methods: tuple[tuple[str, str], ...]
     """(protocol, method) of those in both results, the leading method first."""
-    rates: tuple[Change, ...]
-    """Per ID and in total; of several logs also of each."""
+    rates: pd.DataFrame
+    """COMPARE: per ID and in total; of several logs also of each."""
     lost: tuple[str, ...]
     """Methods that only the old results have."""
     gained: tuple[str, ...]
@@ -194,8 +128,9 @@ class Comparison:
 
     @property
     def figures(self) -> pd.DataFrame:
-        """The rates as in compare.csv, with interval and p of the difference."""
-        return pd.DataFrame(_rows_of(self), columns=list(COMPARE))
+        """The rates as in compare.csv: those known in the old or the new results."""
+        known = self.rates.old.notna() | self.rates.new.notna()
+        return self.rates[known].reset_index(drop=True)
 
     def __repr__(self) -> str:
         return f"<{self.verdict}>"
@@ -291,7 +226,7 @@ def _compared(
         before=before,
         after=after,
         methods=compared,
-        rates=tuple(_changes(before, after, compared)),
+        rates=_rates(before, after, compared),
         lost=tuple(m for m in methods if m not in after.methods),
         gained=tuple(m for m in methods if m not in before.methods),
         notes=(*told.notes, *few_units(after)),
@@ -328,54 +263,76 @@ def _logs(
     return logs
 
 
-def _changes(
-    before: Counts, after: Counts, compared: Sequence[tuple[str, str]]
-) -> Iterator[Change]:
+def _rates(before: Counts, after: Counts, compared: Sequence[tuple[str, str]]) -> pd.DataFrame:
     """The rates of MAIN per ID and in total, with tests; then of each of several logs."""
-    weights, tosses = draws(after.units)
+    weights, tosses = draws(after.units.number)
+    by = ["protocol", "method", "log", "landmark", "rate"]
+    joined = _long(before).merge(_long(after), on=by, suffixes=("_old", ""))
+    joined = joined.rename(columns={"value_old": "old", "value": "new"}).drop(columns="of_old")
+    tables = []
     for protocol, method in compared:
-        was, now = (side.scored_by(method, protocol) for side in (before, after))
         # One ID at a time, since the curves of many logs are long.
-        for a, b in zip(rates_of(before, was), rates_of(after, now), strict=True):
-            for d in differences(a, b, weights, tosses):
-                if d.name in MAIN:
-                    yield Change(
-                        protocol=protocol,
-                        method=method,
-                        landmark=d.landmark,
-                        rate=d.name,
-                        old=d.value_a,
-                        new=d.value_b,
-                        of=_cases(now.named_counts()[d.landmark], d.name),
-                        low=d.low,
-                        high=d.high,
-                        p=d.p,
-                        units=d.units,
-                        note=d.note,
-                    )
-        for n, log in enumerate(after.logs if len(after.logs) > 1 else ()):
-            for rate in RATES:
-                old, new = was.count(log=n), now.count(log=n)
-                yield Change(
-                    protocol=protocol,
-                    method=method,
-                    landmark=TOTAL,
-                    rate=rate,
-                    old=getattr(old, rate),
-                    new=getattr(new, rate),
-                    of=_cases(new, rate),
-                    log=log,
-                )
+        sides = zip(*(rates(side, method, protocol) for side in (before, after)), strict=True)
+        tests = [d for a, b in sides for d in differences(a, b, weights, tosses)]
+        test = pd.DataFrame(tests).assign(method=method, log="").rename(columns={"figure": "rate"})
+        test = test.rename(columns={"value_a": "old", "value_b": "new"})
+        mine = joined[(joined.protocol == protocol) & (joined.method == method)]
+        cases = mine[[*by, "of"]]
+        # An area is over as many cases as the TPR.
+        cases = pd.concat([cases, cases[cases.rate == "tpr"].assign(rate="auc")])
+        tables.append(test[test.rate.isin(MAIN)].merge(cases, on=by))
+        if len(after.logs) > 1:
+            each = mine[(mine.log != "") & (mine.landmark == TOTAL)]
+            tables.append(each.assign(units=0, note=""))
+    found = pd.concat(tables, ignore_index=True)
+    up = found.new.fillna(0) - found.old.fillna(0)  # 0/0 counts as 0
+    return found.assign(worse_by=up.where(found.rate == "fpr", -up))[COMPARE]
 
 
-def _larger(tpr: Change, fpr: Change) -> Change:
-    """The rate that changed more."""
-    return max(tpr, fpr, key=lambda rate: abs(rate.worse))
+def _long(counts: Counts) -> pd.DataFrame:
+    """A row for each rate of `confusion`: its value, and of how many cases."""
+    table = counts.confusion
+    cases = pd.DataFrame({"tpr": table.tp + table.fn, "fpr": table.fp + table.tn})
+    columns = {"value": table[RATES], "of": cases}
+    long = {name: of.rename_axis(columns="rate").stack() for name, of in columns.items()}
+    return pd.DataFrame(long).reset_index()
 
 
-def _cases(count: Count, rate: str) -> int:
-    """The denominator of a rate."""
-    return count.fp + count.tn if rate == "fpr" else count.tp + count.fn
+class Row(NamedTuple):
+    """The rates of one method under one protocol: of a log, or of all (TOTAL)."""
+
+    log: str
+    method: str
+    protocol: str
+    tpr: Any
+    fpr: Any
+    """Rows of Comparison.rates, with sign: 1 if worse by more than the band, -1 if better, or 0."""
+    mark: str
+    """"worse", "better", or "" if no rate changed by more than the band. With a band "worse" if
+    either rate is; without, the rate that changed more decides."""
+
+    @property
+    def text(self) -> str:
+        """Such as "TPR 0.9861 -> 0.6903 (framework, strict)": what changed, or both rates."""
+        texts = [f"{METRICS[rate.rate].label} {change_text(rate)}" for rate in self[3:5]]
+        changed = [text for text in texts if "->" in text]
+        return f"{', '.join(changed or texts)} ({self.method}, {self.protocol})"
+
+    @property
+    def larger(self) -> Any:
+        """The rate that changed more."""
+        return max(self.tpr, self.fpr, key=lambda rate: abs(rate.worse_by))
+
+
+def rate_text(rate: float) -> str:
+    """A rate to four digits, or "0/0"."""
+    return "0/0" if math.isnan(rate) else f"{rate:.4f}"
+
+
+def change_text(rate: Any) -> str:
+    """A rate before and now; once if its digits are the same."""
+    old, new = rate_text(rate.old), rate_text(rate.new)
+    return old if old == new else f"{old} -> {new}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -396,35 +353,38 @@ def judge(found: Comparison, limits: Limits) -> Judgement:
     Worse, with a band, is a rate over all IDs in one log, or of one ID or of all IDs in all logs.
     Raises UsageError if a method that the limits name is in neither.
     """
-    band = limits.band
     named = (*(method for _, method in found.methods), *found.gained, *found.lost)
-    looked_at = limits.looked_at(named)
+    looked_at, band = limits.looked_at(named), limits.band
+    least = SAME if band is None else np.maximum(band, FRAMES_FREE / found.rates.of.clip(1)) + 1e-9
+    sign = np.sign(found.rates.worse_by) * (found.rates.worse_by.abs() >= least)
+    judged = found.rates.assign(sign=sign)[found.rates.method.isin(looked_at)]
     faults = [f"worse: {m}: no longer in the results" for m in found.lost if m in looked_at]
     if found.before.placed and not found.after.placed:
         faults.append("worse: protocol strict: no longer scored")
-    rates = {(r.log, r.method, r.protocol, r.rate): r for r in found.rates if r.landmark == TOTAL}
-    rows = []
-    several = len(found.logs) > 1
-    for log in [*found.logs, TOTAL] if several else found.logs:
-        of = log if several and log != TOTAL else ""
-        for protocol, method in sorted(found.methods, key=lambda of: of[0], reverse=True):
-            if method in looked_at:
-                tpr, fpr = (rates[of, method, protocol, rate] for rate in RATES)
-                deciding = (tpr, fpr) if band is not None else (_larger(tpr, fpr),)
-                signs = {rate.sign(band) for rate in deciding}
-                mark = "worse" if 1 in signs else "better" if -1 in signs else ""
-                rows.append(Row(log, method, protocol, tpr, fpr, mark))
-    for r in found.rates if band is not None else ():
-        if r.method in looked_at and r.sign(band) > 0:
-            log = f"{r.log}: " if r.log else ""
-            of = "" if r.log else f", {'ID.' * r.landmark.isdigit()}{r.landmark}"
-            faults.append(
-                f"worse: {log}{r.method}, {r.protocol}{of}: {BY_NAME[r.rate].label} was "
-                f"{rate_text(r.old)}, is {rate_text(r.new)}"
-            )
-    broken = limits.broken(found.after.scored, looked_at)
+    for r in judged[judged.sign > 0].itertuples() if band is not None else ():
+        log = f"{r.log}: " if r.log else ""
+        of = "" if r.log else f", {'ID.' * r.landmark.isdigit()}{r.landmark}"
+        rate = f"{METRICS[r.rate].label} was {rate_text(r.old)}, is {rate_text(r.new)}"
+        faults.append(f"worse: {log}{r.method}, {r.protocol}{of}: {rate}")
+    broken = limits.broken(found.after, looked_at)
+    rows = _rows(found, judged, either=band is not None)
     sentence = _sentence(found, rows, faults, broken, band)
-    return Judgement(sentence, tuple(rows), (*faults, *broken))
+    return Judgement(sentence, rows, (*faults, *broken))
+
+
+def _rows(found: Comparison, judged: pd.DataFrame, *, either: bool) -> tuple[Row, ...]:
+    """A row per log, protocol and method, the stricter protocol first. either: see Row.mark."""
+    several, rows = len(found.logs) > 1, []
+    total = judged[(judged.landmark == TOTAL) & judged.rate.isin(RATES)]
+    rank = {log: n for n, log in enumerate([*found.logs, ""])}
+    total = total.sort_values("protocol", ascending=False, kind="stable")
+    total = total.sort_values("log", key=lambda of: of.map(rank), kind="stable")
+    for (log, protocol, method), two in total.groupby(["log", "protocol", "method"], sort=False):
+        tpr, fpr = two.itertuples(index=False)
+        row = Row(log or (TOTAL if several else found.logs[0]), method, protocol, tpr, fpr, "")
+        signs = {rate.sign for rate in ((tpr, fpr) if either else (row.larger,))}
+        rows.append(row._replace(mark="worse" if 1 in signs else "better" if -1 in signs else ""))
+    return tuple(rows)
 
 
 def _sentence(
@@ -436,29 +396,28 @@ def _sentence(
 ) -> str:
     """What is worse, else better, else as it was; then how far, and whether it may be chance."""
     logs = found.logs
+    over = f"in {logs[0]}" if len(logs) == 1 else f"over {number_of(len(logs), 'log')}"
     totals = [row for row in rows if row.log == TOTAL or len(logs) == 1]
     # Without a band the leading method, in all logs, under the stricter protocol decides.
     deciding = [*totals, *rows] if band is not None else totals[:1]
-    marked = [r for mark in ("worse", "better") for r in deciding if r.mark == mark]
-    if faults and not (marked and marked[0].mark == "worse"):  # a curve, an ID, a method gone
+    head = min(deciding, key=lambda row: ["worse", "better", ""].index(row.mark), default=None)
+    if faults and (head is None or head.mark != "worse"):  # a curve, an ID, a method gone
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         return "; ".join([faults[0] + more, *broken])
     if broken and not faults:
         return f"{'; '.join(broken)}; otherwise no worse"
-    over = f"in {logs[0]}" if len(logs) == 1 else f"over {number_of(len(logs), 'log')}"
-    if not totals:
+    if head is None:
         return f"as good: {over}"
-    changed = any("->" in rate.text for row in rows for rate in (row.tpr, row.fpr))
-    head = marked[0] if marked else totals[0]
-    word = head.mark if marked else "as good" if changed else "unchanged"
+    changed = any("->" in change_text(rate) for row in rows for rate in (row.tpr, row.fpr))
+    word = head.mark or ("as good" if changed else "unchanged")
     parts = [f"{word}: {head.text} {over if head in totals else f'in {head.log}'}"]
-    names = dict.fromkeys(r.log for r in rows if r not in totals and r.mark == "worse")
+    names = [*dict.fromkeys(r.log for r in rows if r not in totals and r.mark == "worse")]
     if word == "worse" and names:
         more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-        few = ", ".join([*names][:MOST_NAMED])
+        few = ", ".join(names[:MOST_NAMED])
         parts.append(f"worse on {len(names)} of {len(logs)} logs: {few}{more}")
-    test = _larger(head.tpr, head.fpr)
-    if head in totals and test.sign(None):
+    test = head.larger
+    if head in totals and abs(test.worse_by) >= SAME:
         chance = "" if test.p <= SIGNIFICANT else ": other recordings may not show it"
         tested = f"p = {test.p:.2g} over {units_text(found.after.units)}{chance}"
         parts.append(test.note if math.isnan(test.p) else tested)
@@ -481,39 +440,29 @@ def screen(found: Comparison, judged: Judgement) -> str:
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = [judged.sentence]
     for cell in cells if rows else ():
-        justify = [str.ljust] * 3 + [str.rjust] * 4 + [str.ljust]
-        texts = (of(text, width) for of, text, width in zip(justify, cell, widths, strict=True))
+        texts = (f"{c:{'<<<>>>><'[n]}{widths[n]}}" for n, c in enumerate(cell))
         lines.append("  ".join(texts).rstrip())
     if more := len(judged.rows) - len(rows):
         lines.append(number_of(more, "more row"))
     return "\n".join(map(printable, [*lines, *_changed_passes(found)]))
 
 
-def _changed_passes(found: Comparison) -> Iterator[str]:
+def _changed_passes(found: Comparison) -> list[str]:
     """The passes in which the leading method, under the stricter protocol, changed most."""
     method = found.methods[0][1]
     protocol = max(protocol for protocol, of in found.methods if of == method)
-    old, new = (side.outcomes(protocol, method)["right"] for side in (found.before, found.after))
-    frames = found.after.outcomes(protocol, method)["frames"]
-    order = np.argsort(-np.abs(new - old), kind="stable")[:MOST_PASSES]
-    for i in order[new[order] != old[order]].tolist():
-        log, k, first, last, _ = found.after.passes[i].tolist()
-        yield (
-            f"{found.logs[log]} frames {first}-{last}, ID.{found.after.ids[k]}: right in {old[i]} "
-            f"-> {new[i]} of {frames[i]} ({method}, {protocol})"
-        )
-
-
-COMPARE = (
-    *("protocol", "method", "landmark", "rate", "old", "new", "worse_by", "of"),
-    *("log", "low", "high", "p", "units", "note"),
-)
-
-
-def _rows_of(found: Comparison) -> list[tuple[Any, ...]]:
-    """The rows of COMPARE: rates that are known in the old or the new results."""
-    known = [r for r in found.rates if not (math.isnan(r.old) and math.isnan(r.new))]
-    return [(*r[:6], r.worse, *r[6:]) for r in known]
+    old, new = (
+        side.passes[(side.passes.method == method) & (side.passes.protocol == protocol)]
+        for side in (found.before, found.after)
+    )
+    both = new.assign(old=old.right.to_numpy())
+    both = both.assign(change=(both.right - both.old).abs())
+    both = both.sort_values("change", ascending=False, kind="stable")[:MOST_PASSES]
+    return [
+        f"{p.log} frames {p.first_frame}-{p.last_frame}, ID.{p.landmark}: "
+        f"right in {p.old} -> {p.right} of {p.frames} ({method}, {protocol})"
+        for p in both[both.change > 0].itertuples()
+    ]
 
 
 def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
@@ -521,5 +470,5 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
     check_tables(folder, {"compare.csv": COMPARE})
     check_no_recording(folder, ["evaluation.json", "compare.csv"])
     with writing(folder):
-        write_table(folder / "compare.csv", COMPARE, _rows_of(found))
+        write_table(folder / "compare.csv", found.figures)
     return ("compare.csv",)

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
 from sonarrec.errors import SonarrecError, number_of
-from sonarrec.evaluation.match import Matched, equal_pairs
+from sonarrec.evaluation.rows import Matched, equal_pairs
 from sonarrec.geometry import plane_from_polar, plane_position, polar_from_plane
 from sonarrec.readers.poses import POSES_FILE
 from sonarrec.results.read import LogResults
@@ -44,7 +44,8 @@ def doubts(
         yield f"{proposed}; they say nothing about the results that they came from"
     if len(truth.visible) and not truth.visible.any():
         yield f"{path}: `visible` is 0 in all rows on {name}, so no landmark is ever in view"
-    claims = np.flatnonzero(matched.declared & (matched.method_index == 0))
+    claims = matched.claims
+    claims = claims[claims["declared"] & (claims["method"] == 0)]  # of the leading method
     both = _sightings(table, log, matched, claims, min_visible)
     if min(both.rows.sure.sum(), len(both.claims.frame)) < FEWEST:
         return
@@ -59,7 +60,7 @@ def doubts(
             f"{seen.claims_met} of {number_of(claimed, 'claim')} of {matched.methods[0]} meet; "
             "is this its truth, and are positions, times and units right?"
         )
-    elif len(matched.truth_frame_index):
+    elif len(matched.truths):
         yield from _without_rows(f"{path}: its rows for {name}", log, matched, claims)
 
 
@@ -152,7 +153,7 @@ class _Sightings:
 
 
 def _sightings(
-    table: TruthTable, log: LogResults, matched: Matched, claims: IntArray, min_visible: float
+    table: TruthTable, log: LogResults, matched: Matched, claims: Table, min_visible: float
 ) -> _Sightings:
     """The rows on a log, whether or not matching kept them, and the claims."""
     rows = table.rows_of(log.name)
@@ -172,7 +173,7 @@ def _sightings(
     if matched.placed and table.position is not None:
         kind, first, second = table.position
         position = plane_position((kind, first[rows], second[rows]), log.fan)
-        claimed = matched.claim_position[claims]
+        claimed = np.column_stack([claims["x"], claims["y"]])
     if position is None:
         position = np.zeros((len(rows), 2))
     number = {landmark: k for k, landmark in enumerate(matched.ids)}
@@ -181,8 +182,8 @@ def _sightings(
     return _Sightings(
         rows=_Points(at, landmark, position, sure),
         claims=_Points(
-            of_index[matched.claim_frame_index[claims]],
-            matched.claim_landmark_index[claims],
+            of_index[claims["at"]],
+            claims["cell"] % len(matched.ids),
             claimed,
             np.ones(len(claims), bool),
         ),
@@ -270,10 +271,10 @@ def _shift(frames: int, log: LogResults) -> str:
     return text
 
 
-def _without_rows(of: str, log: LogResults, matched: Matched, claims: IntArray) -> Iterator[str]:
+def _without_rows(of: str, log: LogResults, matched: Matched, claims: Table) -> Iterator[str]:
     """A line if a long beginning or end has no row, but a claim in most frames."""
-    first, last = matched.truth_frame_index.min(), matched.truth_frame_index.max()
-    claimed = np.unique(matched.claim_frame_index[claims])
+    first, last = matched.truths["at"].min(), matched.truths["at"].max()
+    claimed = np.unique(claims["at"])
     frames = len(matched.frame)
     for length, found, word in (
         (first, claimed < first, f"begin at frame {matched.frame[first]}"),

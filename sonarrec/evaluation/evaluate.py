@@ -17,16 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, local, number_of, printable
-from sonarrec.evaluation.count import Counts, LogCounts, count_log
+from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.doubts import doubts
 from sonarrec.evaluation.figures import summarise
-from sonarrec.evaluation.match import (
-    DEFAULT,
-    ScoringOptions,
-    match,
-    scoring_options,
-)
 from sonarrec.evaluation.pairs import Pair, check_of, find_truths_beside, read_pairs, usable_pairs
+from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match, scoring_options
 from sonarrec.evaluation.write import Evaluation, write_evaluation
 from sonarrec.records import Clock
 from sonarrec.results.folders import log_of, rerun_left
@@ -88,8 +83,8 @@ class LogScore:
     notes: list[str]
     unused: list[str]
     """A line for each doubt about the truth, then each part of the results that is not used."""
-    counts: list[LogCounts]
-    """Of each of its results; empty if the truth does not fit, or once they are added up."""
+    matched: list[Matched]
+    """Each of its results; empty if the truth does not fit, or once they are counted."""
 
 
 Orders = dict[frozenset[int], tuple[int, ...]]
@@ -143,15 +138,14 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
         fault=misfit(table, last, truth),
         notes=told.notes,
         unused=unused,
-        counts=[],
+        matched=[],
     )
     if score.fault is None:
-        for side, of_side in zip(sides, truths, strict=True):
-            matched = match(
-                side, of_side, options.min_visible, score.ids, within_m=options.within_m
-            )
-            score.counts.append(count_log(matched, rates_only=len(sides) > 1))
-        score.unused[:0] = doubts(table, last, truth, matched, options.min_visible)
+        score.matched = [
+            match(side, of_side, options.min_visible, score.ids, within_m=options.within_m)
+            for side, of_side in zip(sides, truths, strict=True)
+        ]
+        score.unused[:0] = doubts(table, last, truth, score.matched[-1], options.min_visible)
     return score
 
 
@@ -220,7 +214,7 @@ def score_logs(
     once = CountedOnce(action, copies)
     orders: Orders = {}
     sides_of = defaultdict[tuple[int, ...], list[Counts]](
-        lambda: [Counts() for _ in logs[0].results]
+        lambda: [Counts(rates_only=len(logs[0].results) > 1) for _ in logs[0].results]
     )
     _truth_table.cache_clear()  # the files may have changed since the last call
     for log in logs:
@@ -232,9 +226,9 @@ def score_logs(
         read.append(score)
         if once.add(score.log.results[-1], score.recording):
             kept.append(score)
-            for counts, of_log in zip(sides_of[score.ids], score.counts, strict=False):
-                counts.add(of_log)
-        score.counts = []
+            for counts, matched in zip(sides_of[score.ids], score.matched, strict=False):
+                counts.add(matched)
+        score.matched = []
     if not read:
         raise unread[0][1]
     names = [*(score.log.name for score in kept), *(name for name, _ in unread)]
@@ -394,17 +388,13 @@ def _notes(counts: Counts) -> Iterator[str]:
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
     yield from lacks(counts)
-    unseen = [
-        f"ID.{landmark}"
-        for k, landmark in enumerate(counts.ids)
-        if not any(scored.base[:, k, 3].any() for scored in counts.scored)
-    ]
+    in_view = counts.base.groupby("landmark").fn.sum()
+    unseen = [f"ID.{landmark}" for landmark in counts.ids if not in_view[landmark]]
     if unseen:
         yield f"never in view: {', '.join(unseen)}; a TPR of 0/0 says nothing"
 
 
 def lacks(counts: Counts) -> Iterator[str]:
     """A note on each log without estimates of a method that others have."""
-    for name, part in zip(counts.logs, counts.parts, strict=True):
-        if missing := [method for method in counts.methods if method not in part.methods]:
-            yield f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
+    for log, missing in counts.lacking():
+        yield f"{log}: has no estimates of {', '.join(missing)}; this counts as no claim"

@@ -1,46 +1,38 @@
-"""Figures: a metric is one function of counts and one row of METRICS.
+"""Figures: a metric is a function of sums over units, and one row of METRICS.
 
-All output (screen, files, report, comparisons) uses this table. A function of `KINDS` gives what
-the units add up to; a metric is a function of such sums, (R, C) rows in, (R,) figures out: of one
-row for all units, or of a row for each bootstrap draw.
+All output (screen, files, report, comparisons) uses this table. A metric takes sums of one or of
+many draws, (draws, ...), and gives (draws,) figures.
 """
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from sonarrec.arrays import FloatArray, IntArray
+from sonarrec.arrays import FloatArray, Table, stacked
 from sonarrec.errors import number_of, printable
-from sonarrec.evaluation.count import (
-    BINS,
-    NOBODY,
-    Counts,
-    Key,
-    Rows,
-    Scored,
-    Units,
-    sum_by_value,
-)
-from sonarrec.evaluation.curves import FPR_POINTS, area, ratio, tpr_at
+from sonarrec.evaluation.counts import BINS, MILLION, TOTAL, Counts, Units, of_landmark, ratio
+from sonarrec.evaluation.rows import COUNTS
 from sonarrec.evaluation.uncertainty import (
     LEVEL,
     MIN_UNITS,
-    Difference,
-    Figure,
-    Tally,
-    bootstrap_weights,
-    coin_tosses,
-    differences,
-    intervals,
+    all_equal,
+    draws,
+    interval,
+    p_value,
+    rate_interval,
 )
 from sonarrec.records import follows
 
+FPR_POINTS = (0.01, 0.0276, 0.05)
+"""FPRs about which curves are dense; .0276 is that of the paper's framework (Table 5)."""
 FPR_GRID = np.unique(
     [
         *np.arange(60) / 1000,
@@ -49,316 +41,369 @@ FPR_GRID = np.unique(
         *FPR_POINTS,
     ]
 )
-"""The FPRs of resampled curves, dense about FPR_POINTS. Reported curves are exact."""
-AT_ONCE = 256
-"""Draws whose figures are computed together: so few lie in the processor's cache."""
-SEED = 0
-"""Of the random draws, so that the same input gives the same intervals."""
-
-Edges = FloatArray
-"""(E,) the values at which a cumulative histogram counts; empty for other kinds of sums."""
-NO_EDGES = np.empty(0)
+"""The FPRs of resampled curves. Reported curves are exact."""
+QUANTILES = 513
+"""Of all errors: the values at which resampled errors are counted."""
 
 
-def positives(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """TP, and TP + FN, at the operating point. rows: of `rates`."""
-    tp, _, _, fn = rows[:, :4].T
-    return tp, tp + fn
+# Metrics. Rates have sums (draws, 4, 1 + points): TP, TN, FP, FN at the operating point, then along
+# the ROC from the highest threshold down.
 
 
-def negatives(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """FP, and FP + TN."""
-    _, tn, fp, _ = rows[:, :4].T
-    return fp, fp + tn
+def true_positive_rate(sums: FloatArray) -> FloatArray:
+    """TP / (TP + FN)."""
+    tp, _, _, fn = sums[:, :, 0].T
+    return np.asarray(ratio(tp, tp + fn))
 
 
-def curve(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(R, points) FPR and TPR of the ROC, from the highest threshold down."""
-    tp, tn, fp, fn = np.moveaxis(rows[:, 4:].reshape(len(rows), 4, -1), 1, 0)
+def false_positive_rate(sums: FloatArray) -> FloatArray:
+    """FP / (FP + TN)."""
+    _, tn, fp, _ = sums[:, :, 0].T
+    return np.asarray(ratio(fp, fp + tn))
+
+
+def _curve(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(draws, points) FPR and TPR."""
+    tp, tn, fp, fn = np.moveaxis(sums[:, :, 1:], 1, 0)
     return ratio(fp, fp + tn), ratio(tp, tp + fn)
 
 
-def true_positive_rate(rows: FloatArray, _: Edges) -> FloatArray:
-    """TP / (TP + FN)."""
-    return ratio(*positives(rows))
+def area(fpr: FloatArray, tpr: FloatArray) -> FloatArray:
+    """(...,) area under curves (..., points).
+
+    1 is perfect, 0.5 is chance. Points are joined by straight lines, and the last point with
+    (1, 1): beyond it every claim would be a guess. scikit-learn gives the same if frames and IDs
+    without an estimate share the lowest score.
+    """
+    one = np.ones((*fpr.shape[:-1], 1), dtype=fpr.dtype)
+    x, y = np.concatenate([fpr, one], axis=-1), np.concatenate([tpr, one], axis=-1)
+    steps = (x[..., 1:] - x[..., :-1]) * (y[..., :-1] + y[..., 1:])
+    return np.asarray(steps.sum(axis=-1) / 2)
 
 
-def false_positive_rate(rows: FloatArray, _: Edges) -> FloatArray:
-    """FP / (FP + TN)."""
-    return ratio(*negatives(rows))
+def tpr_at(fpr: FloatArray, tpr: FloatArray, most: float) -> FloatArray:
+    """(...,) highest TPR among the points of curves (..., points) with an FPR of at most `most`.
+
+    Without interpolation, since no threshold gives a point in between. NaN if a rate is NaN.
+    """
+    reached = np.where(fpr <= most, tpr, -np.inf).max(axis=-1)
+    return np.asarray(np.where(np.isnan(tpr[..., 0]) | np.isnan(fpr[..., 0]), np.nan, reached))
 
 
-def auc(rows: FloatArray, _: Edges) -> FloatArray:
-    """Area under the ROC, see `curves.area`."""
-    return area(*curve(rows))
+def auc(sums: FloatArray) -> FloatArray:
+    """Area under the ROC, see `area`."""
+    return area(*_curve(sums))
 
 
-def tpr_at_papers_fpr(rows: FloatArray, _: Edges) -> FloatArray:
-    """TPR at the FPR of the paper's framework, see `curves.tpr_at`."""
-    return tpr_at(*curve(rows), FPR_POINTS[1])
+def tpr_at_paper(sums: FloatArray) -> FloatArray:
+    """TPR at the FPR of the paper's framework, see `tpr_at`."""
+    return tpr_at(*_curve(sums), FPR_POINTS[1])
 
 
-def quantile(share: float) -> Callable[[FloatArray, Edges], FloatArray]:
-    """The smallest value that this share of values does not exceed; NaN if there is none."""
+def quantile(sums: FloatArray, values: FloatArray, share: float) -> FloatArray:
+    """The smallest of (values,) that this share of errors does not exceed; NaN if there is none.
 
-    def of(reached: FloatArray, edges: Edges) -> FloatArray:
-        total = reached[:, -1:]
-        value = edges[np.argmax(reached >= share * total - 1e-3, axis=1)]  # counts: whole
-        return np.where(total[:, 0] > 0, value, np.nan)
-
-    return of
-
-
-def ece(sums: FloatArray, _: Edges) -> FloatArray:
-    """Expected calibration error: mean distance between stated and true probability."""
-    count, stated, right = np.moveaxis(sums.reshape(len(sums), 3, BINS), 1, 0)
-    return ratio(np.abs(stated - right).sum(axis=1), count.sum(axis=1))
+    sums: (draws, values) how many errors do not exceed each.
+    """
+    total = sums[:, -1:]
+    first = np.argmax(sums >= share * total - 1e-3, axis=1)  # counts: whole
+    return np.where(total[:, 0] > 0, values[first], np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class Metric:
-    """One metric."""
+def ece(sums: FloatArray) -> FloatArray:
+    """Expected calibration error: mean distance between stated and true probability.
 
-    name: str
-    """Name in files."""
+    sums: (draws, 3, BINS) number, sum of p, and how many are right.
+    """
+    count, stated, right = np.moveaxis(sums, 1, 0)
+    return np.asarray(ratio(np.abs(stated - right).sum(axis=1), count.sum(axis=1)))
+
+
+class Metric(NamedTuple):
+    """One metric: a name on screen and in the report, how many digits, of which sums, and whether
+    it is printed without --details."""
+
     label: str
-    """Name on screen and in the report."""
     digits: int
-    """After the decimal point."""
     kind: str
-    """Of the sums that it is a function of, in KINDS."""
-    figure: Callable[[FloatArray, Edges], FloatArray]
+    function: Callable[..., FloatArray]
     brief: bool = False
-    """Whether it is printed without --details."""
 
 
 _PAPER = f"{FPR_POINTS[1]:g}"
-METRICS = (
-    Metric("tpr", "TPR", 3, "rates", true_positive_rate, True),
-    Metric("fpr", "FPR", 4, "rates", false_positive_rate, True),
-    Metric("auc", "AUC", 3, "rates", auc, True),
-    Metric(
-        *(f"tpr_at_fpr_{_PAPER}", f"TPR at FPR {_PAPER} (paper)", 3, "rates", tpr_at_papers_fpr),
-        True,
+MEDIAN, MOST = partial(quantile, share=0.5), partial(quantile, share=0.95)
+METRICS = {
+    "tpr": Metric("TPR", 3, "rates", true_positive_rate, True),
+    "fpr": Metric("FPR", 4, "rates", false_positive_rate, True),
+    "auc": Metric("AUC", 3, "rates", auc, True),
+    f"tpr_at_fpr_{_PAPER}": Metric(f"TPR at FPR {_PAPER} (paper)", 3, "rates", tpr_at_paper, True),
+    "position_error_median_m": Metric("position error, median, m", 4, "position", MEDIAN),
+    "position_error_95_m": Metric("position error, 95 %, m", 4, "position", MOST, True),
+    "orientation_error_median_deg": Metric(
+        "orientation off, median, deg", 1, "orientation", MEDIAN
     ),
-    Metric("position_error_median_m", "position error, median, m", 4, "position", quantile(0.5)),
-    Metric("position_error_95_m", "position error, 95 %, m", 4, "position", quantile(0.95), True),
-    Metric(
-        *("orientation_error_median_deg", "orientation off, median, deg", 1, "orientation"),
-        quantile(0.5),
-    ),
-    Metric(
-        *("orientation_error_95_deg", "orientation off, 95 %, deg", 1, "orientation"),
-        quantile(0.95),
-    ),
-    Metric("ece", "calibration error (ECE)", 3, "calibration", ece),
-)
+    "orientation_error_95_deg": Metric("orientation off, 95 %, deg", 1, "orientation", MOST),
+    "ece": Metric("calibration error (ECE)", 3, "calibration", ece),
+}
+"""By their names in files."""
 MAIN = ("tpr", "fpr", "auc")
 """Shown per ID, and compared between old and new results."""
-BY_NAME = {metric.name: metric for metric in METRICS}
-SHARES = {"tpr": positives, "fpr": negatives}
-"""Metrics that are rates: their numerators and denominators."""
+SHARES = {"tpr": (0, 3), "fpr": (2, 1)}
+"""Metrics that are rates: of COUNTS the numerator, and what completes the denominator."""
 
 
-def _tally(
-    kind: str,
-    labels: tuple[str, str, str],
-    sums: FloatArray,
-    exact: tuple[FloatArray, Edges] | None = None,
-    edges: Edges = NO_EDGES,
-) -> Tally:
-    """The figures of one kind. labels: protocol, method, landmark.
-
-    sums: (U, C) what each unit adds. exact: a row of all units, with its edges, if sums are
-    coarser.
-    """
-    metrics = [metric for metric in METRICS if metric.kind == kind]
-    row, its_edges = exact or (sums.sum(axis=0), edges)
-
-    def figures(rows: FloatArray) -> FloatArray:
-        some = (rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE))
-        return np.concatenate(
-            [np.column_stack([m.figure(r, edges) for m in metrics]) for r in some]
-        )
-
-    if kind == "rates":  # a curve's positives and negatives may come from different units
-        shares = {name: share(sums) for name, share in SHARES.items()}
-        known = {name: int(np.count_nonzero(whole)) for name, (_, whole) in shares.items()}
-        cases = [known.get(m.name, min(known.values())) for m in metrics]
-    else:
-        shares = {}
-        cases = np.count_nonzero(~np.isnan(figures(sums)), axis=0).tolist()
-    return Tally(
-        *labels,
-        names=tuple(m.name for m in metrics),
-        values=tuple(float(m.figure(row[None], its_edges)[0]) for m in metrics),
-        cases=tuple(cases),
-        sums=sums,
-        figures=figures,
-        shares=shares,
-    )
+# Sums by unit
 
 
-def rates(counts: Counts) -> Iterator[Tally]:
-    """Operating points and ROCs of every method under every protocol."""
-    for scored in counts.scored:
-        yield from rates_of(counts, scored)
+@dataclass(slots=True)
+class Sample:
+    """What each unit adds to the figures of one protocol, method and landmark."""
+
+    kind: str
+    protocol: str
+    method: str
+    landmark: str
+    per_unit: FloatArray
+    """(U, ...) to be weighted and added up."""
+    whole: FloatArray
+    """(1, ...) of all units, exact where those by unit are coarser."""
+    values: tuple[FloatArray, ...] = ()
+    """Of errors: the values at which the sums by unit count."""
+    whole_values: tuple[FloatArray, ...] = ()
+    """... and those at which the sums of all units do."""
+    drawn: dict[str, FloatArray] = field(default_factory=dict)
+    """Replicates of figures that were computed already."""
+
+    def metrics(self) -> list[str]:
+        """The names of those that are functions of this kind of sums."""
+        return [name for name, metric in METRICS.items() if metric.kind == self.kind]
+
+    def value(self, name: str) -> float:
+        """A figure of all units."""
+        return float(METRICS[name].function(self.whole, *self.whole_values)[0])
+
+    def figures(self, name: str, sums: FloatArray) -> FloatArray:
+        """(draws,) figures of sums as of `per_unit`."""
+        return METRICS[name].function(sums, *self.values)
+
+    def replicates(self, name: str, weights: FloatArray) -> FloatArray:
+        """(draws,) of the bootstrap."""
+        if name not in self.drawn:
+            sums = np.tensordot(weights, self.per_unit, 1)
+            self.drawn = {metric: self.figures(metric, sums) for metric in self.metrics()}
+        return self.drawn[name]
+
+    def share(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """(U,) numerator and denominator of a rate."""
+        part, rest = (self.per_unit[:, c, 0] for c in SHARES[name])
+        return part, part + rest
+
+    def cases(self, name: str) -> int:
+        """How many units have a case of a figure."""
+        if self.kind != "rates":
+            return int(np.count_nonzero(~np.isnan(self.figures(name, self.per_unit))))
+        # A curve's positives and negatives may come from different units.
+        of = [name] if name in SHARES else list(SHARES)
+        return min(int(np.count_nonzero(self.share(rate)[1])) for rate in of)
 
 
-def rates_of(counts: Counts, s: Scored) -> Iterator[Tally]:
-    """Operating points and ROCs of one method under one protocol: of each ID, then of all.
+def samples(counts: Counts) -> Iterator[Sample]:
+    """All, in the order of figures.csv."""
+    for method in counts.methods:
+        for protocol in counts.protocols:
+            yield from rates(counts, method, protocol)
+    if counts.placed:
+        yield from errors(counts, "position")
+        yield from errors(counts, "orientation")
+        yield from calibration(counts)
 
-    Columns: TP, TN, FP, FN at the operating point, then each along the ROC.
-    """
-    base, declared = (counts.sums("declared", s.protocol, m) for m in (NOBODY, s.method))
-    assert base is not None
-    assert declared is not None
-    for k, name in _landmarks(s.ids):
-        roc = s.curve(k)
+
+def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
+    """Operating points and ROCs of one method under one protocol, per ID and in total."""
+    points, base, claims = counts.points, counts.base, counts.rows("claims", method, protocol)
+    points = points[(points.method == method) & (points.protocol == protocol)]
+    base = base[base.protocol == protocol]
+    for landmark in counts.landmarks:
+        roc = counts.curve(method, protocol, landmark)
+        exact = roc[COUNTS].to_numpy().T
         # Bins of FPR, not of score, so that methods with different scores can be swapped bin by
         # bin. The curve of a sum is the sum of curves, so it is made once and not in each draw.
         at = np.maximum(np.searchsorted(roc.fpr, FPR_GRID, side="right") - 1, 0)
-        steps = np.zeros((counts.units.count, 4, len(FPR_GRID)))
-        first, now = (of.sum(axis=1) if k is None else of[:, k] for of in (base, declared))
-        steps[:, :, 0] = first
-        for score, unit, effect in _by_unit(counts, s.keys(k)):
-            bins = np.searchsorted(-roc.threshold[at], -score, side="left")
-            for c in range(4):
-                _add(steps[:, c], unit, np.minimum(bins, len(FPR_GRID) - 1), effect[:, c])
-        np.cumsum(steps, axis=2, out=steps)
-        sums = np.hstack([now, steps.reshape(len(steps), -1)]).astype(np.float32)
-        points = (now.sum(axis=0), roc.tp, roc.tn, roc.fp, roc.fn)
-        exact = np.concatenate(points), NO_EDGES
-        yield _tally("rates", (s.protocol, s.method, name), sums, exact)
+        sums = np.zeros((counts.units.number, 4, 1 + len(FPR_GRID)))
+        for column, of_all in enumerate((points, base)):
+            of = of_landmark(of_all, landmark)
+            np.add.at(sums[:, :, column], of.unit.to_numpy(), of[COUNTS].to_numpy())
+        mine = claims if landmark == TOTAL else claims[claims["landmark"] == int(landmark)]
+        bins = np.searchsorted(-roc.threshold.to_numpy()[at], -mine["score"] / MILLION)
+        cell = mine["unit"] * len(FPR_GRID) + np.minimum(bins, len(FPR_GRID) - 1)
+        for c, name in enumerate(COUNTS):
+            added = np.bincount(cell, mine[name], len(sums) * len(FPR_GRID))
+            sums[:, c, 1:] += added.reshape(len(sums), -1)
+        np.cumsum(sums[:, :, 1:], axis=2, out=sums[:, :, 1:])
+        whole = np.column_stack([sums[:, :, 0].sum(axis=0), exact])[None]
+        yield Sample("rates", protocol, method, landmark, sums.astype(np.float32), whole)
 
 
-def _landmarks(ids: Sequence[int]) -> list[tuple[int | None, str]]:
-    """(index, text) of each ID, then of all."""
-    return [*((k, str(i)) for k, i in enumerate(ids)), (None, "total")]
-
-
-def _by_unit(counts: Counts, keys: Sequence[Key]) -> Iterator[Rows]:
-    """The values of some keys, by unit."""
-    for key in keys:
-        for value, unit, number in counts.values.rows(key):
-            yield value, counts.units.of_pass_unit[unit], number
-
-
-def _add(sums: FloatArray, unit: IntArray, column: IntArray, number: IntArray) -> None:
-    """Add (n,) whole numbers to the cells (unit, column) of (U, C) sums."""
-    if len(unit):
-        first, size = int(unit.min()), sums.shape[1]  # the units of a log are neighbours
-        rows = int(unit.max()) - first + 1
-        added = np.bincount((unit - first) * size + column, number, rows * size)
-        sums[first : first + rows] += added.reshape(rows, size)
-
-
-def _histogram(rows: Sequence[Rows], units: int, edges: Edges) -> FloatArray:
-    """(U, E) how many values of each unit do not exceed each edge; other values are rounded up."""
-    sums = np.zeros((units, len(edges)), dtype=np.float32)
-    for value, unit, number in rows:
-        _add(sums, unit, np.minimum(np.searchsorted(edges, value), len(edges) - 1), number[:, 0])
-    return np.cumsum(sums, axis=1, out=sums)
-
-
-def errors(counts: Counts, kind: str) -> Iterator[Tally]:
+def errors(counts: Counts, kind: str) -> Iterator[Sample]:
     """Errors of right claims: "position", m, or "orientation", deg."""
-    methods, of = counts.methods if counts.placed else (), range(len(counts.ids))
-    of_all = sum_by_value(counts.values.table((kind, m, k)) for m in methods for k in of)
-    if not len(of_all[0]):
+    by_unit, exact = (
+        {method: counts.rows(kind, method, exact=is_exact) for method in counts.methods}
+        for is_exact in (False, True)
+    )
+    every = stacked([*exact.values()]).select(["value", "n"]).added_up(["value"])
+    if not len(every):
         return
-    # The edges are quantiles of all errors, the same for every method; their ranks are those of
+    # The values are quantiles of all errors, the same for every method; their ranks are those of
     # numpy's quantile with the method "inverted_cdf".
-    ranks = np.ceil(of_all[1].sum() * np.linspace(0, 1, 513) - 1).clip(0).astype(np.int64)
-    edges = np.unique(of_all[0][np.searchsorted(np.cumsum(of_all[1][:, 0]), ranks, side="right")])
-    for method in methods:
-        for k, name in _landmarks(counts.ids):
-            keys: list[Key] = [(kind, method, i) for i in (of if k is None else [k])]
-            sums = _histogram([*_by_unit(counts, keys)], counts.units.count, edges)
-            value, number = sum_by_value(map(counts.values.table, keys))
-            exact = (np.cumsum(number[:, 0], dtype=float), value) if len(value) else None
-            yield _tally(kind, ("strict", method, name), sums, exact, edges)
+    reached = np.cumsum(every["n"])
+    ranks = np.ceil(reached[-1] * np.linspace(0, 1, QUANTILES) - 1).clip(0).astype(np.int64)
+    values = np.unique(every["value"][np.searchsorted(reached, ranks, side="right")])
+    for method in counts.methods:
+        for landmark in counts.landmarks:
+            of, mine = (
+                rows if landmark == TOTAL else rows[rows["landmark"] == int(landmark)]
+                for rows in (by_unit[method], exact[method])
+            )
+            sums = np.zeros((counts.units.number, len(values)))
+            column = np.minimum(np.searchsorted(values, of["value"]), len(values) - 1)
+            np.add.at(sums, (of["unit"], column), of["n"])
+            sums = np.cumsum(sums, axis=1).astype(np.float32)
+            own = mine.select(["value", "n"]).added_up(["value"])
+            own = own if len(own) else Table(value=values[:1], n=0)
+            whole = np.cumsum(own["n"]).astype(float)[None]
+            yield Sample(kind, "strict", method, landmark, sums, whole, (values,), (own["value"],))
 
 
-def calibration(counts: Counts) -> Iterator[Tally]:
+def calibration(counts: Counts) -> Iterator[Sample]:
     """Calibration of every method that states probabilities, of the most probable class."""
-    for method in counts.methods if counts.placed else ():
-        if (found := counts.sums("calibration", method)) is not None:
-            yield _tally("calibration", ("strict", method, "total"), found)
+    for method in counts.methods:
+        if len(of := counts.rows("calibration", method)):
+            sums = np.zeros((counts.units.number, BINS, 3))
+            columns = np.column_stack([of["n"], of["stated"], of["right"]])
+            np.add.at(sums, (of["unit"], of["bin"]), columns)
+            sums = sums.swapaxes(1, 2)
+            yield Sample("calibration", "strict", method, TOTAL, sums, sums.sum(axis=0)[None])
 
 
-KINDS: dict[str, Callable[[Counts], Iterator[Tally]]] = {
-    "rates": rates,
-    "position": lambda counts: errors(counts, "position"),
-    "orientation": lambda counts: errors(counts, "orientation"),
-    "calibration": calibration,
-}
-"""In the order of figures.csv."""
+# Figures with intervals, and differences with tests
+
+FIGURES = ["protocol", "method", "landmark", "figure", "value", "low", "high", "units", "note"]
+DIFFERENCES = [
+    *("protocol", "a", "b", "landmark", "figure", "value_a", "value_b"),
+    *("low", "high", "p", "units", "note"),
+]
 
 
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """Figures with intervals, and differences between methods."""
+def intervals(sample: Sample, weights: FloatArray) -> Iterator[dict[str, Any]]:
+    """The figures of a sample with their intervals, as rows of FIGURES."""
+    for name in sample.metrics():
+        value, units = sample.value(name), sample.cases(name)
+        low = high = np.nan
+        note = ""
+        if np.isnan(value):
+            note = "0/0: nothing to measure"
+        elif units < MIN_UNITS:
+            note = f"cases in {units} of the {MIN_UNITS} units needed: no interval"
+        elif name in SHARES:
+            low, high = rate_interval(*sample.share(name))
+        elif all_equal(drawn := sample.replicates(name, weights), drawn):
+            note = f"alike in all {units} units: no interval"
+        else:
+            low, high = interval(drawn, units)
+        of = {"protocol": sample.protocol, "method": sample.method, "landmark": sample.landmark}
+        limits = {"low": low, "high": high}
+        yield {**of, "figure": name, "value": value, **limits, "units": units, "note": note}
+
+
+def differences(
+    a: Sample, b: Sample, weights: FloatArray, tosses: FloatArray
+) -> Iterator[dict[str, Any]]:
+    """The differences b - a of two methods on the same units, as rows of DIFFERENCES."""
+    total_a, total_b = (of.per_unit.sum(axis=0) for of in (a, b))
+    known = {name: min(a.cases(name), b.cases(name)) for name in a.metrics()}
+    enough = max(known.values()) >= MIN_UNITS
+    swapped = np.tensordot(tosses[: None if enough else 1], b.per_unit - a.per_unit, 1)
+    for name, units in known.items():
+        values = a.value(name), b.value(name)
+        seen = float(b.figures(name, total_b[None])[0] - a.figures(name, total_a[None])[0])
+        low = high = p = np.nan
+        if np.isnan(values[1] - values[0]) or np.isnan(seen):
+            note = "0/0: nothing to compare"
+        elif units < MIN_UNITS:
+            note = f"cases in {units} of the {MIN_UNITS} units needed: no test"
+        else:
+            p = p_value(
+                seen, a.figures(name, total_a + swapped), b.figures(name, total_b - swapped)
+            )
+            drawn = [of.replicates(name, weights) for of in (a, b)]
+            alike = all_equal(drawn[1] - drawn[0], np.concatenate(drawn))
+            note = "alike in every unit" if alike else ""
+            if not alike:
+                low, high = interval(drawn[1] - drawn[0], units)
+        of = {"protocol": a.protocol, "a": a.method, "b": b.method, "landmark": a.landmark}
+        found = {"value_a": values[0], "value_b": values[1], "low": low, "high": high, "p": p}
+        yield {**of, "figure": name, **found, "units": units, "note": note}
+
+
+class Summary(NamedTuple):
+    """Figures with intervals, and differences between each two methods, in total."""
 
     units: Units
-    figures: tuple[Figure, ...]
-    """Per protocol, method and landmark, by metric."""
-    differences: tuple[Difference, ...]
-    """Of each two methods, in total."""
+    figures: pd.DataFrame
+    """FIGURES."""
+    differences: pd.DataFrame
+    """DIFFERENCES."""
     notes: tuple[str, ...]
 
-    def figure(
-        self, protocol: str, method: str, name: str, landmark: str = "total"
-    ) -> Figure | None:
-        """One figure; None if it was not measured."""
-        wanted = (protocol, method, landmark, name)
-        return next((f for f in self.figures if f[:4] == wanted), None)
-
-
-def draws(units: Units) -> tuple[FloatArray, FloatArray]:
-    """The weights of the bootstrap and the coin tosses of the tests."""
-    rng = np.random.default_rng(SEED)
-    return bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
+    def figure(self, protocol: str, method: str, name: str, landmark: str = TOTAL) -> Any:
+        """One row of figures; None if it was not measured."""
+        f = self.figures
+        wanted = (f.protocol == protocol) & (f.method == method) & (f.figure == name)
+        return next(f[wanted & (f.landmark == landmark)].itertuples(index=False), None)
 
 
 def summarise(counts: Counts) -> Summary:
     """Figures, intervals and tests of an evaluation."""
     units = counts.units
-    weights, tosses = draws(units)
-    figures: list[Figure] = []
-    totals: dict[tuple[str, str], list[Tally]] = defaultdict(list)  # of a kind and protocol
-    for kind, of_kind in KINDS.items():
-        for tally in of_kind(counts):
-            figures += intervals(tally, weights)
-            if tally.landmark == "total":
-                totals[kind, tally.protocol].append(tally)
+    weights, tosses = draws(units.number)
+    rows: list[Mapping[str, Any]] = []
+    totals: dict[str, list[Sample]] = {}  # by kind and protocol
+    for sample in samples(counts):
+        rows += intervals(sample, weights)
+        if sample.landmark == TOTAL:
+            totals.setdefault(f"{sample.kind} {sample.protocol}", []).append(sample)
+    # What one without tracks, the baseline, has is subtracted.
+    tests: list[Mapping[str, Any]] = []
+    for group in totals.values():
+        for pair in combinations(group, 2):
+            a, b = sorted(pair, key=lambda sample: follows(sample.method))
+            tests += differences(a, b, weights, tosses)
+    figures = pd.DataFrame(rows, columns=FIGURES)
     return Summary(
-        units=units,
-        figures=tuple(figures),
-        differences=tuple(
-            difference
-            for group in totals.values()
-            for pair in combinations(group, 2)
-            # What one without tracks, the baseline, has is subtracted.
-            for a, b in [sorted(pair, key=lambda tally: follows(tally.method))]
-            for difference in differences(a, b, weights, tosses)
-        ),
-        notes=tuple(map(printable, few_units(counts, figures))),
+        units,
+        figures,
+        pd.DataFrame(tests, columns=DIFFERENCES),
+        tuple(map(printable, few_units(counts, figures))),
     )
 
 
-def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
+def few_units(counts: Counts, figures: pd.DataFrame | None = None) -> Iterator[str]:
     """A note if the units are too few for intervals and tests: why they are, how much it takes.
 
     figures: so that one on those with cases in too few of the units can be given.
     """
-    units, logs, passes = counts.units, len(counts.parts), len(counts.passes)
-    cases = [f.units for f in figures if f.landmark == "total" and 0 < f.units < MIN_UNITS]
-    least = min([units.count, *cases]) if units.kind == "pass" else MIN_UNITS
+    units, logs, passes = (
+        counts.units,
+        len(counts.logs),
+        len(counts.rows("passes", protocol="paper")),
+    )
+    cases = [] if figures is None else figures.units[figures.landmark == TOTAL].tolist()
+    few = [n for n in cases if 0 < n < MIN_UNITS]
+    least = min([units.number, *few]) if units.kind == "pass" else MIN_UNITS
     if least >= MIN_UNITS:
         return
     which, has = "no intervals and no tests", "are"
-    if units.count >= MIN_UNITS:
+    if units.number >= MIN_UNITS:
         which, has = "some figures have no interval and no test", "have cases in"
     more, like = math.ceil((MIN_UNITS - least) * logs / least), "these" if logs > 1 else "it"
     yield (
@@ -370,11 +415,9 @@ def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
 
 def units_text(units: Units) -> str:
     """The number of units with their kind, such as "12 passes"."""
-    return number_of(units.count, units.kind, {"pass": "es", "log": "s"}[units.kind])
+    return number_of(units.number, units.kind, {"pass": "es", "log": "s"}[units.kind])
 
 
-def over_units(summary: Summary) -> str:
+def over_units(units: Units) -> str:
     """The part of a table's caption about its intervals; empty if there are none."""
-    if summary.units.count < MIN_UNITS:
-        return ""
-    return f"; {LEVEL:.0%} intervals over {units_text(summary.units)}"
+    return f"; {LEVEL:.0%} intervals over {units_text(units)}" if units.number >= MIN_UNITS else ""

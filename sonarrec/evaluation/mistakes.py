@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
-from sonarrec.evaluation.match import Judged, Matched
+from sonarrec.arrays import IntArray, Table, begins, stacked
+from sonarrec.evaluation.rows import Matched, effects, positives
 
 FALSE, MISSED = "false", "missed"
 KINDS = (FALSE, MISSED)
 GAP = 4
 """Frames without the mistake that do not end it: neighbouring frames look much the same. A pause
 does."""
-ROWS = np.dtype(
-    [
-        *((name, "i8") for name in ("kind", "landmark", "other", "first", "last", "frames")),
-        *(("score", "f8"), ("times", "i8"), ("worst", "i8")),
-    ]
-)
-"""A row as of Mistake; kind, landmark and other are indices, other -1 for none."""
-Key = TypeVar("Key")
 
 
 class Mistake(NamedTuple):
@@ -82,86 +72,86 @@ class Mistake(NamedTuple):
         return f"{sentence} on what is ID.{self.other}"
 
 
-class Wrong(NamedTuple):
-    """What one method got wrong under one protocol: false claims, then missed truths."""
+def find_wrong(log: Matched, judged: Table, protocol: str, beneath: IntArray | None) -> Table:
+    """What each method got wrong in each frame, false claims, then missed truths: method, kind,
+    landmark, other, at (index of the frame), score.
 
-    kind: IntArray
-    """(n,) 0 false, 1 missed."""
-    landmark: IntArray
-    other: IntArray
-    """(n,) indices of IDs, as of Mistake; other -1 for none."""
-    at: IntArray
-    """(n,) index of the frame."""
-    score: FloatArray
-    """(n,) as of Mistake; -1 for none."""
+    kind, landmark and other are indices, other -1 for none; score is as of Mistake, -1 for none.
+    judged: of the protocol. beneath: as of `truth_beneath`; None for protocol paper, in which
+    positions play no part: its score of a missed ID is that of any estimate of it in the frame.
+    Method -1, which claims nothing, stands for those that only other logs have.
+    """
+    declared, rows = effects(judged[judged["declared"]], protocol), positives(log, protocol)
+    ids, truths = len(log.ids), log.truths
+    parts = []
+    for method in range(-1, len(log.methods)):
+        mine = declared[declared["method"] == method]
+        false = mine["claim"][mine["fp"] > 0]
+        missed = rows[~np.isin(rows, mine["truth"])]
+        guess = _surest(log, judged[judged["method"] == method], missed, beneath)
+        claim, other = np.append(false, guess), np.full(len(false) + len(guess), -1)
+        if beneath is not None:
+            other = np.append(log.claims["cell"] % ids, -1)[claim]
+            other[: len(false)] = np.append(truths["cell"] % ids, -1)[beneath[false]]
+        cell = np.append(log.claims["cell"][false], truths["cell"][missed])
+        parts.append(
+            Table(
+                method=method,
+                kind=np.repeat([0, 1], [len(false), len(guess)]),
+                landmark=cell % ids,
+                other=other,
+                at=cell // ids,
+                score=np.append(log.claims["score"], -1.0)[claim],
+            )
+        )
+    return stacked(parts)
 
 
-def find_wrong(log: Matched, judged: Judged, claimed: BoolArray, beneath: IntArray | None) -> Wrong:
-    """claimed: (P,) whether each positive is. beneath: as of `truth_beneath`; None for protocol
-    paper, in which positions play no part: its score of a missed ID is that of any estimate of it
-    in the frame."""
-    false = judged.claim[judged.declared_claim[judged.declared_effect[:, 2] > 0]]
-    missed = judged.positive[~claimed]
-    guess = _surest(log, judged, missed, beneath)
-    claim, other = np.append(false, guess), np.full(len(false) + len(guess), -1)
-    if beneath is not None:
-        other = np.append(log.claim_landmark_index, -1)[claim]
-        other[: len(false)] = np.append(log.truth_landmark_index, -1)[beneath[false]]
-    return Wrong(
-        kind=np.repeat([0, 1], [len(false), len(guess)]),
-        landmark=np.append(log.claim_landmark_index[false], log.truth_landmark_index[missed]),
-        other=other,
-        at=np.append(log.claim_frame_index[false], log.truth_frame_index[missed]),
-        score=np.append(log.score, -1.0)[claim],
-    )
-
-
-def _surest(log: Matched, judged: Judged, missed: IntArray, beneath: IntArray | None) -> IntArray:
-    """(n,) the method's estimate of the highest score for each missed truth, -1 if there is none:
-    of those on it or, in protocol paper, of those of its ID in its frame."""
-    claims = judged.claim[::-1]  # by rising score
-    place, wanted, places = beneath, missed, len(log.truth_frame_index)
+def _surest(log: Matched, judged: Table, missed: IntArray, beneath: IntArray | None) -> IntArray:
+    """(n,) the estimate of the highest score for each missed truth, -1 if there is none: of those
+    on it or, in protocol paper, of those of its ID in its frame. judged: of one method."""
+    claims = judged["claim"][np.argsort(-judged["score"], kind="stable")][::-1]
+    place, wanted, places = beneath, missed, len(log.truths)
     if place is None:
-        ids = len(log.ids)
-        place = log.claim_frame_index * ids + log.claim_landmark_index
-        wanted = log.truth_frame_index[missed] * ids + log.truth_landmark_index[missed]
-        places = len(log.frame) * ids
+        place, wanted = log.claims["cell"], log.truths["cell"][missed]
+        places = len(log.frame) * len(log.ids)
     surest = np.full(places + 1, -1)  # the last one for claims on nothing, at -1
     surest[place[claims]] = claims  # of several the last stays, which has the highest score
     return surest[wanted]
 
 
-def over_frames(log: Matched, found: Mapping[Key, Wrong]) -> dict[Key, npt.NDArray[Any]]:
-    """(m,) ROWS by the same keys: what is wrong over neighbouring frames. All at once, which takes
-    half the time."""
-    if not found:
-        return {}
-    of = np.repeat(np.arange(len(found)), [len(wrong.at) for wrong in found.values()])
-    kind, landmark, other, at, score = map(np.concatenate, zip(*found.values(), strict=True))
+def over_frames(log: Matched, wrong: Table) -> Table:
+    """What is wrong over neighbouring frames: protocol, method, kind, landmark, other, first, last,
+    frames, score, times and worst, as of Mistake.
+
+    wrong: as of `find_wrong`, with the index of the protocol.
+    """
+    of = wrong["protocol"].astype(int) * (len(log.methods) + 1) + wrong["method"] + 1
     # Of false claims those on another landmark are mistakes of their own; what is guessed where a
     # landmark is missed changes from frame to frame.
-    ids = len(log.ids)
-    group = ((of * ids + landmark) * 2 + kind) * (ids + 1) + np.where(kind, 0, other + 1)
-    order = np.argsort(group * len(log.frame) + at, kind="stable")
-    group, at, other, score = (column[order] for column in (group, at, other, score))
-    new_frame, new = np.ones((2, len(order)), dtype=bool)
-    new_group = np.diff(group) != 0
-    new[1:] = new_group | (np.diff(at) > GAP + 1) | (np.diff(log.stretch[at]) != 0)
-    new_frame[1:] = new_group | (np.diff(at) != 0)
+    other, ids = np.where(wrong["kind"], 0, wrong["other"] + 1), len(log.ids)
+    group = ((of * ids + wrong["landmark"]) * 2 + wrong["kind"]) * (ids + 1) + other
+    order = np.argsort(group * len(log.frame) + wrong["at"], kind="stable")
+    group, wrong = group[order], wrong[order]
+    at, score, other = wrong["at"], wrong["score"], wrong["other"]
+    new = begins(group, log.stretch[at])
+    new[1:] |= np.diff(at) > GAP + 1
     start, episode = np.flatnonzero(new), np.cumsum(new) - 1
     end = np.append(start[1:], len(at))[: len(start)] - 1
-    rows = np.zeros(len(start), dtype=ROWS)
-    rows["kind"], rows["landmark"] = kind[order][start], landmark[order][start]
-    rows["other"] = _most_frequent(other + 1, episode) - 1
-    rows["times"], rows["frames"] = end + 1 - start, np.bincount(episode[new_frame])
+    usual = _most_frequent(other + 1, episode) - 1
     off_middle = np.abs(2 * at - (at[start] + at[end])[episode])
-    rank = -score + 2 * (other != rows["other"][episode])
+    rank = -score + 2 * (other != usual[episode])
     worst = np.lexsort((off_middle, rank, episode))[start]
-    rows["score"] = np.where(score[worst] < 0, np.nan, score[worst])
-    for name, index in (("first", start), ("last", end), ("worst", worst)):
-        rows[name] = log.frame[at[index]]
-    ends = np.searchsorted(of[order][start], np.arange(1, len(found)))
-    return dict(zip(found, np.split(rows, ends), strict=True))
+    return Table(
+        **{name: wrong[name][start] for name in ("protocol", "method", "kind", "landmark")},
+        other=usual,
+        first=log.frame[at[start]],
+        last=log.frame[at[end]],
+        frames=np.bincount(episode[begins(group, at)], minlength=len(start)),
+        score=np.where(score[worst] < 0, np.nan, score[worst]),
+        times=end + 1 - start,
+        worst=log.frame[at[worst]],
+    )
 
 
 def _most_frequent(value: IntArray, group: IntArray) -> IntArray:

@@ -15,7 +15,7 @@ from sonarrec.errors import (
     command_line,
     number_of,
 )
-from sonarrec.evaluation.match import ScoringOptions
+from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.readers.open import log_name
 from sonarrec.results.read import LogResults, find_logs
 from sonarrec.results.run_file import Input, read_run

@@ -1,22 +1,20 @@
-"""An evaluation as cells of tables, for the report too, and as text for the terminal."""
+"""An evaluation as text: cells for the report's tables too, and the lines for the terminal."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sonarrec.errors import printable
-from sonarrec.evaluation.count import Counts, Scored
-from sonarrec.evaluation.curves import Count
-from sonarrec.evaluation.figures import BY_NAME, MAIN, METRICS, Summary, over_units, units_text
-from sonarrec.evaluation.uncertainty import Figure
+from sonarrec.evaluation.counts import TOTAL, Counts
+from sonarrec.evaluation.figures import MAIN, METRICS, Summary, over_units, units_text
 from sonarrec.evaluation.write import Evaluation
 
 HEADLINE = ("tpr", "fpr")
 """Shown in a table of their own before the other figures."""
-COUNT_ROWS = (("TP", "tp"), ("TN", "tn"), ("FP", "fp"), ("FN", "fn"), ("beta", "total"))
-TESTED = tuple(metric for metric in METRICS if metric.kind == "rates")
+COUNT_ROWS = {"TP": "tp", "TN": "tn", "FP": "fp", "FN": "fn", "beta": "total"}
+TESTED = tuple(name for name, metric in METRICS.items() if metric.kind == "rates")
 """Those whose differences between methods are shown."""
 WIDTH = 100
 LABEL, COLUMN = 30, 23
@@ -36,15 +34,6 @@ class Cell(NamedTuple):
 NONE = Cell("-")
 
 
-class Table(NamedTuple):
-    """One of the paper's tables. rows: a label and its cells, one per heading."""
-
-    method: str
-    protocol: str
-    heading: list[str]
-    rows: list[tuple[str, list[str]]]
-
-
 class OperatingPoint(NamedTuple):
     """Rates of one method under one protocol, and its mistakes: FN and FP."""
 
@@ -59,28 +48,25 @@ def protocols(counts: Counts) -> list[str]:
     return [*reversed(counts.protocols)]
 
 
-def paper_table(scored: Scored, thousands: str = "") -> Table:
+def paper_table(
+    counts: Counts, method: str, protocol: str, thousands: str = ""
+) -> dict[str, list[str]]:
     """TPR to beta per ID and in total, in the layout of the paper; "0.0000*" for 0/0.
 
-    "once" is the TPR without double claims, of which only protocol paper has any. thousands: the
-    separator in counts.
+    The first row, "", has the headings. "once" is the TPR without double claims, of which only
+    protocol paper has any. thousands: the separator in counts.
     """
-    counts = [*scored.named_counts().values()]
-    once = [rate(c.tp - c.double, c.tp - c.double + c.fn) for c in counts]
-    return Table(
-        method=scored.method,
-        protocol=scored.protocol,
-        heading=[f"ID.{i}" for i in scored.ids] + ["Total"],
-        rows=[
-            ("TPR", [rate(c.tp, c.tp + c.fn) for c in counts]),
-            ("once", once if scored.protocol == "paper" else [""] * len(counts)),
-            ("FPR", [rate(c.fp, c.fp + c.tn) for c in counts]),
-            *(
-                (label, [f"{getattr(c, name):{thousands}}" for c in counts])
-                for label, name in COUNT_ROWS
-            ),
-        ],
-    )
+    of = [counts.count(method, protocol, landmark) for landmark in counts.landmarks]
+    once = [rate(c.positives - c.fn, c.positives) for c in of]
+    rows = {
+        "": [f"ID.{i}" for i in counts.ids] + ["Total"],
+        "TPR": [rate(c.tp, c.tp + c.fn) for c in of],
+        "once": once if protocol == "paper" else [""] * len(of),
+        "FPR": [rate(c.fp, c.fp + c.tn) for c in of],
+    }
+    for label, name in COUNT_ROWS.items():
+        rows[label] = [f"{getattr(c, name):{thousands}}" for c in of]
+    return rows
 
 
 def rates(counts: Counts, summary: Summary) -> list[tuple[str, list[OperatingPoint]]]:
@@ -90,21 +76,21 @@ def rates(counts: Counts, summary: Summary) -> list[tuple[str, list[OperatingPoi
         points = []
         for protocol in protocols(counts):
             tpr, fpr = (figure(summary.figure(protocol, method, n), n) for n in HEADLINE)
-            points.append(_point(counts.scored_by(method, protocol).count(), tpr, fpr))
+            points.append(_point(counts.count(method, protocol), tpr, fpr))
         found.append((method, points))
     return found
 
 
 def rates_per_log(counts: Counts) -> list[tuple[str, list[OperatingPoint]]]:
     """For each log the operating points of methods over all IDs, under the stricter protocol."""
-    of_methods = [counts.scored_by(m, protocols(counts)[0]) for m in counts.methods]
+    main = protocols(counts)[0]
     return [
-        (log, [_point(scored.count(log=n)) for scored in of_methods])
-        for n, log in enumerate(counts.logs)
+        (log, [_point(counts.count(method, main, TOTAL, log)) for method in counts.methods])
+        for log in counts.logs
     ]
 
 
-def _point(count: Count, tpr: Cell = NONE, fpr: Cell = NONE) -> OperatingPoint:
+def _point(count: Any, tpr: Cell = NONE, fpr: Cell = NONE) -> OperatingPoint:
     """The rates to four digits, a dash for 0/0. tpr, fpr: cells with their intervals."""
     positives, negatives = count.tp + count.fn, count.fp + count.tn
     return OperatingPoint(
@@ -116,7 +102,7 @@ def _point(count: Count, tpr: Cell = NONE, fpr: Cell = NONE) -> OperatingPoint:
 
 
 def figures(
-    summary: Summary, protocol: str, methods: Sequence[str], names: Sequence[str] = tuple(BY_NAME)
+    summary: Summary, protocol: str, methods: Sequence[str], names: Sequence[str] = tuple(METRICS)
 ) -> list[tuple[str, list[Cell]]]:
     """The figures over all IDs that any method has: a label and a cell per method.
 
@@ -126,26 +112,26 @@ def figures(
     for name in names:
         of_methods = [summary.figure(protocol, method, name) for method in methods]
         if any(of_methods):
-            rows.append((BY_NAME[name].label, [figure(one, name) for one in of_methods]))
+            rows.append((METRICS[name].label, [figure(one, name) for one in of_methods]))
     return rows
 
 
 def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]:
     """For each two methods their differences in the metrics of TESTED, with p or why not."""
     rows: dict[str, list[Cell]] = {}
-    for d in summary.differences:
-        if d.protocol == protocol and BY_NAME[d.name] in TESTED:
+    for d in summary.differences.itertuples(index=False):
+        if d.protocol == protocol and d.figure in TESTED:
             test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
-            cell = _cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+")
+            cell = _cell(d.value_b - d.value_a, d.low, d.high, METRICS[d.figure].digits, "+")
             rows.setdefault(f"{d.b} minus {d.a}", []).append(cell._replace(test=test))
     return list(rows.items())
 
 
-def figure(found: Figure | None, name: str) -> Cell:
-    """A figure of the metric of this name; a dash if there is none."""
+def figure(found: Any, name: str) -> Cell:
+    """A row of the figures, of the metric of this name; a dash if there is none."""
     if found is None:
         return NONE
-    return _cell(found.value, found.low, found.high, BY_NAME[name].digits)
+    return _cell(found.value, found.low, found.high, METRICS[name].digits)
 
 
 def _cell(value: float, low: float, high: float, digits: int, sign: str = "") -> Cell:
@@ -176,9 +162,9 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
     counts, summary = evaluation.counts, evaluation.summary
     main, *others = protocols(counts)
     lines = _paper_tables(counts)
-    names = [m.name for m in METRICS if m.brief or details]
+    names = [name for name, metric in METRICS.items() if metric.brief or details]
     for protocol in (main, *others) if details else (main,):
-        lines += ["", f"protocol {protocol}, all IDs{over_units(summary)}"]
+        lines += ["", f"protocol {protocol}, all IDs{over_units(summary.units)}"]
         beside = (WIDTH - LABEL) // COLUMN
         for first in range(0, len(counts.methods), beside):
             some = counts.methods[first : first + beside]
@@ -190,14 +176,17 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
         test = f"paired sign-flip test over {units_text(summary.units)}"
         lines += [*[""] * details, f"protocol {main}, differences; {test}"]
         for pair, cells in tests:
-            of = {m.name: (m.label, cell) for m, cell in zip(TESTED, cells, strict=True)}
+            of = {METRICS[n].label: cell for n, cell in zip(TESTED, cells, strict=True)}
             if details:
-                lines += [f"{pair}, {label}: {_text(cell, ' to ')}" for label, cell in of.values()]
+                lines += [f"{pair}, {label}: {_text(cell, ' to ')}" for label, cell in of.items()]
             else:
-                told = (f"{of[n][0]} {of[n][1].value}, {of[n][1].test}" for n in MAIN)
-                lines.append(f"{pair}: {'; '.join(told)}")
-    if details:
-        lines += _per_log(counts, main) if len(counts.logs) > 1 else []
+                main_ones = [(METRICS[n].label, of[METRICS[n].label]) for n in MAIN]
+                lines.append(
+                    f"{pair}: "
+                    + "; ".join(f"{label} {c.value}, {c.test}" for label, c in main_ones)
+                )
+    if details and len(counts.logs) > 1:
+        lines += _per_log(counts, main)
     return "\n".join(map(printable, lines))
 
 
@@ -207,19 +196,15 @@ def _paper_tables(counts: Counts) -> list[str]:
     for method in counts.methods:
         blocks = []
         for protocol in counts.protocols:
-            table = paper_table(counts.scored_by(method, protocol))
             gates = f": centre within {' or '.join(f'{g:g}' for g in counts.gates)} m"
             told = gates * bool(counts.gates) if protocol == "strict" else ": position not checked"
-            block = [
-                f"protocol {protocol}{told}",
-                # A star stands behind the digits.
-                *(
-                    f"{label:<5}" + "".join(f"{c if '*' in c else c + ' ':>8}" for c in row)
-                    for label, row in [("", table.heading), *table.rows]
-                ),
+            table = paper_table(counts, method, protocol)
+            rows = [  # a star stands behind the digits
+                f"{label:<5}" + "".join(f"{c if '*' in c else c + ' ':>8}" for c in row)
+                for label, row in table.items()
             ]
-            width = max(map(len, block[1:]))
-            blocks.append([line.ljust(width) for line in block])
+            width = max(map(len, rows))
+            blocks.append([line.ljust(width) for line in (f"protocol {protocol}{told}", *rows)])
         if sum(len(b[1]) for b in blocks) + 3 * (len(blocks) - 1) <= WIDTH:
             rows = [" | ".join(row).rstrip() for row in zip(*blocks, strict=True)]
         else:
@@ -242,9 +227,9 @@ def _per_log(counts: Counts, protocol: str) -> list[str]:
     lines = ["", f"protocol {protocol}, per log"]
     head = f"{'TPR':>8}{'FPR':>9}{'TP':>7}{'FP':>6}{'FN':>6}"
     lines.append(f"{'':<{LABEL}}{'method':<{COLUMN}}{head}")
-    for n, log in enumerate(counts.logs):
+    for log in counts.logs:
         for method in counts.methods:
-            c = counts.scored_by(method, protocol).count(log=n)
+            c = counts.count(method, protocol, TOTAL, log)
             lines.append(_row(log[-LABEL + 1 :], [method[: COLUMN - 1]]).ljust(LABEL + COLUMN))
             lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
     return lines

@@ -12,8 +12,8 @@ from typing import Any
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, local, number_of
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.match import ScoringOptions, scoring_options
 from sonarrec.evaluation.pairs import find_truths_beside
+from sonarrec.evaluation.rows import ScoringOptions, scoring_options
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
 from sonarrec.reports.frames import Picture, Shown, open_recording
@@ -143,7 +143,7 @@ def _of_one_set(
         truth = cache(read_truth)
         for n in worst_first(evaluation.counts):
             name, gt = evaluation.counts.logs[n], evaluation.truths[n]
-            to_show.append(LogToShow(scored[n], truth(gt), evaluation.counts.parts[n].name, name))
+            to_show.append(LogToShow(scored[n], truth(gt), evaluation.counts.names[n], name))
     return [*to_show, *(LogToShow(f) for f in folders if f not in {*scored, *others})]
 
 

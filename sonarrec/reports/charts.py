@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.drawing.pen import Colour
 from sonarrec.errors import number_of
-from sonarrec.evaluation.count import Scored
+from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.plots import roc as evaluation_roc
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.reports.logs import ReportedLog, Track, alongside
@@ -143,16 +143,16 @@ def _method_lane(log: ReportedLog, k: int, method: str, declared: BoolArray) -> 
     return method, Chart(text, shapes), False
 
 
-def roc(scored: Sequence[Scored]) -> Chart:
+def roc(counts: Counts, protocol: str) -> Chart:
     """The ROC of each method under one protocol, over all IDs."""
-    curves = evaluation_roc(scored, 2 * MOST_POINTS)
+    curves = evaluation_roc(counts, protocol, 2 * MOST_POINTS)
     axis = Axis(0.0, curves.fpr_end)
     shapes = [
-        Shape(polyline(axis.share(x.fpr), x.tpr), n, f"line style-{n % STYLES}", x.method)
-        for n, x in enumerate(curves.lines)
+        Shape(polyline(axis.share(x.fpr), x.tpr.to_numpy()), n, f"line style-{n % STYLES}", method)
+        for n, (method, x) in enumerate(curves.lines.items())
     ]
-    points = [(line.at, n, "dot") for n, line in enumerate(curves.lines)]
-    marks = [*points, *((point, None, point.name) for point in curves.published)]
+    points = [(point, n, "dot") for n, point in enumerate(curves.points.itertuples())]
+    marks = [*points, *((point, None, point.name) for point in curves.published.itertuples())]
     dots = [
         Dot(100 * float(axis.share(point.fpr)), 100 * point.tpr, point.label, colour, kind)
         for point, colour, kind in marks

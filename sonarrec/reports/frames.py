@@ -214,11 +214,12 @@ def take(
 def _truth_in(frame: Frame, log: ReportedLog) -> Iterator[Mark]:
     """The landmarks that are at least partly in view, if the truth has positions."""
     if log.matched is not None:
-        here = log.results.frame[log.matched.truth_frame_index] == frame.index
-        places = pixel_from_plane(frame.fan, log.matched.truth_position[here]).tolist()
-        for k, place in zip(log.matched.truth_landmark_index[here], places, strict=True):
+        truths = log.matched.truths
+        here = truths[log.results.frame[truths["at"]] == frame.index]
+        places = pixel_from_plane(frame.fan, np.column_stack([here["x"], here["y"]])).tolist()
+        for landmark, place in zip(here["landmark"].tolist(), places, strict=True):
             if not np.isnan(place).any():
-                yield Mark(log.ids[k], *place)
+                yield Mark(landmark, *place)
 
 
 def _draw(

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.match import Matched, ScoringOptions, match, truth_beneath
+from sonarrec.evaluation.rows import Matched, ScoringOptions, match, truth_beneath
 from sonarrec.records import follows
 from sonarrec.results.columns import chosen, leading
 from sonarrec.results.folders import log_of
@@ -73,14 +73,14 @@ class ReportedLog:
         disc diameter; None without truth or positions."""
         if self.matched is None or not self.matched.placed:
             return None
-        truth = truth_beneath(self.matched)
-        return np.asarray(np.append(self.matched.truth_landmark_index, -1)[truth])
+        k = self.matched.truths["cell"] % len(self.ids)
+        return np.asarray(np.append(k, -1)[truth_beneath(self.matched)])
 
     @cached_property
     def in_view(self) -> BoolArray | None:
         """(F, K) which landmarks count as in view; None without truth."""
         of = self.matched
-        return None if of is None else self._present(of, of.truth_positive)
+        return None if of is None else self._present(of.truths[of.truths["strict"]])
 
     @cached_property
     def false(self) -> BoolArray | None:
@@ -91,14 +91,13 @@ class ReportedLog:
             return None
         if self.truth_near is not None:
             return np.asarray(self.truth_near != results.landmark_index)
-        present = self._present(of, np.ones(len(of.truth_positive), dtype=bool))
-        return ~present[results.frame_index, results.landmark_index]
+        return ~self._present(of.truths)[results.frame_index, results.landmark_index]
 
-    def _present(self, matched: Matched, rows: BoolArray) -> BoolArray:
+    def _present(self, truths: Table) -> BoolArray:
         """(F, K) which landmarks are in which frame, by some rows of the truth."""
-        present = np.zeros((len(self.results.frame), len(self.ids)), dtype=bool)
-        present[matched.truth_frame_index[rows], matched.truth_landmark_index[rows]] = True
-        return present
+        found = np.zeros((len(self.results.frame), len(self.ids)), dtype=bool)
+        found.flat[truths["cell"]] = True
+        return found
 
     def frame_of(self, estimate: int) -> int:
         """The number of an estimate's frame."""

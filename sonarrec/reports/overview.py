@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.count import Counts
+from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.mistakes import Mistake
 from sonarrec.evaluation.screen import OperatingPoint, protocols, rates_per_log
 from sonarrec.evaluation.write import Evaluation
@@ -68,7 +68,7 @@ def all_logs(
     scored: Sequence[Path] = ()
     if evaluation is not None:
         counts, scored = evaluation.counts, evaluation.folders
-        names, frames = rates_per_log(counts), [part.frames for part in counts.parts]
+        names, frames = rates_per_log(counts), counts.frames_of
         for n in worst_first(counts):
             name, points = names[n]
             rows.append(row(scored[n], frames[n], name=name, points=points))
@@ -81,8 +81,8 @@ def all_logs(
 
 def worst_first(counts: Counts) -> list[int]:
     """The logs of an evaluation by TPR - FPR of the first method; a rate of 0/0 is no loss."""
-    leading = counts.scored_by(counts.methods[0], protocols(counts)[0])
-    of_logs = [leading.count(log=n) for n in range(len(counts.logs))]
+    main = protocols(counts)[0]
+    of_logs = [counts.count(counts.methods[0], main, TOTAL, log) for log in counts.logs]
     good = [np.nan_to_num(c.tpr, nan=1) - np.nan_to_num(c.fpr) for c in of_logs]
     return [int(n) for n in np.argsort(good, kind="stable")]
 

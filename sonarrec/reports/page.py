@@ -15,8 +15,8 @@ import numpy as np
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of, printable
 from sonarrec.evaluation import screen
-from sonarrec.evaluation.count import Counts
-from sonarrec.evaluation.figures import BY_NAME, over_units, units_text
+from sonarrec.evaluation.counts import Counts
+from sonarrec.evaluation.figures import METRICS, over_units, units_text
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.records import VERSION, date_text, is_date, time_text
@@ -161,22 +161,24 @@ def _scores(
     """
     counts, summary = evaluation.counts, evaluation.summary
     methods, protocols = counts.methods, screen.protocols(counts)
-    others = [name for name in BY_NAME if name not in screen.HEADLINE]
-    tables = [screen.paper_table(s, thousands=",") for s in counts.scored]
+    others = [name for name in METRICS if name not in screen.HEADLINE]
+    tables = [
+        (m, p, screen.paper_table(counts, m, p, ",")) for m in methods for p in counts.protocols
+    ]
     return {
         "protocols": protocols,
         "rates": screen.rates(counts, summary),
         "units": units_text(summary.units),
-        "over": over_units(summary),
+        "over": over_units(summary.units),
         "others": screen.figures(summary, protocols[0], methods, others),
-        "tested": [metric.label for metric in screen.TESTED],
+        "tested": [METRICS[name].label for name in screen.TESTED],
         "differences": screen.differences(summary, protocols[0]),
         "notes": _first(evaluation.notes),
         "tables": tables,
-        "starred": any("*" in cell for table in tables for _, row in table.rows for cell in row),
-        "curves": [
-            (p, charts.roc([s for s in counts.scored if s.protocol == p])) for p in protocols
-        ],
+        "starred": any(
+            "*" in cell for _, _, table in tables for row in table.values() for cell in row
+        ),
+        "curves": [(protocol, charts.roc(counts, protocol)) for protocol in protocols],
         "mistakes": list(_mistakes(counts, wrong, held)),
     }
 
@@ -276,7 +278,7 @@ def _mistakes(
     for method, mistakes in wrong.items():
         yield {
             "method": method,
-            "count": counts.scored_by(method, screen.protocols(counts)[0]).count(),
+            "count": counts.count(method, screen.protocols(counts)[0]),
             "shown": [(of, of.shown(held)) for of in mistakes[:MOST_MISTAKES]],
             "left": len(mistakes[MOST_MISTAKES:]),
         }

@@ -8,13 +8,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.evaluation.curves import Curve, area, tpr_at
+from sonarrec.evaluation.counts import with_rates
+from sonarrec.evaluation.figures import area, tpr_at
 from tests.evaluation.test_evaluation import paper_case
-from tests.support.claims import IDS, counts, matched
+from tests.support.claims import IDS, all_scored, counts, matched
 from tests.support.command import sonarrec
 
 FRAMES = 250
@@ -43,12 +45,12 @@ def one_vs_rest(seed: int, claimed: float = 0.8):
 def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> None:
     metrics = pytest.importorskip("sklearn.metrics")
     case, positive, points = one_vs_rest(seed, claimed)
-    (scored,) = [s for s in counts(case).scored if s.protocol == protocol]
+    (scored,) = [s for s in all_scored(counts(case)) if s.protocol == protocol]
     cells = [(k, positive[:, k], points[:, k]) for k in range(len(IDS))]
     for k, truth, value in [*cells, (None, positive.ravel(), points.ravel())]:
         curve = scored.curve(k)
         auc = metrics.roc_auc_score(truth, value)
-        assert area(curve.fpr, curve.tpr) == pytest.approx(auc, abs=1e-12)
+        assert area(curve.fpr.to_numpy(), curve.tpr.to_numpy()) == pytest.approx(auc, abs=1e-12)
         assert curve.threshold[0] == math.inf
 
 
@@ -56,32 +58,39 @@ def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> 
 @given(seed=st.integers(0, 2**32 - 1), most=st.floats(0, 1))
 def test_tpr_at_an_fpr_is_the_best_that_a_threshold_gives(seed: int, most: float) -> None:
     case, positive, points = one_vs_rest(seed)
-    curve = counts(case).scored[1].curve(2)
+    curve = all_scored(counts(case))[1].curve(2)
     truth, value = positive[:, 2], points[:, 2]
     reached = [
         np.mean(value[truth] >= t)
         for t in [*np.unique(value[value >= 0]), math.inf]
         if np.mean(value[~truth] >= t) <= most
     ]
-    assert tpr_at(curve.fpr, curve.tpr, most) == pytest.approx(max(reached), abs=1e-12)
+    assert tpr_at(curve.fpr.to_numpy(), curve.tpr.to_numpy(), most) == pytest.approx(
+        max(reached), abs=1e-12
+    )
 
 
-def curve_of(tp: list[int], fp: list[int], positives: int, negatives: int) -> Curve:
-    columns = [np.array(x) for x in (tp, [negatives - n for n in fp], fp)]
-    return Curve(np.linspace(1, 0, len(tp)), *columns, np.array([positives - n for n in tp]))
+def curve_of(tp: list[int], fp: list[int], positives: int, negatives: int) -> pd.DataFrame:
+    tps, fps = np.array(tp), np.array(fp)
+    of = pd.DataFrame({"tp": tps, "tn": negatives - fps, "fp": fps, "fn": positives - tps})
+    return with_rates(of)
 
 
 def test_areas_by_hand() -> None:
     perfect = curve_of([0, 10, 10], [0, 0, 50], 10, 50)
-    assert area(perfect.fpr, perfect.tpr) == tpr_at(perfect.fpr, perfect.tpr, 0) == 1
+    assert (
+        area(perfect.fpr.to_numpy(), perfect.tpr.to_numpy())
+        == tpr_at(perfect.fpr.to_numpy(), perfect.tpr.to_numpy(), 0)
+        == 1
+    )
     # Nothing is ever claimed: a guess.
     silent = curve_of([0], [0], 10, 50)
-    assert area(silent.fpr, silent.tpr) == 0.5
-    assert tpr_at(silent.fpr, silent.tpr, 0.05) == 0
+    assert area(silent.fpr.to_numpy(), silent.tpr.to_numpy()) == 0.5
+    assert tpr_at(silent.fpr.to_numpy(), silent.tpr.to_numpy(), 0.05) == 0
     # Half of the positives for nothing, then no more: a straight line from (0, .5) to (1, 1).
     half = curve_of([0, 5], [0, 0], 10, 50)
-    assert area(half.fpr, half.tpr) == 0.75
-    assert tpr_at(half.fpr, half.tpr, 0.05) == 0.5
+    assert area(half.fpr.to_numpy(), half.tpr.to_numpy()) == 0.75
+    assert tpr_at(half.fpr.to_numpy(), half.tpr.to_numpy(), 0.05) == 0.5
 
 
 @pytest.mark.slow

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.evaluation.count import Scored
+from sonarrec.evaluation.counts import corners
 from sonarrec.evaluation.screen import rate
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.landmarks import load_landmarks
-from tests.support.claims import evaluate
+from tests.support.claims import Scored, all_scored, evaluate
 from tests.support.command import sonarrec
 
 IDS = (1, 2, 3, 4)
@@ -42,12 +42,14 @@ def write_case(folder: Path, frames, estimates, truth) -> tuple[Path, Path]:
 
 
 def scored(evaluation: Evaluation, protocol: str, method: str = "m") -> Scored:
-    (one,) = [s for s in evaluation.scored if (s.protocol, s.method) == (protocol, method)]
+    (one,) = [
+        s for s in all_scored(evaluation.counts) if (s.protocol, s.method) == (protocol, method)
+    ]
     return one
 
 
-def counts(one: Scored, k: int | None = None) -> tuple[int, int, int, int]:
-    c = one.count(k)
+def counts(one: Scored, k: int | None = None, log: int | None = None) -> tuple[int, ...]:
+    c = one.count(k, log)
     return c.tp, c.tn, c.fp, c.fn
 
 
@@ -320,14 +322,14 @@ def test_curve_equals_scikit_learn(tmp_path: Path) -> None:
         np.testing.assert_allclose(curve.tpr, tpr, rtol=0, atol=1e-12)
         np.testing.assert_allclose(curve.fpr, fpr, rtol=0, atol=1e-12)
         # What roc.csv keeps draws the same curve.
-        at = curve.turns()
+        at = corners(curve)
         assert len(at) < len(fpr)
-        assert metrics.auc(curve.fpr[at], curve.tpr[at]) == pytest.approx(
+        assert metrics.auc(at.fpr, at.tpr) == pytest.approx(
             metrics.roc_auc_score(positive, score), abs=1e-12
         )
-        few = curve.turns(most=40)
+        few = corners(curve, most=40)
         assert len(few) <= 42
-        assert metrics.auc(curve.fpr[few], curve.tpr[few]) == pytest.approx(
+        assert metrics.auc(few.fpr, few.tpr) == pytest.approx(
             metrics.roc_auc_score(positive, score), abs=0.03
         )
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.evaluation.compare import EACH, MOST_ROWS, Limits, compare, judge, screen
+from sonarrec.evaluation.compare import EACH, MOST_ROWS, Limits, change_text, compare, judge, screen
 from sonarrec.evaluation.pairs import Pair
 from tests.evaluation.test_compare import FRAMES, TRUTH, claims, command
 from tests.evaluation.test_evaluation import write_case
@@ -53,7 +53,7 @@ def test_a_loss_in_one_log_of_many_is_one(tmp_path: Path) -> None:
     marks = {(row.log, row.protocol): row.mark for row in found.rows}
     assert [key for key, mark in marks.items() if mark] == [("a", "strict"), ("a", "paper")]
     [total] = [row for row in found.rows if (row.log, row.protocol) == ("total", "strict")]
-    assert (total.tpr.text, total.fpr.text) == ("1.0000 -> 0.9600", "0.0000")
+    assert (change_text(total.tpr), change_text(total.fpr)) == ("1.0000 -> 0.9600", "0.0000")
     assert judged(*sides, Limits(band=0.2)).faults == ()
 
 
@@ -97,7 +97,7 @@ def test_limits_by_method_and_for_each(tmp_path: Path) -> None:
     """m: TPR 10 of 20, and 2 false claims of ID.2, which 62 cases could be: 3 IDs x 40 - ..."""
     rows = claims(set(range(5, 15)), {30, 31}) + claims(RIGHT, method="n")
     folder = results(tmp_path, rows)
-    scored = compare(folder, folder, folder / "gt.csv").after.scored
+    scored = compare(folder, folder, folder / "gt.csv").after
     for limits, told in (
         (Limits(least_tpr={EACH: 0.5}), []),
         (Limits(least_tpr={EACH: 0.51}), ["TPR 0.5000 (m, strict) is below 0.51"]),
@@ -116,7 +116,7 @@ def test_a_tpr_of_nothing_keeps_no_limit(tmp_path: Path) -> None:
     """No landmark is whole in view."""
     truth = [(f, 1, 2.0, 0.0, 0.6) for f in range(5, 25)]
     folder, gt = write_case(tmp_path / "log", FRAMES, claims({5}), truth)
-    scored = compare(folder, folder, gt).after.scored
+    scored = compare(folder, folder, gt).after
     told = Limits(least_tpr={"m": 0.0}).broken(scored)
     assert told == ["limit not kept: TPR 0/0 (m, strict) is below 0"]
 

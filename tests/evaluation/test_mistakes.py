@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.match import PROTOCOLS
-from tests.support.claims import evaluate
+from sonarrec.evaluation.rows import PROTOCOLS
+from tests.support.claims import all_scored, evaluate
 from tests.support.command import sonarrec
 from tests.support.pages import random_results, tables
 from tests.support.rows import read_rows
@@ -29,7 +29,7 @@ def test_mistakes_add_up_to_the_counts(tmp_path: Path, protocol: str) -> None:
     found = evaluate(log, truth)
     wrong = found.counts.mistakes
     assert [m.frames for m in wrong] == sorted((m.frames for m in wrong), reverse=True)
-    for one in (s for s in found.scored if s.protocol == protocol):
+    for one in (s for s in all_scored(found.counts) if s.protocol == protocol):
         mine, count = [m for m in wrong if m.method == one.method], one.count()
         assert sum(m.times for m in mine if m.kind == "false") == count.fp > 50
         assert sum(m.times for m in mine if m.kind == "missed") == count.fn > 50

@@ -9,36 +9,43 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sonarrec.evaluation.figures import METRICS, over_units, rates_of, summarise
-from sonarrec.evaluation.passes import find_passes
+from sonarrec.evaluation.figures import (
+    METRICS,
+    Sample,
+    differences,
+    intervals,
+    over_units,
+    rates,
+    summarise,
+)
 from sonarrec.evaluation.uncertainty import (
-    Tally,
     bootstrap_weights,
     coin_tosses,
-    differences,
     interval,
-    intervals,
     rate_interval,
 )
 from tests.support.claims import counts, matched
 
 LABELS = ("strict", "m", "total")
-RATES = [m.name for m in METRICS if m.kind == "rates"]
+RATES = [name for name, m in METRICS.items() if m.kind == "rates"]
 
 
-def ratio_tally(labels, names, parts, wholes) -> Tally:
-    """Figures that are sum(part) / sum(whole), each (U,) per unit."""
-    n, sums = len(names), np.stack([*parts, *wholes], axis=1)
-    cases = tuple(np.count_nonzero(sums[:, n:], axis=0).tolist())
-    values = sums.sum(axis=0)
-    values = tuple((values[:n] / values[n:]).tolist())
-    return Tally(*labels, names, values, cases, sums, lambda rows: rows[:, :n] / rows[:, n:])
+def of_rates(part, whole) -> Sample:
+    """TPR is sum(part) / sum(whole), each (U,) per unit; there are no negatives."""
+    sums = np.zeros((len(part), 4, 2))
+    sums[:, 0] = np.asarray(part)[:, None]
+    sums[:, 3] = np.asarray(whole - part)[:, None]
+    return Sample("rates", *LABELS, sums, sums.sum(axis=0)[None])
 
 
-def rate_tallies(found, protocol: str, method: str) -> list[Tally]:
+def the_tpr(rows):
+    (row,) = [row for row in rows if row["figure"] == "tpr"]
+    return row
+
+
+def rate_samples(found, protocol: str, method: str) -> list[Sample]:
     """Per ID, then in total."""
-    (one,) = [s for s in found.scored if (s.protocol, s.method) == (protocol, method)]
-    return list(rates_of(found, one))
+    return list(rates(found, method, protocol))
 
 
 # --- Passes and units ----------------------------------------------------------------------------
@@ -49,9 +56,8 @@ def seen(landmark: int, first: int, last: int) -> list[tuple]:
 
 
 def spans(case) -> list[tuple[int, int, int]]:
-    p = find_passes(case)
-    found = zip(p.landmark_index, p.first_frame_index, p.last_frame_index, strict=True)
-    return [(case.ids[k], int(a), int(b)) for k, a, b in found]
+    columns = (case.passes[name].tolist() for name in ("landmark", "first", "last"))
+    return [*zip(*columns, strict=True)]
 
 
 def test_passes_end_where_a_landmark_stays_away() -> None:
@@ -64,21 +70,20 @@ def test_units_are_passes_and_what_is_nearest() -> None:
     # ID.1 and ID.2 are seen together, ID.3 after them with little in common, ID.4 long after.
     truth = seen(1, 10, 29) + seen(2, 15, 34) + seen(3, 31, 50) + seen(4, 71, 90)
     case = matched(100, truth, [])
-    passes = find_passes(case)
-    assert passes.units == 3
+    assert case.units == 3
     assert counts(case).units.kind == "pass"
-    landmark = case.truth_landmark_index
-    assert set(passes.unit_of_truth[landmark < 2]) == {0}
-    assert set(passes.unit_of_truth[landmark == 2]) == {1}  # also in the frames that ID.2 shares
-    assert set(passes.unit_of_truth[landmark == 3]) == {2}
+    unit, landmark = case.truths["unit"], case.truths["landmark"]
+    assert set(unit[landmark < 3]) == {0}
+    assert set(unit[landmark == 3]) == {1}  # also in the frames that ID.2 shares
+    assert set(unit[landmark == 4]) == {2}
     # Borders: the middle of frames 31 to 34, then of the gap from 50 to 71.
-    assert passes.unit_of_frame.tolist() == [0] * 33 + [1] * 28 + [2] * 39
+    assert case.unit.tolist() == [0] * 33 + [1] * 28 + [2] * 39
 
 
 def test_a_log_without_landmarks_is_a_unit_and_many_logs_are_units() -> None:
     three = [seen(1, 0, 9) + seen(1, 25, 29), [], seen(2, 0, 20)]
     found = counts(*(matched(30, truth, []) for truth in three))
-    assert found.units.count == 4
+    assert found.units.number == 4
     assert counts(*[matched(10, seen(1, 0, 9), [])] * 10).units.kind == "log"
 
 
@@ -100,13 +105,11 @@ def random_case(rng: np.random.Generator, passes: int, length: int = 20, gap: in
 def test_units_add_up_to_the_whole() -> None:
     found = counts(random_case(np.random.default_rng(1), 8))
     for protocol in ("paper", "strict"):
-        split = found.sums("declared", protocol, "a")
-        (one,) = [s for s in found.scored if (s.protocol, s.method) == (protocol, "a")]
-        np.testing.assert_array_equal(split.sum(axis=0), one.declared.sum(axis=0))
-        assert (split >= 0).all()  # what a claim takes away, its own unit has
-        for k, of in enumerate(rate_tallies(found, protocol, "a")):
-            summed = dict(zip(of.names, of.figures(of.sums.sum(axis=0)[None])[0], strict=True))
-            exact = dict(zip(of.names, of.values, strict=True))
+        points = found.points[(found.points.protocol == protocol) & (found.points.method == "a")]
+        assert (points[["tp", "tn", "fp", "fn"]] >= 0).all(axis=None)  # its own unit has it
+        for k, of in enumerate(rate_samples(found, protocol, "a")):
+            summed = {n: of.figures(n, of.per_unit.sum(axis=0)[None])[0] for n in RATES}
+            exact = {n: of.value(n) for n in RATES}
             assert summed["tpr"] == pytest.approx(exact["tpr"], abs=1e-6)
             assert summed["fpr"] == pytest.approx(exact["fpr"], abs=1e-6)
             # Curves are held in steps of .001 to .02 of FPR, over each of which the TPR rises.
@@ -133,9 +136,9 @@ def test_intervals_cover(units: int) -> None:
     for _ in range(600):
         rates = rng.beta(4, 2, units)
         part = rng.binomial(30, rates).astype(float)
-        tally = ratio_tally(LABELS, ("rate",), [part], [np.full(units, 30.0)])
-        (figure,) = intervals(tally, bootstrap_weights(units, rng, 500))
-        held += figure.low <= 4 / 6 <= figure.high
+        drawn = (bootstrap_weights(units, rng, 500) @ part) / (30 * units)
+        low, high = interval(drawn, units)
+        held += low <= 4 / 6 <= high
     assert 0.92 <= held / 600 <= 0.98
 
 
@@ -157,17 +160,19 @@ def test_intervals_of_rates_against_the_textbook() -> None:
 
 
 def test_few_or_equal_units_are_said_to_say_nothing() -> None:
-    few = ratio_tally(LABELS, ("rate",), [np.arange(5.0)], [np.full(5, 9.0)])
+    few = of_rates(np.arange(5.0), np.full(5, 9.0))
     rng = np.random.default_rng(0)
-    (figure,) = intervals(few, bootstrap_weights(5, rng))
-    assert math.isnan(figure.low)
-    assert figure.note == "cases in 5 of the 6 units needed: no interval"
-    (difference,) = differences(few, few, bootstrap_weights(5, rng), coin_tosses(5, rng))
-    assert math.isnan(difference.p)
-    equal = ratio_tally(LABELS, ("rate",), [np.zeros(9)], [np.full(9, 9.0)])
-    (figure,) = intervals(equal, bootstrap_weights(9, rng))
-    assert (figure.value, figure.note) == (0.0, "alike in all 9 units: no interval")
-    assert math.isnan(figure.high)
+    figure = the_tpr(intervals(few, bootstrap_weights(5, rng)))
+    assert math.isnan(figure["low"])
+    assert figure["note"] == "cases in 5 of the 6 units needed: no interval"
+    difference = the_tpr(differences(few, few, bootstrap_weights(5, rng), coin_tosses(5, rng)))
+    assert math.isnan(difference["p"])
+    sums = np.tile([[0.0, 9.0]], (9, 1))
+    at = (np.array([0.1, 0.2]),)
+    equal = Sample("position", *LABELS, sums, np.array([[0.0, 81.0]]), at, at)
+    figure = next(intervals(equal, bootstrap_weights(9, rng)))
+    assert (figure["value"], figure["note"]) == (0.2, "alike in all 9 units: no interval")
+    assert math.isnan(figure["high"])
 
     summary = summarise(counts(matched(40, seen(1, 0, 9) + seen(2, 20, 29), [])))
     # Why they are few, and how much more it takes: 2 passes a log, and 6 are needed.
@@ -178,11 +183,11 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     (note,) = summarise(counts(matched(40, together, []))).notes
     assert "3 passes of landmarks in 1 log are 1 independent unit" in note
     assert "some 5 more logs" in note
-    assert over_units(summary) == ""
+    assert over_units(summary.units) == ""
     often = [row for n in range(0, 90, 15) for row in seen(1, n, n)]
-    assert over_units(summarise(counts(matched(90, often, [])))) == "; 95% intervals over 6 passes"
-    assert all(math.isnan(f.low) for f in summary.figures)
-    assert all(math.isnan(d.p) for d in summary.differences)
+    assert over_units(counts(matched(90, often, [])).units) == "; 95% intervals over 6 passes"
+    assert all(math.isnan(f.low) for f in summary.figures.itertuples())
+    assert all(math.isnan(d.p) for d in summary.differences.itertuples())
 
 
 # --- The test ------------------------------------------------------------------------------------
@@ -193,10 +198,10 @@ def test_p_value_by_enumeration() -> None:
     rng = np.random.default_rng(4)
     part = rng.integers(0, 20, (2, 7)).astype(float)
     whole = rng.integers(20, 30, (2, 7)).astype(float)
-    a, b = (ratio_tally(LABELS, ("rate",), [p], [w]) for p, w in zip(part, whole, strict=True))
+    a, b = (of_rates(p, w) for p, w in zip(part, whole, strict=True))
     tosses = coin_tosses(7, rng)
     assert len(np.unique(tosses, axis=0)) == 2**7
-    (found,) = differences(a, b, bootstrap_weights(7, rng), tosses)
+    found = the_tpr(differences(a, b, bootstrap_weights(7, rng), tosses))
 
     def difference(swap: tuple[int, ...]) -> float:
         rows = np.arange(7)
@@ -206,8 +211,8 @@ def test_p_value_by_enumeration() -> None:
 
     seen_one = difference((0,) * 7)
     all_ways = [abs(difference(s)) >= abs(seen_one) - 1e-12 for s in product((0, 1), repeat=7)]
-    assert found.value == pytest.approx(seen_one)
-    assert found.p == pytest.approx(np.mean(all_ways))
+    assert found["value_b"] - found["value_a"] == pytest.approx(seen_one)
+    assert found["p"] == pytest.approx(np.mean(all_ways))
 
 
 @pytest.mark.slow
@@ -235,8 +240,8 @@ def test_null_simulation_of_every_figure() -> None:
                     if s > 0
                 ]
         case = counts(matched(passes * (length + gap), truth, claims))
-        a, b = (rate_tallies(case, "strict", m)[-1] for m in "ab")
+        a, b = (rate_samples(case, "strict", m)[-1] for m in "ab")
         weights, tosses = bootstrap_weights(passes, rng, 10), coin_tosses(passes, rng)
         for found in differences(a, b, weights, tosses):
-            rejected[found.name] += found.p <= 0.05
+            rejected[found["figure"]] += found["p"] <= 0.05
     assert max(rejected.values()) <= 13, rejected

@@ -109,10 +109,6 @@ def test_faint_landmarks_are_found_in_more_frames_than_they_show_in(tmp_path: Pa
         config = preset(name)
         recognise(Job(scene, tmp_path / name, [config]))
         assert config.features.lag_frames == lag
-        [found[name]] = [
-            s.count()
-            for s in score([tmp_path / name]).scored
-            if s.protocol == "strict" and s.method.startswith("framework")
-        ]
+        found[name] = score([tmp_path / name]).count("framework", "strict")
     assert found["offline"].tp > 1.5 * found["default"].tp > 0
     assert found["offline"].fp <= found["default"].fp

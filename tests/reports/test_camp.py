@@ -110,7 +110,7 @@ def test_equal_mistakes_are_one_line_and_frames_can_be_known(camp: Path) -> None
         (log, what) for log, _, what in pictured
     }
     assert all(number != "0" for _, number, _ in pictured)
-    total = found.scored_by("framework", "strict").count()
+    total = found.count("framework", "strict")
     assert f"framework: {total.fp} false claims, {total.fn} missed" in page.text
 
 

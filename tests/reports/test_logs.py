@@ -25,10 +25,11 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
     assert found.position is not None
     for n in range(0, len(found.frame_index), 7):
         best, beneath = found.landmarks.radius_m, -1
-        for t in np.flatnonzero(truth.truth_frame_index == found.frame_index[n]):
-            away = np.linalg.norm(found.position[n] - truth.truth_position[t])
+        for t in np.flatnonzero(truth.truths["at"] == found.frame_index[n]):
+            place = truth.truths["x"][t], truth.truths["y"][t]
+            away = np.linalg.norm(found.position[n] - place)
             if away <= best:
-                best, beneath = away, truth.truth_landmark_index[t]
+                best, beneath = away, truth.truths["cell"][t] % len(truth.ids)
         assert log.truth_near[n] == beneath
     shown = tracks(log)
     assert {track.number for track in shown} == {100, 101, 102, 103}

@@ -40,7 +40,7 @@ def test_some_have_panels_the_figures_are_of_all_and_the_page_is_small(tmp_path:
     listed = section(text, "logs").partition("<details>")
     rows = [part.count('<tr><th scope="row" class="text">') for part in listed]
     assert rows == [ROWS_OPEN, 0, MANY - ROWS_OPEN]
-    count = evaluate_logs(made / "out", gt).counts.scored_by("framework", "strict").count()
+    count = evaluate_logs(made / "out", gt).counts.count("framework", "strict")
     assert f"framework: {count.fp:,} false claims, {count.fn} missed" in section(text, "mistakes")
     sonarrec("report", made / "out", "-o", bare)
     assert max(file.stat().st_size for file in (page, bare)) < MOST_BYTES
@@ -72,7 +72,7 @@ def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     truth = [f"{log},{n},1,2.0,0" for log in estimates for n in range(10, 20)]
     out = plain_logs(tmp_path, estimates, truth)
     found = evaluate_logs(out, tmp_path / "gt.csv").counts
-    count = found.scored_by("framework", "paper").count()
+    count = found.count("framework", "paper")
     assert (count.fp, count.fn) == (MOST_LOGS, 0)
     page = tmp_path / "page.html"
     report(out, page, ground_truth=tmp_path / "gt.csv")

@@ -7,6 +7,7 @@ import hashlib
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,8 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.evaluation import screen
-from sonarrec.evaluation.curves import Count
-from sonarrec.evaluation.match import PROTOCOLS
-from tests.support.claims import evaluate
+from sonarrec.evaluation.rows import PROTOCOLS
+from tests.support.claims import all_scored, evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import DECLARED, PLACED, Page, tables, without_log
 from tests.support.rows import read_rows, write_rows
@@ -32,7 +32,7 @@ def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> No
         for protocol in PROTOCOLS:
             rows = {r[0]: r[1:] for r in page.tables[f"{method}, protocol {protocol}"]}
             expected = [r for r in confusion if (r["method"], r["protocol"]) == (method, protocol)]
-            for label, column in screen.COUNT_ROWS:
+            for label, column in screen.COUNT_ROWS.items():
                 assert rows[label] == [r[column] for r in expected]
             for label in ("TPR", "FPR"):
                 for cell, r in zip(rows[label], expected, strict=True):
@@ -169,7 +169,7 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     first, second = page.named["All logs"][2:]
     assert (first[:3], second[:3]) == (["first", "done", "128"], ["pan", "done", "128"])
     assert first[3:] == second[3:]
-    found = evaluate(results, SAMPLE / "gt.csv").scored
+    found = all_scored(evaluate(results, SAMPLE / "gt.csv").counts)
     leading, other = (s.count() for s in found if s.protocol == "strict")
     assert first[3:7] == [*rates(leading), str(leading.fn), str(leading.fp)]
     assert first[7:] == rates(other)
@@ -178,7 +178,7 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     assert "neither one of these logs nor holds any: first, pan" in other.stderr
 
 
-def rates(count: Count) -> list[str]:
+def rates(count: Any) -> list[str]:
     return [f"{count.tpr:.4f}", f"{count.fpr:.4f}"]
 
 

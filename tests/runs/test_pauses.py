@@ -117,7 +117,7 @@ def test_other_discs_after_a_pause_are_not_taken_for_those_before(
     log = paused(tmp_path / name, pause_s)
     run(log, tmp_path / "out", preset=wanted)
     scores = evaluate(tmp_path / "out" / "dive")
-    counts = scores.counts.scored_by("framework", "strict").count()
+    counts = scores.counts.count("framework", "strict")
     assert counts.fp == 0
     assert counts.tpr > 0.95
     for row in read_rows(tmp_path / "out" / "dive" / "sightings.csv"):
@@ -129,7 +129,7 @@ def test_other_discs_after_a_pause_are_not_taken_for_those_before(
 def test_without_the_pause_they_are(wanted: str, tmp_path: Path) -> None:
     """So the test above can fail."""
     run(paused(tmp_path / "dive", 0.25), tmp_path / "out", preset=wanted)
-    counts = evaluate(tmp_path / "out" / "dive").counts.scored_by("framework", "strict").count()
+    counts = evaluate(tmp_path / "out" / "dive").counts.count("framework", "strict")
     assert counts.fp > 40
 
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from sonarrec.config import preset
-from sonarrec.evaluation.curves import Count, ratio
+from sonarrec.evaluation.counts import ratio
 from sonarrec.evaluation.uncertainty import bootstrap_weights, interval
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import (
@@ -24,6 +24,7 @@ from tests.studies.learning.random_scenes import (
     random_scene,
 )
 from tests.studies.results.record import judge, options, save, show
+from tests.support.counted import Count, counted
 from tests.support.simulated import (
     METHODS,
     PRESETS,
@@ -82,10 +83,10 @@ def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
     for recording in recordings:
         found = score([recording.folder])
         counts = {
-            (s.protocol, name): s.count()
-            for s in found.scored
+            (protocol, name): count
+            for (protocol, of), count in counted(found).items()
             for name, method in METHODS.items()
-            if s.method == method
+            if of == method
         }
         passes = len(found.passes)
         rows.append(Row(recording.kind, recording.seed, passes, counts))
@@ -94,13 +95,13 @@ def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
 
 def pooled(rows: Sequence[Row], name: str, protocol: str = "strict") -> Count:
     """The counts of several recordings, summed."""
-    counts = [astuple(r.counts[protocol, name]) for r in rows]
+    counts = [r.counts[protocol, name] for r in rows]
     return Count(*np.sum(counts, axis=0).tolist())
 
 
 def intervals(rows: Sequence[Row], name: str) -> tuple[tuple[float, float], ...]:
     """95 % intervals of a method's TPR and FPR, strict, over recordings (bootstrap)."""
-    counts = np.array([astuple(r.counts["strict", name]) for r in rows])
+    counts = np.array([r.counts["strict", name] for r in rows])
     weights = bootstrap_weights(len(counts), np.random.default_rng(0), RESAMPLED)
     tp, tn, fp, fn, _ = (weights @ counts).T
     return tuple(interval(ratio(n, n + of), len(counts)) for n, of in ((tp, fn), (fp, tn)))

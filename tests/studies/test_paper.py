@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.curves import PUBLISHED
+from sonarrec.evaluation.plots import PUBLISHED
 from sonarrec.simulation.motion import poses
 from tests.studies import baseline, bench, scenes
 from tests.studies.learning.built_in import MODEL_SEEDS
 from tests.studies.paper import prediction, search, world
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, TABLE_4, TABLE_5
 from tests.studies.paper.world import kept_worlds
+from tests.support.counted import counted
 from tests.support.simulated import score
 
 pytestmark = pytest.mark.slow
@@ -81,10 +82,10 @@ def test_a_recording_is_scored_by_every_method(tmp_path: Path) -> None:
     scene = kept_worlds()[0].scene(1, frames=48)
     folders = tmp_path / "0", tmp_path / "1"
     prediction.record(prediction.Job(scene, folders))
-    scored = {(s.protocol, s.method): s for s in score(folders[:1]).scored}
-    assert {s.method for s in scored.values()} == set(prediction.METHODS.values())
+    counts = counted(score(folders[:1]))
+    assert {method for _, method in counts} == set(prediction.METHODS.values())
     for name in ("framework", "SMI, one claim", "continuity, one claim"):
-        count = scored["paper", prediction.METHODS[name]].count()
+        count = counts["paper", prediction.METHODS[name]]
         assert count.double == 0
         assert count.total == len(IDS) * 48
     again = tmp_path / "2", tmp_path / "3"

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from sonarrec.config import preset
-from sonarrec.evaluation.curves import Count
 from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies import baseline, plates, scenes
 from tests.support.command import sonarrec
+from tests.support.counted import Count
 from tests.support.rows import read_rows
 from tests.support.simulated import METHODS, PRESETS, Job, recognise
 

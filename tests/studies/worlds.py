@@ -9,17 +9,16 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from sonarrec.evaluation.curves import Count
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.results.record import options, save, show
 from tests.studies.scenes import rates
 from tests.support.claims import evaluate
+from tests.support.counted import Count, counted
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESETS = ("default", "offline")
@@ -57,10 +56,9 @@ def world(name: str, logs: Sequence[Path], out: Path) -> dict[str, str]:
     for log in logs:
         results = recognise(log, out / log.parent.name)
         frames += len(pd.read_csv(results / "frames.csv"))
-        found = evaluate(results, log / "gt.csv")
-        counts = {s.method: s.count() for s in found.scored if s.protocol == "strict"}
+        counts = counted(evaluate(results, log / "gt.csv").counts)
         for preset in PRESETS:
-            total[preset] = total[preset] + astuple(counts[f"{FRAMEWORK}:{preset}"])
+            total[preset] = total[preset] + counts["strict", f"{FRAMEWORK}:{preset}"]
     line = {"recordings": name, "frames": str(frames)}
     for preset, numbers in total.items():
         count = Count(*numbers.tolist())

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from sonarrec.evaluation.count import Counts, count_log
+from sonarrec.arrays import Table
+from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.figures import summarise
-from sonarrec.evaluation.match import Matched, ScoringOptions
+from sonarrec.evaluation.rows import Matched, ScoringOptions
+from sonarrec.evaluation.rows import matched as with_passes
 from sonarrec.evaluation.write import Evaluation
 
 IDS = (1, 2, 3, 4)
@@ -32,37 +35,70 @@ def matched(
     t = np.array([row[:4] for row in truth], dtype=float).reshape(-1, 4)
     c = np.array([row[:7] for row in claims], dtype=float).reshape(-1, 7)
     told = [row[7:] or (np.nan,) * (len(IDS) + 1) for row in claims]
-    return Matched(
-        name="log",
-        ids=IDS,
-        methods=methods,
-        frame=np.arange(frames),
-        stretch=np.zeros(frames, int) if stretch is None else np.array(stretch),
-        truth_frame_index=t[:, 0].astype(int),
-        truth_landmark_index=t[:, 1].astype(int) - 1,
-        truth_position=t[:, 2:4],
-        truth_positive=np.array([row[4] for row in truth], dtype=bool),
-        truth_half_in_view=np.array([row[4] for row in truth], dtype=bool),
-        gate_m=GATE_M,
-        method_index=c[:, 0].astype(int),
-        claim_frame_index=c[:, 1].astype(int),
-        claim_landmark_index=c[:, 2].astype(int) - 1,
-        claim_position=c[:, 3:5],
+    whole = np.array([row[4] for row in truth], dtype=bool)
+    truths = Table(
+        at=t[:, 0].astype(int),
+        landmark=t[:, 1].astype(int),
+        x=t[:, 2],
+        y=t[:, 3],
+        orientation=np.array([row[5] if len(row) > 5 else np.nan for row in truth], dtype=float),
+        paper=whole,
+        strict=whole,
+    )
+    made = Table(
+        method=c[:, 0].astype(int),
+        at=c[:, 1].astype(int),
+        landmark=c[:, 2].astype(int),
+        x=c[:, 3],
+        y=c[:, 4],
+        orientation=np.zeros(len(c)),
         score=c[:, 5],
         declared=c[:, 6].astype(bool),
-        probability=np.array(told, dtype=np.float32).reshape(-1, len(IDS) + 1),
-        placed=True,
-        truth_orientation=np.array([row[5] if len(row) > 5 else np.nan for row in truth]),
-        claim_orientation=np.zeros(len(c)),
-        turn_deg=np.array([360.0, 180.0, 360.0, 360.0]),
     )
+    return with_passes(
+        "log",
+        IDS,
+        methods,
+        np.arange(frames),
+        np.zeros(frames, int) if stretch is None else np.array(stretch),
+        truths,
+        made,
+        probability=np.array(told, dtype=np.float32).reshape(-1, len(IDS) + 1),
+        gate_m=GATE_M,
+        period_deg=dict(zip(IDS, (360.0, 180.0, 360.0, 360.0), strict=True)),
+        placed=True,
+    )
+
+
+class Scored(NamedTuple):
+    """One method under one protocol."""
+
+    protocol: str
+    method: str
+    counts: Counts
+
+    def count(self, k: int | None = None, log: int | None = None) -> Any:
+        """The rates and counts of the k-th ID or over all, in one log or in all."""
+        landmark = TOTAL if k is None else str(self.counts.ids[k])
+        of_log = "" if log is None else self.counts.logs[log]
+        return self.counts.count(self.method, self.protocol, landmark, of_log)
+
+    def curve(self, k: int | None = None) -> pd.DataFrame:
+        """The ROC of the k-th ID, or of all."""
+        landmark = TOTAL if k is None else str(self.counts.ids[k])
+        return self.counts.curve(self.method, self.protocol, landmark)
+
+
+def all_scored(of: Counts) -> list[Scored]:
+    """Every method under every protocol."""
+    return [Scored(p, m, of) for m in of.methods for p in of.protocols]
 
 
 def counts(*logs: Matched) -> Counts:
     """The counts of logs."""
     found = Counts()
     for log in logs:
-        found.add(count_log(log))
+        found.add(log)
     return found.finish([Path(f"log{n}") for n in range(len(logs))])
 
 

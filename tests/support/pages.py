@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.match import ScoringOptions
+from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.reports.logs import LogToShow, ReportedLog, read_logs
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth

@@ -20,8 +20,8 @@ import numpy as np
 from tqdm import tqdm
 
 from sonarrec.config import Config
-from sonarrec.evaluation.count import Counts, count_log
-from sonarrec.evaluation.match import Matched, match
+from sonarrec.evaluation.counts import Counts
+from sonarrec.evaluation.rows import Matched, match
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.presets.side_by_side import SideBySide
@@ -117,7 +117,7 @@ def score(folders: Sequence[Path]) -> Counts:
     """
     found = Counts()
     for folder in folders:
-        found.add(count_log(matched(folder)))
+        found.add(matched(folder))
     return found.finish(folders)
 
 

@@ -24,8 +24,9 @@ from matplotlib.figure import Figure
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.config import preset
-from sonarrec.evaluation.count import Counts, LogCounts, Scored, count_log
-from sonarrec.evaluation.curves import PUBLISHED
+from sonarrec.evaluation.counts import COUNTS, Counts
+from sonarrec.evaluation.plots import PUBLISHED
+from sonarrec.evaluation.rows import Matched
 from sonarrec.evaluation.uncertainty import coin_tosses
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
 from sonarrec.records import Frame, FrameResult
@@ -114,17 +115,12 @@ def record(job: Job) -> None:
         write_truth(folder / "gt.csv", [*TRUTH_COLUMNS], truth)
 
 
-def count_of(folder: Path) -> LogCounts:
-    """The counts of one recording's results."""
-    return count_log(matched(folder), rates_only=True)
-
-
-def summed(logs: Sequence[LogCounts], folders: Sequence[Path]) -> tuple[Scored, ...]:
-    """Every method and protocol over some results."""
-    found = Counts()
+def summed(logs: Sequence[Matched], folders: Sequence[Path]) -> Counts:
+    """The rates over some results."""
+    found = Counts(rates_only=True)
     for log in logs:
         found.add(log)
-    return found.finish(folders).scored
+    return found.finish(folders)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +129,8 @@ class Group:
 
     numbers: Sequence[int]
     jobs: Sequence[Sequence[Job]]
-    pooled: tuple[Scored, ...]
-    worlds: Sequence[tuple[Scored, ...]]
+    pooled: Counts
+    worlds: Sequence[Counts]
 
     def only(self, at: Sequence[int]) -> Group:
         """The worlds of these indices; `pooled` still is of all."""
@@ -147,8 +143,12 @@ class Group:
 
     def counts(self, method: str, how: str) -> IntArray:
         """(worlds, recordings, seeds, K, 4) TP, TN, FP, FN."""
-        each = [found(w, how, METHODS[method]).declared for w in self.worlds]
-        return np.stack([c.reshape(-1, PARTICLES, *c.shape[1:]) for c in each])
+        each = []
+        for world in self.worlds:
+            table = world.confusion.loc[(METHODS[method], how)]
+            order = [(log, landmark) for log in world.logs for landmark in world.landmarks[:-1]]
+            each.append(table.loc[order, COUNTS].to_numpy())
+        return np.reshape(each, (len(each), -1, PARTICLES, len(IDS), len(COUNTS)))
 
     def rates(self, method: str, how: str) -> FloatArray:
         """(worlds, 2) TPR and FPR."""
@@ -256,15 +256,14 @@ def table_lines(
 COLUMNS = ("", *(f"ID.{i}" for i in IDS), "Total")
 
 
-def draw_roc(path: Path, pooled: Sequence[Scored], worlds: Sequence[Sequence[Scored]]) -> None:
+def draw_roc(path: Path, pooled: Counts, worlds: Sequence[Counts]) -> None:
     """The curves of SMI and the framework: a thin line for each world, a thick one for all."""
     figure = Figure(figsize=(10, 4.6), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     for axes, protocol in zip(figure.subplots(1, 2, sharey=True), ("paper", "strict"), strict=True):
         for name, colour in COLOURS.items():
             for group, width in (*((w, 0.6) for w in worlds), (pooled, 2.4)):
-                scored = found(group, protocol, METHODS[name])
-                curve, point = scored.curve(), scored.count()
+                curve, point = (of(METHODS[name], protocol) for of in (group.curve, group.count))
                 label = name if group is pooled else None
                 alpha = 1 if group is pooled else 0.6
                 axes.plot(curve.fpr, curve.tpr, color=colour, lw=width, alpha=alpha, label=label)
@@ -280,10 +279,6 @@ def draw_roc(path: Path, pooled: Sequence[Scored], worlds: Sequence[Sequence[Sco
         axes.grid(color="0.9")
     axes.figure.axes[0].set_ylabel("TPR")
     figure.savefig(path)
-
-
-def found(scored: Sequence[Scored], protocol: str, method: str) -> Scored:
-    return next(s for s in scored if (s.protocol, s.method) == (protocol, method))
 
 
 def beliefs(results: Path, method: str, landmark: int) -> dict[int, FloatArray]:
@@ -358,7 +353,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     in_processes(record, [job for of_world in jobs for job in of_world])
     folders = [[f for job in of_world for f in job.folders] for of_world in jobs]
     flat = [f for of_world in folders for f in of_world]
-    logs, each = in_processes(count_of, flat), len(folders[0])
+    logs, each = in_processes(matched, flat), len(folders[0])
     mine = [logs[n : n + each] for n in range(0, len(logs), each)]
     scored = [summed(log, folder) for log, folder in zip(mine, folders, strict=True)]
     group = Group([w.number for w in worlds], jobs, summed(logs, flat), scored)
@@ -436,7 +431,7 @@ def beside(group: Group) -> dict[str, object]:
         told[f"framework {how}, spread by the particles' seed alone, TPR"] = tpr
         told[f"framework {how}, spread by the particles' seed alone, FPR"] = fpr
     for name, fpr, tpr in PUBLISHED:
-        curve = found(group.pooled, "paper", METHODS[name]).curve()
+        curve = group.pooled.curve(METHODS[name], "paper")
         reached = float(curve.tpr[curve.fpr <= fpr].max())
         told[f"{name}, TPR at the published FPR of {fpr} (published {tpr})"] = round(reached, 4)
     return told

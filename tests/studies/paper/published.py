@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sonarrec.evaluation.match import PAPER_MIN_VISIBLE
+from sonarrec.evaluation.rows import PAPER_MIN_VISIBLE
 
 FRAMES = 992
 IDS = (1, 2, 3, 4)
