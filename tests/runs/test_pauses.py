@@ -236,7 +236,7 @@ def test_sightings_and_passes_of_other_programs_end_there(joined: Path, tmp_path
         ],
     )
     scores = evaluate(joined, truth)
-    passes = scores.passes[scores.passes.protocol == "strict"]
+    passes = scores.passes.query("protocol == 'strict' and method == 'framework'")
     spans = [*zip(passes.first_frame, passes.last_frame, strict=True)]
     assert spans == [(0, 23), (24, 47), (48, 71)]
     assert scores.counts.units.number == 3
