@@ -84,8 +84,14 @@ def name_from_text(text: str) -> str:
 
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/{1,2}(?=[^/])")  # a Path keeps one slash only
+# A password may hold any sign, if what is behind the colon is no port.
+_USER = (
+    r"(?:[^\s/:@]*:(?!\d*(?:[/?#;]|$))(?:(?!:/)[^\n])*@"
+    r"|[^\s/:@]*:(?:(?!:/)[^?#;\n])*@|[^\s/?#]*@)?"
+)
+_WHOLE = re.compile(rf"([A-Za-z][A-Za-z0-9+.-]+:/{{1,2}}){_USER}([^?;#]*).*", re.DOTALL)
 _IN_TEXT = re.compile(
-    r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2})(?:[^\s/'\"]*@)?([^\s?;'\"]*)(?:[?;][^\s'\"]*[^\s'\":,;])?"
+    rf"([A-Za-z][A-Za-z0-9+.-]+:/{{1,2}}){_USER}([^\s?;#'\"]*)(?:[?;#]\S*?(?=[:'\",;)\]]*(?:\s|$)))?"
 )
 
 
@@ -94,8 +100,18 @@ def is_url(text: object) -> bool:
     return _URL.match(str(text)) is not None
 
 
-def hidden(text: object) -> str:
-    """A text whose URLs have no user, password, query or parameters: for every output."""
+def shown_url(url: object) -> str:
+    """Scheme, host and path of a URL, without user, password, parameters, query and fragment."""
+    return _WHOLE.sub(r"\1\2", str(url))
+
+
+def hidden(text: object, known: Iterable[str] = ()) -> str:
+    """A text with each URL in it as `shown_url` has it, for every output.
+
+    known: URLs that may be in it, since where one ends in a text is a guess.
+    """
+    for url in known:
+        text = str(text).replace(url, shown_url(url))
     return _IN_TEXT.sub(r"\1\2", str(text))
 
 
@@ -103,8 +119,8 @@ def local(place: Place) -> Place:
     """The place itself. Raises UsageError if it is a URL: only `run` takes these."""
     if is_url(place):
         raise UsageError(
-            f"{place}: only `sonarrec run` takes URLs; copy it to this machine, or mount "
-            "the server: sonarrec help run"
+            f"{shown_url(place)}: URLs are for the logs and results of `run`; copy it here, or "
+            "mount the server: sonarrec help run"
         )
     return place
 
@@ -113,18 +129,22 @@ MAX_PROBLEM_LINES = 20
 """So many frames that could not be used are told, a line each; then a count."""
 
 
+MOST_ALIKE = 3
+"""So many faults of a kind, equal but for numbers, are told, a line each; then a count."""
+
+
 class Diagnostics:
     """What is to be told about one log. Every part tells it; the commands print it.
 
-    notes: a line on each thing that was guessed, assumed or contradicts. faults: a line on each
-    thing that is wrong with the log as a whole. unusable: how many frames of this pass could not be
-    used. No line is told twice, so a further pass over the log gives the same.
+    notes: a line on each thing that was guessed, assumed or contradicts. unusable: how many frames
+    of this pass could not be used. No line is told twice, so a further pass over the log gives the
+    same.
     """
 
     def __init__(self, log: object = None) -> None:
         """log: its path, with which notes begin; None: they name by themselves what they are on."""
         self.notes: list[str] = []
-        self.faults: list[str] = []
+        self._faults: dict[str, dict[str, None]] = {}  # the lines of each kind
         self.unusable = 0
         self._log = log
         self._skipped: list[str] = []  # of this pass
@@ -138,7 +158,8 @@ class Diagnostics:
 
     def fault(self, text: str, file: object) -> None:
         """Tell what is wrong with a file of the log as a whole. file: its name."""
-        _tell(self.faults, [f"{file}: {text}"])
+        line = printable(f"{file}: {text}")
+        self._faults.setdefault(re.sub("[0-9]+", "", line), {})[line] = None
 
     def problem(self, *lines: str) -> None:
         """Tell what else could not be used."""
@@ -158,6 +179,18 @@ class Diagnostics:
     def end_pass(self) -> None:
         """All frames were read, to the end of the log."""
         self._is_whole = True
+
+    @property
+    def faults(self) -> list[str]:
+        """What is wrong with the log as a whole: of one kind MOST_ALIKE lines, then a count."""
+        lines = list[str]()
+        for of_kind in self._faults.values():
+            first, *others = [*of_kind]
+            lines += [first, *others[: MOST_ALIKE - 1]]
+            if more := len(of_kind) - MOST_ALIKE:
+                where = f"{first.partition(': ')[0]}: "
+                lines += [f"{where}{more} more of this kind"] * (more > 0)
+        return lines
 
     @property
     def skipped(self) -> list[str]:

@@ -16,6 +16,8 @@ PART = ".part"
 """Ending of the name of a results folder whose run is not finished; no other folder has it."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 """How the names of images end; a folder that holds some is a log."""
+ARRAY_SUFFIX = ".npy"
+"""Of an array of NumPy; a folder that holds some, and neither images nor other logs, is a log."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -239,3 +239,22 @@ def test_a_note_on_several_logs_is_told_once(tmp_path: Path) -> None:
     told = sonarrec("run", *logs, "-o", tmp_path / "out").stderr
     assert told.count("frames carry no time") == 1
     assert "sonarrec: note: a and 1 more log: frames carry no time" in told
+
+
+@pytest.mark.parametrize(
+    ("geometry", "told"),
+    [
+        ("", False),
+        ("--range-max-m 12.0", True),  # discs of 7 px
+        ("--range-min-m 40 --range-max-m 42.5 --height-m 0.68", True),  # a degree above the floor
+        ("--range-min-m 1400 --range-max-m 1402.5", None),  # no picture of it can be made
+    ],
+)
+def test_a_geometry_in_which_no_landmark_can_be_read_is_told(
+    geometry: str, told: bool | None, tmp_path: Path
+) -> None:
+    log = sample_log(tmp_path / "log", 4)
+    run = ("run", log, "-o", tmp_path / "out", *geometry.split())
+    done = sonarrec(*run, code=1 if told is None else 0)
+    assert len(done.stderr.splitlines()) == 1 or told is not None
+    assert ("in mid-window is" in done.stderr) == bool(told)

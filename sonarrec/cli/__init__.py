@@ -12,9 +12,16 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.endings import INTERRUPTED, code_of, tell
+from sonarrec.cli.endings import (
+    INTERRUPTED,
+    TERMINATED,
+    Terminated,
+    code_of,
+    tell,
+    terminable,
+)
 from sonarrec.cli.groups import advice_on
-from sonarrec.errors import SonarrecError, name_as_text
+from sonarrec.errors import SonarrecError, hidden, is_url, name_as_text
 from sonarrec.records import VERSION
 
 COMMANDS = (
@@ -49,14 +56,19 @@ class _Program(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Faults of the input and Ctrl-C become one line; bugs keep their traceback."""
+        typed = [word for word in (*ctx._protected_args, *ctx.args) if is_url(word)]
         try:
-            return super().invoke(ctx)
+            with terminable():
+                return super().invoke(ctx)
+        except click.ClickException as error:
+            error.message = hidden(error.message, typed)  # type: ignore[misc]
+            raise
         except SonarrecError as error:
             tell([str(error)])
             ctx.exit(code_of(error))
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
             tell(["stopped"])
-            ctx.exit(INTERRUPTED)
+            ctx.exit(TERMINATED if isinstance(error, Terminated) else INTERRUPTED)
         except OSError as error:
             name = "" if error.filename is None else f"{name_as_text(error.filename)}: "
             if name or error.errno == errno.ENOENT:  # no permission, or no temporary folder

@@ -74,18 +74,29 @@ def check(
       sonarrec check --set features.declare=0.9
       sonarrec check tests/sonar.toml --least-tpr 0.95 -o check
     """
-    from sonarrec.evaluation.check_file import is_recorded, read_check
+    from sonarrec.evaluation.check_file import LogToRun, is_recorded, names_its_log, read_check
+    from sonarrec.tables.outputs import below
 
     one = read_check(file)
     if update and settings != options.SettingsChoice(None, None, ()):
         raise UsageError(
             f"--update records what {file} says; write the settings there: preset, config, set"
         )
-    logs, new = one.logs(), []
+    logs, new, nameless = one.logs(), list[LogToRun](), list[LogToRun]()
     if not update:
         new = [log for log in logs if not is_recorded(one.record, log.name)]
-        logs = [log for log in logs if log not in new]
+        nameless = [
+            log for log in logs if log not in new and not names_its_log(one.record, log.name)
+        ]
+        logs = [log for log in logs if log not in (*new, *nameless)]
         again = f"{command_line('check', file, '--update')} records them; then commit them"
+        tell(
+            f"{one.record / log.name}: run.toml does not say of which log these results are; not "
+            f"compared; {again}"
+            for log in nameless
+        )
+        if nameless and not logs:
+            leave(WORSE)
         if not logs:
             raise UsageError(f"{one.record}: no results on record yet; {again}")
         tell(
@@ -111,7 +122,7 @@ def check(
             partial = partial or bool(unused)
         else:
             for name, compared in of_set.items():
-                judged, place = _judge(one, compared, limits), out and out / "evaluation"
+                judged, place = _judge(one, compared, limits), out and below(out, "evaluation")
                 if len(of_set) > 1:
                     place = place and place / name
                     say(*[f"landmarks {name}"] * (not quiet))
@@ -120,7 +131,7 @@ def check(
                 worse += [] if update else judged.faults
         if update:
             _update(one, logs, folder, quiet)
-    if code := WORSE if worse else PARTLY if partial else 0:
+    if code := WORSE if worse or nameless else PARTLY if partial else 0:
         leave(code)
 
 

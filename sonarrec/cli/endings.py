@@ -6,6 +6,7 @@ In this order: what is wrong (stderr), results (stdout), notes (stderr). And the
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -70,6 +71,24 @@ def finish(
     tell((), notes)
     if problems:
         leave(PARTLY)
+
+
+class Terminated(KeyboardInterrupt):
+    """Raised at SIGTERM, which batch systems and containers send; it ends as Ctrl-C does."""
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """SIGTERM raises Terminated, so that what is half done is put away."""
+
+    def stop(*_: object) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def leave(code: int) -> NoReturn:

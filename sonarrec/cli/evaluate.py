@@ -75,6 +75,7 @@ def evaluate(
         )
     limits = replace(limits, methods=scoring.methods)
     from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.tables.outputs import below
 
     folder_of_logs = results or Path("sonarrec_out")
     beside = folder_of_logs if pairs is None else pairs.parent
@@ -85,7 +86,7 @@ def evaluate(
 
         old, new = compare
         found = comparing.compare(old, new, truth, scoring)
-        notes, unused, folder = found.notes, found.unused, out or new / "evaluation"
+        notes, unused, folder = found.notes, found.unused, out or below(new, "evaluation")
         files = comparing.write_comparison(folder, found)
         judged = comparing.judge(found, limits)
         worse = judged.faults if limits.are_given else ()
@@ -101,7 +102,7 @@ def evaluate(
             None if isinstance(truth, list) else truth,
             scoring,
         )
-        notes, unused, folder = scored.notes, scored.unused, out or beside / "evaluation"
+        notes, unused, folder = scored.notes, scored.unused, out or below(beside, "evaluation")
         files = write_evaluation(folder, scored)
         worse = limits.broken(scored.counts)
         document = json_text(scored) if as_json else ""

@@ -40,11 +40,26 @@ def advice_on(word: str) -> str:
     return ""
 
 
+def _readable(value: Any) -> Any:
+    """The name of a file to read; URLs and pipes are refused."""
+    from sonarrec.tables import refuse_pipe
+
+    refuse_pipe(Path(local(value)))
+    return value
+
+
 class _Local(click.Path):
     """A local path; URLs are refused, as they would create a local folder `s3:`."""
 
     def convert(self, value: Any, *context: Any) -> Any:
-        return super().convert(local(value), *context)
+        return super().convert(_readable(value) if self.exists else local(value), *context)
+
+
+class ListFile(click.File):
+    """A text to read; else as FILE."""
+
+    def convert(self, value: Any, *context: Any) -> Any:
+        return super().convert(_readable(value), *context)
 
 
 FILE = _Local(exists=True, dir_okay=False, path_type=Path)

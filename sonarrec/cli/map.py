@@ -72,12 +72,13 @@ def map_(
     from sonarrec.mapping.build import make_map
     from sonarrec.mapping.path import Drift
     from sonarrec.mapping.write import GeographicOrigin, lines, write_all
+    from sonarrec.tables.outputs import below
 
     folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
     if out is None:
         if len(folders) > 1:
             raise UsageError("several RESULTS need --out, the folder of their map")
-        out = folders[0] / "map"
+        out = below(folders[0], "map")
     on_earth = None
     if origin is not None:
         on_earth = GeographicOrigin(*options.numbers("--origin", origin, 3))

@@ -11,11 +11,13 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 
 import click
 
+from sonarrec.cli.endings import inform
 from sonarrec.cli.groups import (
     ANY,
     FILE,
     Decorator,
     FiniteRange,
+    ListFile,
     as_one,
     file_names,
     in_geometry,
@@ -42,7 +44,7 @@ _RECURSIVE = in_input(
 )
 _FROM_FILE = in_input(
     "--from-file",
-    type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
+    type=ListFile(encoding="utf-8-sig", errors="surrogateescape"),
     metavar="LIST",
     help="File with one LOG per line; - for standard input. # begins a comment.",
 )
@@ -58,7 +60,7 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
 
     Raises click's UsageError if there are none, ours if the list is not text.
     """
-    from sonarrec.readers.named_logs import NamedLog, log_arguments, logs_named
+    from sonarrec.readers.named_logs import NamedLog, log_arguments, logs_named, unread_below
 
     if not logs and from_file is None:
         missing = "Missing argument 'LOG...' (or --from-file LIST)"
@@ -77,6 +79,8 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
             found += map(NamedLog, logs_at(name, recursive=recursive))
         else:
             found += logs_named(name, recursive=recursive)
+            if unread := unread_below(name, recursive=recursive):
+                inform(f"{name}: not read: {unread} (sonarrec help formats has what is)")
     return found
 
 

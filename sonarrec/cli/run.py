@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from sonarrec.cli.endings import (
     INTERRUPTED,
     PARTLY,
     TERMINATED,
+    Terminated,
     above_the_bar,
     code_of,
     code_of_all,
@@ -279,18 +279,9 @@ def _plan(jobs: Sequence[Job]) -> int:
     return code_of_all(codes)
 
 
-class _Terminated(KeyboardInterrupt):
-    """Raised at SIGTERM, which batch systems and containers send."""
-
-
 @contextmanager
 def stoppable(folders: Sequence[Path]) -> Iterator[None]:
-    """Let SIGTERM stop the run as Ctrl-C does; a line says where the results so far are."""
-
-    def stop(*_: object) -> None:
-        raise _Terminated
-
-    before = signal.signal(signal.SIGTERM, stop)
+    """Where the run is stopped, a line says where the results so far are."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -298,9 +289,7 @@ def stoppable(folders: Sequence[Path]) -> Iterator[None]:
 
         parts = ", ".join(name_as_text(part_of(f)) for f in folders if part_of(f).is_dir())
         tell(["stopped" + f"; the frames so far are in {parts}" * bool(parts)])
-        leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)
-    finally:
-        signal.signal(signal.SIGTERM, before)
+        leave(TERMINATED if isinstance(error, Terminated) else INTERRUPTED)
 
 
 def _notes(jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> Iterator[str]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from sonarrec.errors import SonarrecError, UsageError, as_usage
 from sonarrec.readers.named_logs import logs_named
 from sonarrec.readers.open import find_log
-from sonarrec.results.run_file import LogOptions
+from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.write import write_run
 from sonarrec.runs.one import result_names
 from sonarrec.tables.outputs import replaced, writing
@@ -164,6 +164,11 @@ def is_recorded(record: Path, name: str) -> bool:
     """Whether there are results of a log on record; half of them are none."""
     files = (record / name / file for file in FILES)
     return all(file.is_file() and file.stat().st_size for file in files)
+
+
+def names_its_log(record: Path, name: str) -> bool:
+    """Whether results on record say of which log they are."""
+    return read_run(record / name / "run.toml").input.recording is not None
 
 
 def save(results: Path, record: Path, logs: Sequence[LogToRun]) -> list[str]:

@@ -27,7 +27,7 @@ from sonarrec.records import follows
 from sonarrec.results.columns import chosen
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import read_run
-from sonarrec.tables.outputs import check_no_recording, check_tables, writing
+from sonarrec.tables.outputs import check_folder, check_tables, writing
 
 FRAMES_FREE = 2
 """So many frames may get worse, whatever the band: 2 of 24 are no trend, though they are .083."""
@@ -467,8 +467,8 @@ def _changed_passes(found: Comparison) -> list[str]:
 
 def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
     """Write compare.csv; returns its name. Raises as `write_evaluation`."""
+    check_folder(folder, ["evaluation.json", "compare.csv"])
     check_tables(folder, {"compare.csv": COMPARE})
-    check_no_recording(folder, ["evaluation.json", "compare.csv"])
     with writing(folder):
         write_table(folder / "compare.csv", found.figures)
     return ("compare.csv",)

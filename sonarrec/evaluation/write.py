@@ -16,7 +16,8 @@ from sonarrec.evaluation.figures import Summary
 from sonarrec.evaluation.mistakes import Mistake
 from sonarrec.evaluation.rows import PAPER_MIN_VISIBLE
 from sonarrec.tables.outputs import (
-    check_no_recording,
+    as_cell,
+    check_folder,
     check_output,
     check_tables,
     is_filled,
@@ -93,7 +94,8 @@ class Evaluation:
     @property
     def passes(self) -> pd.DataFrame:
         """How each method did in each pass of a landmark."""
-        return self.counts.passes[HEADERS["passes"]]
+        found = self.counts.passes[HEADERS["passes"]]
+        return found.assign(log=found.log.map(as_cell))
 
     @property
     def mistakes(self) -> pd.DataFrame:
@@ -138,11 +140,11 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> tuple[str, ...]:
 
     text = json_text(evaluation)
     written = {f"{name}.csv": header for name, header in HEADERS.items()}
+    check_folder(folder, (*written, "roc.png", "evaluation.json"))
     check_tables(folder, written)
     check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
     if not is_filled(folder / "evaluation.json"):  # else the picture is ours, even unmarked
         check_output(folder / "roc.png", "picture")
-    check_no_recording(folder, written)
     with writing(folder):
         (folder / "evaluation.json").unlink(missing_ok=True)
         for name in HEADERS:

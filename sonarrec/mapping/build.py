@@ -32,7 +32,7 @@ from sonarrec.mapping.path import (
 )
 from sonarrec.readers.poses import read_poses
 from sonarrec.results.read import CountedOnce, choose_method, find_logs, recording
-from sonarrec.results.run_file import RunFile, cut_short, read_run, rows_lost
+from sonarrec.results.run_file import RunFile, cut_short, read_run, tables_changed
 from sonarrec.results.sightings import check_follows
 from sonarrec.sonar import Sonar
 
@@ -148,6 +148,12 @@ def make_map(
     of_axes = [[log] for log in logs] if alone else [logs]
     every = [landmark for part in of_axes for landmark in join(part, landmark_set)]
     kept = [one for one in every if frames_of(one.members) >= min_frames]
+    for number, one in enumerate(kept, 1):
+        if (others := frames_of(one.others)) >= min_frames:
+            told.note(
+                f"landmark {number} (ID.{one.id}): other claims within a disc of it in {others} "
+                "frames; was it moved, or misread? (other_frames of map.csv)"
+            )
     ros_axes = all(log.ros_axes for log in logs)
     return SiteMap(landmark_set, kept, len(every) - len(kept), logs, len(used), told, ros_axes)
 
@@ -188,8 +194,8 @@ def _read_log(
         first += len(path.frame)
     if not run.finished:
         told.problem(cut_short(str(folder), len(frames["frame"]), "used"))
-    elif lost := rows_lost(folder, run.input):
-        told.problem(*(f"{folder}: {line}" for line in lost))
+    elif changed := tables_changed(folder, run.input):
+        told.problem(*(f"{folder}: {line}" for line in changed))
     used = sum(len(one.row) for log in logs for one in log.passes)
     if used < declared.rows:
         told.problem(

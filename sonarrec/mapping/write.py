@@ -22,7 +22,8 @@ from sonarrec.mapping.path import Drift
 from sonarrec.mapping.picture import draw_map
 from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.tables.outputs import (
-    check_no_recording,
+    as_cell,
+    check_folder,
     check_output,
     check_tables,
     is_filled,
@@ -86,11 +87,11 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
     """
     headers = {"map.csv": MAP_COLUMNS, "passes.csv": PASS_COLUMNS}
     picture, earth = folder / "map.png", folder / "map.geojson"
+    check_folder(folder, (*headers, "map.png", "map.geojson"))
     check_tables(folder, headers)
     if not is_filled(folder / "map.csv"):  # beside it the others are of a map too, marked or not
         check_output(picture, "picture")
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
-    check_no_recording(folder, headers)
     with writing(folder):
         write_csv(folder / "map.csv", MAP_COLUMNS, _in_order(MAP_COLUMNS, map_rows(site)))
         write_csv(folder / "passes.csv", PASS_COLUMNS, _in_order(PASS_COLUMNS, pass_rows(site)))
@@ -157,7 +158,7 @@ def pass_rows(site: SiteMap) -> list[Cells]:
             sonar_x, sonar_y = site.position(pose[1:])
             cells: Cells = {
                 "number": number.get(one, ""),
-                "log": log.name,
+                "log": as_cell(log.name),
                 "landmark": one.landmark,
                 "track": one.track,
                 "first_frame": log.path.frame[one.row[0]],

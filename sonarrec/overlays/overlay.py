@@ -43,11 +43,17 @@ from sonarrec.results.read import (
     read_frames,
     read_log,
 )
-from sonarrec.results.run_file import LogOptions, frame_span, read_run, span_text
+from sonarrec.results.run_file import (
+    LogOptions,
+    frame_span,
+    read_run,
+    span_text,
+    tables_changed,
+)
 from sonarrec.runs.recorded import recorded_at
 from sonarrec.sonar import Sonar, sonar_from
 from sonarrec.stretches import Stretches
-from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_output, replaced, writing
+from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_folder, check_output, replaced, writing
 from sonarrec.truth.check import misfit, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
@@ -99,8 +105,9 @@ def overlay(
     path, out = source.path, Path(local(out))
     truth_file = None if ground_truth is None else Path(local(ground_truth))
     kind = KINDS.get(out.suffix.lower(), "picture")
-    if kind == "picture" and out.is_dir():  # then it is checked picture by picture
+    if kind == "picture" and out.is_dir():
         check_output(out / "000000.png", kind, [path])
+        check_folder(out, [])
     else:
         check_output(out, kind, [path, truth_file])
     run = read_run(folder / "run.toml")
@@ -117,6 +124,7 @@ def overlay(
             last = read_frames(folder)["frame"].max(initial=-1)
             told.problem(f"{folder}: the run was cut short; frames after {last} have no results")
         told.note(*rerun_left(folder))
+        told.problem(*(f"{folder}: {line}" for line in tables_changed(folder, run.input)))
         rest = iter(recording)
         first = next(rest)  # raises where there is no usable frame
         truth: dict[int, list[Mark]] = {}
@@ -294,14 +302,13 @@ def _video_file(path: Path, landmarks: LandmarkSet, frame_rate_hz: float) -> Ite
 def _image_folder(folder: Path, landmarks: LandmarkSet) -> Iterator[WriteFrame]:
     """Frames as DIR/NNNNNN.png, NNNNNN the frame's number.
 
-    Raises SonarrecError where one cannot be written, UsageError for a picture of another kind.
+    Raises SonarrecError where one cannot be written.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
 
     def write(frame: Frame, history: Sequence[Moment], truth: Sequence[Mark]) -> None:
         path = folder / f"{frame.index:06d}.png"
-        check_output(path, "picture")
         write_png(path, _picture(frame, landmarks, history, truth))
 
     yield write

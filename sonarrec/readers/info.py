@@ -19,6 +19,8 @@ from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.stretches import Rate
 
 Observe = Callable[[int | None], None]
+MOST_TOPICS = 8
+"""Image topics of a log that are read when none is chosen; each takes a pass over the log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,17 +142,24 @@ def describe(
     stated = source.stated_sonar(flags, sonar_file)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
+    all_topics: Sequence[str] = ()
     if source.reader.has_topics:
         container = _container(source)
-        topics = sorted({c.topic for c in container.channels if c.images})
+        topics = all_topics = sorted({c.topic for c in container.channels if c.images})
         if topic is not None and topic not in topics:
             there = ", ".join(map(str, topics)) or "none"
             raise UsageError(f"{path}: no image channel {topic!r}; there is {there}")
     images, faults = [], source.diagnostics.faults
+    if len(topics) > MOST_TOPICS and topic is None and container is not None:
+        counts = Counter({c.topic: c.messages for c in container.channels if c.images})
+        topics = sorted(name for name, _ in counts.most_common(MOST_TOPICS))
     for name in [topic] if topic is not None else topics:
         of_topic = replace(source, diagnostics=Diagnostics(source.path))
         images.append(_images(of_topic, of_topic.open(name), stated, flags, quick, observe))
         faults += [f for f in of_topic.diagnostics.faults if f not in faults]
+    if len(images) < len(all_topics) and topic is None:
+        more = f"{len(all_topics)} image topics, of which {len(images)} are read here"
+        images[0].notes.insert(0, f"{more}, those with most messages; --topic reads another")
     size = sum(file.stat().st_size for file in source.files if file.exists())
     kind = "images" if source.reader.kind == "image" else source.reader.kind
     name, files = name_as_text(source.path), len(source.files)

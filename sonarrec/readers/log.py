@@ -18,6 +18,7 @@ from sonarrec.records import Clock, Fan, Frame, Stamps
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import CLEARLY_BACK_NS, Breaks
 
+MOST_HZ = 200.0  # no imaging sonar is faster
 SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
 # The three are looked for among so many frames and bytes: the frames of a whole chunk may be lost,
 # and a sonar may send blank ones until it has its settings.
@@ -121,7 +122,7 @@ class Log:
         self.diagnostics.begin_pass()
         self._raw.passed_over = range(0)  # an earlier pass may have set it
         numbered = enumerate(self._stored())
-        used, before, repeats, breaks = 0, None, Counter[str](), self._breaks()
+        used, before, repeats, breaks, start_ns = 0, None, Counter[str](), self._breaks(), 0
         for index, stored in islice(numbered, span[1]):
             if stored.is_lost or (used and index < span[0]):
                 continue
@@ -143,6 +144,7 @@ class Log:
                 repeats["at once"] += int(frame.timestamp_ns == before.timestamp_ns)
                 same = frame.pixels.data == before.pixels.data  # stops early
                 repeats["pictures"] += int(same and frame.pixels.any())
+            start_ns = start_ns if before else frame.timestamp_ns
             before = frame
             breaks.add(index, frame.timestamp_ns)
             yield frame
@@ -153,6 +155,8 @@ class Log:
         self._note_repeats(repeats)
         other = None if before is None else self._other_clock(before.stamps)
         self.diagnostics.note(*breaks.pauses(), *breaks.set_clock(other))
+        if before is not None and before.stamps.log is not None:
+            self._note_rate(used - 1, before.timestamp_ns - start_ns)
 
     def _breaks(self) -> Breaks:
         # Recorders of messages may swap some; a sonar's own file has them in order.
@@ -186,6 +190,15 @@ class Log:
         assert reading.layout is not None
         fan, polar = reading.layout.fan, reading.layout.polar
         return Frame(index, self._time_of(index, stored), pixels, fan, stored.stamps, polar)
+
+    def _note_rate(self, steps: int, span_ns: int) -> None:
+        """Tell of a rate that no sonar has, and in which unit the times would be plausible."""
+        rate = steps / span_ns * 1e9 if span_ns > 0 else 0.0
+        for unit, factor in {"us": 1e3, "ms": 1e6, "s": 1e9}.items():
+            if rate / factor <= MOST_HZ < rate:
+                fits = f"if its times are in {unit} it has {rate / factor:.3g}"
+                self.diagnostics.note(f"{rate:.4g} frames a second, which no sonar sends; {fits}")
+                return
 
     def _note_repeats(self, repeats: Counter[str]) -> None:
         if count := repeats["pictures"]:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from sonarrec.errors import UsageError
 from sonarrec.readers.containers.bag_folder import is_bag_folder
-from sonarrec.readers.containers.images import is_image
-from sonarrec.readers.open import is_log_file, matches
+from sonarrec.readers.containers.images import is_array, is_image
+from sonarrec.readers.open import is_log_file, matches, not_read
 from sonarrec.tables import natural_order
 
 RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
@@ -39,6 +39,14 @@ def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:
     except OSError:  # reported when it is opened
         logs = []
     return logs or [NamedLog(name)]
+
+
+def unread_below(name: str, *, recursive: bool = False) -> str:
+    """How many files of a folder of logs, by ending, may be recordings, and are not read."""
+    top = Path(name)
+    if not top.is_dir() or _is_bag(top):
+        return ""
+    return not_read(top.rglob("*") if recursive else top.iterdir())
 
 
 def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:
@@ -83,8 +91,8 @@ def _holds_results(folder: Path) -> bool:
 
 
 def _is_images(folder: Path) -> bool:
-    """Whether a folder holds images that do not belong to results."""
-    return not _holds_results(folder) and any(is_image(e) for e in folder.iterdir())
+    """Whether a folder holds images, or arrays, that do not belong to results."""
+    return not _holds_results(folder) and any(is_image(e) or is_array(e) for e in folder.iterdir())
 
 
 def _is_bag(folder: Path) -> bool:
@@ -97,9 +105,10 @@ def _is_bag(folder: Path) -> bool:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """The logs of one folder: the folder itself if it holds images, else each file and bag in it.
+    """The logs of one folder: the folder itself if it holds images, else each file and bag in it;
+    the folder itself if there is neither, and it holds arrays.
     Raises UsageError if it holds both, because it is not clear which are meant."""
-    image, logs, bags = None, [], []
+    image, logs, bags, arrays = None, [], [], False
     with os.scandir(folder) as entries:
         for entry in entries:
             path = folder / entry.name
@@ -109,10 +118,12 @@ def _in_folder(folder: Path) -> list[Path]:
                 logs.append(path)
             elif image is None and is_image(path):
                 image = path
+            elif is_array(path):
+                arrays = True
             elif entry.is_dir() and _is_bag(path):
                 bags.append(path)
     if image is None:
-        return [*logs, *bags]
+        return [*logs, *bags] or [folder] * arrays
     if logs:
         first = min(logs, key=natural_order)
         raise UsageError(

@@ -9,7 +9,8 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -18,13 +19,13 @@ from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf import DdfFrames
 from sonarrec.readers.containers.gemini import GeminiPings
-from sonarrec.readers.containers.images import ImageFiles, ImagePaths, is_image
+from sonarrec.readers.containers.images import ImageFiles, ImagePaths, is_array, is_image
 from sonarrec.readers.containers.oculus import OculusPings
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.readers.raw import RawLog, Recording
-from sonarrec.records import IMAGE_SUFFIXES, PART
+from sonarrec.records import ARRAY_SUFFIX, IMAGE_SUFFIXES, PART
 from sonarrec.sonar import Sonar, load_sonar
-from sonarrec.tables import natural_order
+from sonarrec.tables import natural_order, something_else
 
 SONAR_FILE = "sonar.toml"
 LANDMARKS_FILE = "landmarks.toml"
@@ -50,12 +51,13 @@ def _file(kind: Callable[[Path, Diagnostics], RawLog]) -> Open:
 class Reader:
     """One kind of log: how its names end, and what opens it. Either open or recording is given.
     open: takes the list of files. recording: for messages on channels; takes the log's path. Both
-    take what is told of what is wrong."""
+    take what is told of what is wrong. is_zip: whether such a file may be a ZIP."""
 
     kind: str
     suffixes: frozenset[str]
     open: Open | None = None
     recording: Callable[[Path, Diagnostics], Recording] | None = None
+    is_zip: bool = False
 
     @property
     def has_topics(self) -> bool:
@@ -64,11 +66,13 @@ class Reader:
 
 
 _IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
+_ARRAYS = Reader("image", frozenset({ARRAY_SUFFIX}), ImageFiles)
 _BAG_FOLDER = Reader(
     "ROS 2 bag", frozenset(), recording=lambda path, told: BagFolder(path, open_recording, told)
 )
 READERS = (
     _IMAGES,
+    _ARRAYS,
     Reader("video", VIDEO_SUFFIXES, _file(VideoFrames)),
     Reader("MCAP", frozenset({".mcap"}), recording=_recorded("mcap", "McapRecording")),
     Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_recorded("db3", "Db3Recording")),
@@ -77,10 +81,21 @@ READERS = (
     Reader("ARIS", frozenset({".aris"}), _file(DdfFrames)),
     Reader("DIDSON", frozenset({".ddf"}), _file(DdfFrames)),
     Reader("Oculus", frozenset({".oculus", ".raw"}), _file(OculusPings)),
-    Reader("Gemini", frozenset({".glf"}), _file(GeminiPings)),
+    Reader("Gemini", frozenset({".glf"}), _file(GeminiPings), is_zip=True),
 )
 _ENDINGS = {suffix: reader for reader in READERS for suffix in sorted(reader.suffixes)}
-_LOG_ENDINGS = tuple(e for e, reader in _ENDINGS.items() if reader is not _IMAGES)
+_LOG_ENDINGS = tuple(e for e, of in _ENDINGS.items() if of not in (_IMAGES, _ARRAYS))
+_NOT_READ: dict[str | bytes, str] = {
+    **{".mbez": "Blueye", ".bin": "Ping Viewer (Ping360)", ".svlog": "Cerulean"},
+    **{".imb": "Imagenex", ".ecd": "Tritech", ".son": "BlueView"},
+    **{b"XML0": "an EK80", b"CON0": "an EK60", b"RIP1": "a 3D-15", b"RIP2": "a 3D-15"},
+}
+"""Recordings of others, by their ending or a mark in their first bytes."""
+_BESIDE = (
+    *("", ".toml", ".csv", ".tsv", ".txt", ".md", ".json", ".yaml", ".yml", ".xml", ".html"),
+    *(".pdf", ".xlsx", ".ods", ".docx", ".log", ".py", ".ipynb", ".sh", ".svg", ".geojson"),
+)
+"""Endings of files that lie beside recordings, and are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,10 +164,10 @@ class Source:
 def open_recording(path: Path, diagnostics: Diagnostics, reader: Reader | None = None) -> Recording:
     """Open a bag's folder or one file of messages. Raises SonarrecError if it is another kind or
     cannot be read."""
-    reader = reader or _reader_of(path)
-    if reader.recording is None:
-        raise SonarrecError(f"{path}: not a file of messages")
     try:
+        reader = reader or _reader_of(path)
+        if reader.recording is None:
+            raise SonarrecError(f"{path}: not a file of messages")
         return reader.recording(path, diagnostics)
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
@@ -233,6 +248,8 @@ def _find(path: Path, up_to: Path | None) -> Source:
         if is_bag_folder(path):
             files, reader = bag_files(path), _BAG_FOLDER
         elif not (files := ImagePaths(filter(is_image, path.iterdir()))):
+            files, reader = ImagePaths(filter(is_array, path.iterdir())), _ARRAYS
+        if not files or (reader is _ARRAYS and any(map(is_log_file, path.iterdir()))):
             raise MissingError(_why_no_log(path))
     elif path.is_file():
         files, name, reader = [path], log_name(path), _reader_of(path)
@@ -253,7 +270,7 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
     if not paths:
         raise MissingError(f"{pattern}: no file matches this pattern")
     logs = sorted(filter(is_log_file, paths), key=natural_order)
-    files = logs or ImagePaths(filter(is_image, paths))
+    files = logs or ImagePaths([*filter(is_image, paths)] or filter(is_array, paths))
     if len(logs) > 1:
         raise SonarrecError(
             f"{pattern}: matches {len(logs)} logs, {logs[0].name} the first; open each by itself"
@@ -271,10 +288,20 @@ def _why_no_log(folder: Path) -> str:
             f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
         )
     endings = ", ".join(sorted(IMAGE_SUFFIXES))
+    held = f"; it holds {held}" if (held := not_read(entries)) else ""
     below = any(is_image(path) or names_a_log(path.name) for path in folder.rglob("*"))
     how = "; --recursive looks into those below" if below else ", nor in those below"
-    why = f"no log and no image in this folder ({endings}){how}"
+    why = f"no log and no image in this folder ({endings}){how}{held}"
     return f"{folder}: {why if entries else 'the folder is empty'}"
+
+
+def not_read(entries: Iterable[Path]) -> str:
+    """How many files of each ending may be recordings, and are not read; empty if none is."""
+    shown = (path for path in entries if path.name[0] != "." and path.is_file())
+    endings = Counter(path.suffix.lower() for path in shown)
+    for ending in {*_ENDINGS, *_BESIDE} & {*endings}:
+        del endings[ending]
+    return ", ".join(f"{count} {ending}" for ending, count in endings.most_common())
 
 
 def results_name(name: str) -> str:
@@ -285,16 +312,26 @@ def results_name(name: str) -> str:
         text = name
     if text.endswith(PART):  # a run of a log without this ending would overwrite it
         return f"{text}_"
+    text = re.sub(r"[\x00-\x1f\x7f]", "_", text)
     return "log" if text in ("", ".", "..") else text
 
 
 def _reader_of(path: Path) -> Reader:
-    for ending, reader in _ENDINGS.items():
-        if path.name.lower().endswith(ending):
-            if reader is not _IMAGES and not path.stat().st_size:
-                raise SonarrecError(f"{path}: the file is empty (zero bytes)")
-            return reader
-    raise SonarrecError(
-        f"{path}: not a kind of log this program reads "
-        f"(a folder of images or a ROS 2 bag, or a file: {', '.join(_ENDINGS)})"
-    )
+    name = path.name.lower()
+    reader = next((reader for ending, reader in _ENDINGS.items() if name.endswith(ending)), None)
+    with path.open("rb") as file:
+        head = file.read(32)
+    if (what := something_else(head)) and not (reader and reader.is_zip and head[:2] == b"PK"):
+        raise SonarrecError(f"{path}: {what}")
+    for mark in (path.suffix.lower(), head[:4], head[4:8]):
+        if mark in _NOT_READ:
+            how = "export images, a video or an MCAP (sonarrec help formats)"
+            raise SonarrecError(f"{path}: a recording of {_NOT_READ[mark]}, not read here; {how}")
+    if reader is None:
+        raise SonarrecError(
+            f"{path}: not a kind of log this program reads "
+            f"(a folder of images or a ROS 2 bag, or a file: {', '.join(_ENDINGS)})"
+        )
+    if reader is not _IMAGES and not head:
+        raise SonarrecError(f"{path}: the file is empty (zero bytes)")
+    return reader

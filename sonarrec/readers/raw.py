@@ -35,6 +35,7 @@ class PingGeometry:
     ranges_m: tuple[float, ...] | None  # of the bins' middles; None: evenly spaced
     beam_order: BeamOrder | None = None  # None: to be found from the samples
     beam_width_deg: float | None = None  # between half-power points; None: not stated
+    pitch_deg: float = 0.0  # of the beams' plane in the axes of the message
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,8 @@ Values = FloatArray | float
 Pair = tuple[FloatArray, FloatArray]
 """(column, row), or (slant range, bearing)."""
 
+MOST_CELLS = 2**15 - 2  # across an image that OpenCV resamples
+
 
 def as_complex(positions: FloatArray) -> npt.NDArray[Any]:
     """(...,) complex numbers of (..., 2) positions, of the same precision.
@@ -222,6 +224,12 @@ class FloorPlane(Plane):
         self.apex = (-math.floor(left), math.ceil(far / self._pixel_m))
         rows = self.apex[1] - math.floor(bottom) + 1
         self.shape = (rows, math.ceil(right) + self.apex[0] + 1)
+        if max(self.shape) > MOST_CELLS:
+            raise SonarrecError(
+                f"sonar geometry: the floor up to range_max_m = {fan.range_max_m:g} takes "
+                f"{self.shape[1]} x {rows} cells of {self._pixel_m:.3g} m, more than {MOST_CELLS}; "
+                "check the ranges and metres_per_pixel"
+            )
         floor = np.empty(self.shape, np.uint8)
         for band, row, column in row_bands(self.shape):
             range_m, bearing_deg = self.to_polar(column, row)

@@ -30,7 +30,7 @@ from sonarrec.results.read import find_logs, not_whole
 from sonarrec.results.run_file import read_run
 from sonarrec.runs.recorded import recorded_at
 from sonarrec.sonar import Sonar
-from sonarrec.tables.outputs import check_output, write_page
+from sonarrec.tables.outputs import below, check_output, write_page
 from sonarrec.truth.table import read_truth
 
 AnyPath = str | Path
@@ -69,7 +69,10 @@ def report(
     Raises SonarrecError where files cannot be used, read or written.
     """
     options = options or scoring_options(**scoring)
-    path, folders = Path(local(out or Path(results) / "report.html")), find_logs(Path(results))
+    path, folders = (
+        Path(local(out or below(Path(results), "report.html"))),
+        find_logs(Path(results)),
+    )
     truth_file = None if ground_truth is None else Path(local(ground_truth))
     given = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
     check_output(path, "report", [truth_file, *given])

@@ -16,7 +16,7 @@ from typing import IO
 
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.records import PART
-from sonarrec.tables.outputs import Kind, is_output
+from sonarrec.tables.outputs import Kind, below, is_output
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
 OURS = (*TABLES, "run.toml")
@@ -147,7 +147,8 @@ def restore(folder: Path) -> None:
     all of the user's files in them were moved.
     Raises OSError if that fails, SonarrecError if a file is in both places.
     """
-    old = _aside(folder)
+    old = below(folder.parent, _aside(folder).name)
+    below(folder.parent, part_of(folder).name)
     try:
         if old.is_dir() and folder.exists():
             _clear(old, folder)

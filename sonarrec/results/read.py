@@ -47,7 +47,7 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import log_of, parent_of, part_of
-from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, rows_lost
+from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, tables_changed
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import stretch_numbers
 from sonarrec.tables import natural_order
@@ -156,8 +156,8 @@ def not_whole(log: LogResults, action: str) -> list[str]:
     action: what a command does with the rest, such as "scored".
     """
     lines = [] if log.finished else [cut_short(log.name, len(log.frame), action)]
-    lost = rows_lost(log.run.path.parent, log.run.input) if log.finished else []
-    lines += [f"{log.name}: {line}; only these are {action}" for line in lost]
+    changed = tables_changed(log.run.path.parent, log.run.input) if log.finished else []
+    lines += [f"{log.name}: {line}; only what it holds now is {action}" for line in changed]
     if log.strays:
         lines.append(
             f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "

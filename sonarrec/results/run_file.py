@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import platform
@@ -90,7 +91,7 @@ _ROWS = {
     "sightings.csv": "sightings",
 }
 """The keys of [input] that state how many rows the tables have."""
-_OF_THE_END = (*_ROWS.values(), "frames_unusable", "candidates", "problems")
+_OF_THE_END = (*_ROWS.values(), "tables_sha256", "frames_unusable", "candidates", "problems")
 """Keys of [input] that only a finished run has."""
 
 
@@ -103,19 +104,32 @@ def csv_rows(path: Path) -> int:
     return max(lines + (last != b"\n") - 1, 0)
 
 
-def rows_written(folder: Path) -> dict[str, int]:
-    """The keys of [input] with the rows of the tables."""
-    return {key: csv_rows(folder / name) for name, key in _ROWS.items() if is_file(folder / name)}
+def tables_written(folder: Path) -> dict[str, Any]:
+    """The keys of [input] with the rows of the tables, and their SHA-256."""
+    tables = [name for name in _ROWS if is_file(folder / name)]
+    return {
+        **{_ROWS[name]: csv_rows(folder / name) for name in tables},
+        "tables_sha256": {name: _sha256(folder / name) for name in tables},
+    }
 
 
-def rows_lost(folder: Path, stated: Input) -> list[str]:
-    """A line for each table with fewer rows than run.toml states: it was cut since the run."""
-    held = rows_written(folder)
-    return [
-        f"{name} holds {held[key]} of the {wrote} rows that the run wrote"
-        for name, key in _ROWS.items()
-        if held.get(key, wrote := getattr(stated, key)) < wrote
-    ]
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def tables_changed(folder: Path, stated: Input) -> list[str]:
+    """A line for each table that is not as the run wrote it, and as run.toml states it."""
+    lines = []
+    for name, key in _ROWS.items():
+        if not is_file(folder / name):
+            continue
+        wrote = getattr(stated, key)
+        if (held := csv_rows(folder / name)) < wrote:
+            lines.append(f"{name} holds {held} of the {wrote} rows that the run wrote")
+        elif stated.tables_sha256.get(name, digest := _sha256(folder / name)) != digest:
+            lines.append(f"{name} was changed after the run ({wrote} rows then, {held} now)")
+    return lines
 
 
 def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
@@ -136,8 +150,8 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         return ExistingResults()
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     old, new = run.table["input"], coming["input"]
-    other, changed = "", old.get("sha256") != new["sha256"]
-    if changed and old.get("place") != new["place"]:
+    other, is_changed = "", old.get("sha256") != new["sha256"]
+    if is_changed and old.get("place") != new["place"]:
         other = f"another log ({old.get('path')})"
     elif old.get("topic", new.get("topic")) != new.get("topic"):
         other = f"topic {old['topic']} of this log"
@@ -145,7 +159,7 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         raise SonarrecError(
             f"{folder}: holds the results of {other}; choose another --out, or give --overwrite"
         )
-    if changed:
+    if is_changed:
         return ExistingResults(reason="the log has changed")
     # Not compared: what only a finished run states, where it ran and what its log was called.
     before = {k: v for k, v in run.table.items() if k != "finished"}
@@ -153,8 +167,8 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
     before["input"] |= {key: new[key] for key in ("path", "place")}
     before["ran_on"] = coming["ran_on"]
     if before == coming:
-        if lost := rows_lost(folder, run.input):
-            return ExistingResults(reason=lost[0])
+        if changed := tables_changed(folder, run.input):
+            return ExistingResults(reason=changed[0])
         counts = run.input.frames_processed, run.input.frames_unusable, run.input.candidates
         return ExistingResults(True, *counts, list(run.input.problems))
     flat_old, flat_new = dict(flat(before)), dict(flat(coming))
@@ -269,6 +283,7 @@ class Input:
     candidates: Count = 0
     estimates: Count = 0
     sightings: Count = 0
+    tables_sha256: dict[str, str] = field(default_factory=dict)  # by name of the file
     problems: tuple[str, ...] = ()
 
     @property

@@ -24,7 +24,7 @@ from sonarrec.results.columns import (
     frame_line,
 )
 from sonarrec.results.folders import alone, exchange, part_of
-from sonarrec.results.run_file import rows_written
+from sonarrec.results.run_file import tables_written
 from sonarrec.results.sightings import Sightings
 from sonarrec.tables.outputs import replaced
 
@@ -193,7 +193,7 @@ class ResultsWriter:
             self._sightings.close(sync=True)
             self._estimates.close(sync=True)
             self._frames.close(sync=True)
-            self._run["input"] |= rows_written(self._part)
+            self._run["input"] |= tables_written(self._part)
             write_run(self._part / "run.toml", {"finished": True, **self._run})
             return exchange(self._folder)
         except OSError as error:

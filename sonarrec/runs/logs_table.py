@@ -16,7 +16,7 @@ from typing import Any
 from sonarrec.errors import SonarrecError
 from sonarrec.results.folders import LockedError, locked, part_of
 from sonarrec.runs.job import Event, Job, Outcome, Status
-from sonarrec.tables.outputs import is_filled, write_csv
+from sonarrec.tables.outputs import as_cell, below, is_filled, write_csv
 
 NAME = "logs.csv"
 WRITE_EVERY_S = 1.0
@@ -52,7 +52,7 @@ class LogsTable:
         """alone: there is a single log; if that gives no results, the file is not written."""
         self._alone = alone
         self._path = out / NAME
-        self._rows = [Row(job.name, job.path, "waiting") for job in jobs]
+        self._rows = [Row(as_cell(job.name), as_cell(job.path), "waiting") for job in jobs]
         self._seconds: dict[str, float] = {}  # of finished runs of earlier calls
         with suppress(SonarrecError):
             before = read_logs(self._path)
@@ -81,7 +81,7 @@ class LogsTable:
                 unusable=event.unusable,
                 seconds=before_s if event.up_to_date else round(event.seconds, 2),
                 declared=sum(event.passes.values()),
-                message=event.message,
+                message=as_cell(event.message),
             )
         elif isinstance(event, tuple):
             self._rows[i] = replace(self._rows[i], status="running", frames=event[0])
@@ -109,7 +109,7 @@ class LogsTable:
         if self._alone and not (self._rows[0].frames or self._rows[0].status == "done"):
             return
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            below(self._path.parent, NAME).parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
                 before = read_logs(self._path) if is_filled(self._path) else []
                 rows = map(astuple, self._merged(before).values())

@@ -10,7 +10,7 @@ from heapq import nlargest
 from pathlib import Path
 from time import monotonic
 
-from sonarrec.drawing.geometry import disc_width_px
+from sonarrec.drawing.geometry import disc_width_px, hardly_seen
 from sonarrec.errors import SonarrecError, command_line, is_url
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers.open import find_log, log_name, results_name
@@ -212,6 +212,8 @@ def _notes(
             f"{run.landmarks.name}, {run.landmarks.radius_m:g} m: is radius_m right, and the "
             f"window? {_preview(job, run)} shows both"
         )
+    if why := hardly_seen(run.fan, run.landmarks):
+        note(why)
     if static:
         note(f"{static:.1%} of the picture never changes, and is filled from beside it")
     if saturated:

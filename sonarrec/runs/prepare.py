@@ -14,13 +14,15 @@ from sonarrec.errors import SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import PoseTable, floor_depth
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.readers import open_log
+from sonarrec.readers.containers.images import names_an_image
 from sonarrec.readers.log import Log, digest_of
-from sonarrec.readers.open import LANDMARKS_FILE, SONAR_FILE, Source, find_log
+from sonarrec.readers.open import LANDMARKS_FILE, SONAR_FILE, Source, find_log, names_a_log
 from sonarrec.readers.poses import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
 from sonarrec.records import Fan, Frame
+from sonarrec.results.folders import OURS
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 from sonarrec.runs.job import Job, RunOptions
 from sonarrec.sonar import Sonar
@@ -130,7 +132,7 @@ def _check_folder(job: Job, source: Source) -> None:
     cannot be written there."""
     folder = job.folder
     try:
-        itself = source.path.resolve() in (folder.resolve(), Path(job.out).resolve())
+        itself = source.place.resolve() in (folder.resolve(), Path(job.out).resolve())
     except OSError as error:  # the current folder is gone
         raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     if itself:
@@ -140,6 +142,12 @@ def _check_folder(job: Job, source: Source) -> None:
             f"{folder}: a file or a link is where the folder of the results would be; move it "
             "away, or choose another --out"
         )
+    if folder.is_dir() and not any((folder / name).exists() for name in OURS):
+        logs = (f for f in folder.iterdir() if names_a_log(f.name) or names_an_image(f.name))
+        if (log := next(logs, None)) is not None:
+            raise UsageError(
+                f"{folder}: holds {log.name}, so it may be a recording; choose another --out"
+            )
 
 
 def _with_companions(source: Source, log_options: LogOptions, again: bool) -> LogOptions:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -9,8 +10,16 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import unquote
 
-from sonarrec.errors import MissingError, SonarrecError, UsageError, hidden, is_url, number_of
+from sonarrec.errors import (
+    MissingError,
+    SonarrecError,
+    UsageError,
+    is_url,
+    number_of,
+    shown_url,
+)
 from sonarrec.readers.containers.bag_folder import METADATA
 from sonarrec.readers.containers.images import names_an_image
 from sonarrec.readers.named_logs import RESULTS
@@ -18,6 +27,8 @@ from sonarrec.readers.open import log_name, names_a_log
 from sonarrec.runs.job import Job
 from sonarrec.tables import natural_order
 
+TIMEOUT_S = 60
+"""A server that says nothing for so long gives no answer."""
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
 COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv")
 """What may lie beside a log: files of these names, and NAME.sonar.toml and so on."""
@@ -26,7 +37,9 @@ COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv")
 def check_out(url: str) -> None:
     """Raise UsageError if results cannot be put there."""
     if url.partition(":")[0].lower() in ("http", "https"):
-        raise UsageError(f"{url}: results cannot be put on a web server; give s3, gs, sftp")
+        raise UsageError(
+            f"{shown_url(url)}: results cannot be put on a web server; give s3, gs, sftp"
+        )
     with _in_one_line(url):
         _opened(url)
 
@@ -46,7 +59,7 @@ def logs_at(url: str, *, recursive: bool = False) -> list[str]:
         else:
             found = [*_below(fs, path, recursive)]
     if not found:
-        raise MissingError(f"{url}: no log there")
+        raise MissingError(f"{shown_url(url)}: no log there")
     return [front + p for p in sorted(found, key=natural_order)]
 
 
@@ -70,13 +83,13 @@ def local_copy(job: Job) -> Iterator[Job]:
     with ExitStack() as stack:
         if is_url(job.log):
             folder = stack.enter_context(TemporaryDirectory(prefix="sonarrec-"))
-            url = hidden(job.log.partition("?")[0].rstrip("/").rpartition("/")[0])
+            url = shown_url(job.log).rstrip("/").rpartition("/")[0]
             log = _fetched(job.log, Path(folder))
             job = replace(job, log=str(log), urls={folder: url})
         if is_url(job.out):
             folder, url = stack.enter_context(TemporaryDirectory(prefix="sonarrec-")), job.out
             download(f"{url.rstrip('/')}/{job.name}", Path(folder, job.name))
-            job = replace(job, out=folder, urls={**job.urls, folder: hidden(url.rstrip("/"))})
+            job = replace(job, out=folder, urls={**job.urls, folder: shown_url(url).rstrip("/")})
         yield job
 
 
@@ -111,7 +124,9 @@ def upload(place: Path, url: str) -> None:
             fs.put(str(place), part, recursive=place.is_dir())
             sent, came = sum(p.is_file() for p in (place, *place.rglob("*"))), fs.find(part)
             if len(came) != sent:
-                raise SonarrecError(f"{url}: {len(came)} of {number_of(sent, 'file')} arrived")
+                raise SonarrecError(
+                    f"{shown_url(url)}: {len(came)} of {number_of(sent, 'file')} arrived"
+                )
             if fs.exists(path):
                 fs.rm(path, recursive=True)
             if place.is_dir():
@@ -127,7 +142,8 @@ def upload(place: Path, url: str) -> None:
 
 
 def _name(url: str) -> str:
-    return url.partition("?")[0].rstrip("/").rpartition("/")[2]
+    end = "[?#]" if url.lower().startswith("http") else "[?]"  # elsewhere # is a sign of a name
+    return re.split(end, url)[0].rstrip("/").rpartition("/")[2]
 
 
 def _opened(url: str) -> tuple[Any, str]:
@@ -135,20 +151,43 @@ def _opened(url: str) -> tuple[Any, str]:
     scheme = url.partition(":")[0].lower()
     if scheme not in SCHEMES:
         raise UsageError(f"{scheme}://: only {'://, '.join(SCHEMES)}:// and local files are read")
+    before = re.split("[?;#]", url)[0]
+    if scheme in ("s3", "gs") and shown_url(before) != before:
+        raise UsageError(
+            f"{shown_url(url)}: a key in a URL of {scheme}:// is not used; leave it out, "
+            "`sonarrec help run` has where keys are searched"
+        )
     try:
         import fsspec
 
         if scheme == "sftp":  # sshfs would take any host key; () stands for the user's known_hosts
             from sshfs import SSHFileSystem
 
-            stated = fsspec.config.conf.get("sftp", {}) | {"known_hosts": (), "connect_timeout": 30}
+            stated = fsspec.config.conf.get("sftp", {}) | {
+                "known_hosts": (),
+                "connect_timeout": TIMEOUT_S / 2,
+                "login_timeout": TIMEOUT_S / 2,
+            }
             options = SSHFileSystem._get_kwargs_from_urls(url) | stated
             return SSHFileSystem(**options), SSHFileSystem._strip_protocol(url)
-        fs, path = fsspec.url_to_fs(url, use_listings_cache=False)
+        fs, path = fsspec.url_to_fs(url, use_listings_cache=False, **_patience(scheme))
     except ImportError as error:
         missing = f"{error.name} is missing; pip install 'sonarrec[remote]'"
-        raise SonarrecError(f"{url}: {missing}") from None
+        raise SonarrecError(f"{shown_url(url)}: {missing}") from None
     return fs, path
+
+
+def _patience(scheme: str) -> dict[str, Any]:
+    """The options by which a library gives up after TIMEOUT_S without an answer."""
+    if scheme == "s3":  # s3fs tries five times, botocore as often within each
+        each = {"connect_timeout": TIMEOUT_S / 6, "read_timeout": TIMEOUT_S / 6}
+        return {"config_kwargs": {**each, "retries": {"max_attempts": 0}}}
+    if scheme == "gs":
+        return {"requests_timeout": TIMEOUT_S}
+    import aiohttp
+
+    silent = aiohttp.ClientTimeout(total=None, sock_connect=TIMEOUT_S, sock_read=TIMEOUT_S)
+    return {"client_kwargs": {"timeout": silent}}
 
 
 @contextmanager
@@ -159,7 +198,12 @@ def _in_one_line(url: str) -> Iterator[None]:
     except SonarrecError:
         raise
     except FileNotFoundError:
-        raise MissingError(f"{url}: not there, or no answer from its server") from None
+        raise MissingError(f"{shown_url(url)}: not there, or no answer from its server") from None
     except Exception as error:  # s3fs, gcsfs, aiohttp and asyncssh have no common class
-        text = " ".join(hidden(error).split())[:200] or type(error).__name__
-        raise SonarrecError(f"{url}: {text}; see `sonarrec help run`") from None
+        text = " ".join(str(error).replace(url, shown_url(url)).split())[:200]
+        signs = r"[\s:@/?;#&=]+"
+        secrets = {*re.split(signs, url), *re.split(signs, unquote(url))}
+        secrets -= {*re.split(signs, shown_url(url))}
+        if not text or any(len(secret) > 1 and secret in text for secret in secrets):
+            text = type(error).__name__
+        raise SonarrecError(f"{shown_url(url)}: {text}; see `sonarrec help run`") from None

@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
-from sonarrec.errors import UsageError, hidden, is_url, local, number_of
+from sonarrec.errors import UsageError, is_url, local, number_of, shown_url
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.readers.log import Log
 from sonarrec.readers.named_logs import NamedLog
@@ -234,7 +234,7 @@ def jobs_of(
 
     Raises UsageError if two logs cannot be told apart.
     """
-    names = result_names([hidden(log.path) if is_url(log.path) else log.path for log in logs])
+    names = result_names([shown_url(log.path) if is_url(log.path) else log.path for log in logs])
     return [
         Job(
             log=log.path,

@@ -6,7 +6,6 @@ import csv
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import AnyScene, PlateScene, load_scene, scene_sonar, scene_table
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
-from sonarrec.tables.outputs import replaced, writing
+from sonarrec.tables.outputs import check_apart, made_whole, writing
 
 PLATE_COLUMNS = ("frame", "landmark", *TRUTH_COLUMNS[4:])
 COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
@@ -76,31 +75,30 @@ def write_recording(
     documents = {} if isinstance(scene, PlateScene) else {"scene": scene_table(scene)}
     if plates or scene.landmark_set != load_landmarks("basin"):
         documents["landmarks"] = scene.landmark_set.as_table()
-    # Last: a folder without geometry is not taken for a whole recording.
     documents["sonar"] = {"sonar": sonar.as_table()}
+    if mcap:
+        check_apart(out)
     frames = render(scene)
-    first = next(frames)  # a scene that cannot be rendered leaves no folder behind
-    with writing(out), ExitStack() as stack:
+    with writing(out), made_whole(folder) as new, ExitStack() as stack:
 
         def table(name: str, columns: Iterable[str]) -> Any:
-            path = folder / f"{prefix}{name}"
+            path = new / f"{prefix}{name}"
             file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(columns)
             return writer
 
-        folder.mkdir(parents=True, exist_ok=True)
         truth = table("gt.csv", PLATE_COLUMNS if plates else TRUTH_COLUMNS)
         if plates:
             corners = table("corners.csv", ("frame", "landmark", *CORNERS))
         if mcap:
-            messages = stack.enter_context(McapWriter(stack.enter_context(replaced(out)), geometry))
-        for frame in chain([first], frames):
+            messages = stack.enter_context(McapWriter(new / out.name, geometry))
+        for frame in frames:
             if mcap:
                 messages.write(frame.timestamp_ns, frame.image)
             else:  # not by imwrite, which dies of names that are not UTF-8
                 png = cv2.imencode(".png", frame.image)[1].tobytes()
-                (out / f"{frame.index:06d}.png").write_bytes(png)
+                (new / f"{frame.index:06d}.png").write_bytes(png)
             if not plates:
                 truth.writerows(truth_rows(frame.index, frame.truth))
             for one in frame.truth if plates else ():
@@ -112,4 +110,4 @@ def write_recording(
                 progress(frame.index + 1)
         for name, document in documents.items():
             text = tomli_w.dumps(document)
-            (folder / f"{prefix}{name}.toml").write_text(text, encoding="utf-8", newline="")
+            (new / f"{prefix}{name}.toml").write_text(text, encoding="utf-8", newline="")

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import os
 import re
+import stat
+import unicodedata
+from contextlib import suppress
 from pathlib import Path
+
+from sonarrec.errors import SonarrecError
+
+STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
+"""Prefixes of names that may refer to open files of this process."""
 
 # Seconds since 1970 with their decimals, at whose end programs leave out zeros, or all of them;
 # else whole numbers.
@@ -26,3 +34,36 @@ def _led_by_its_length(number: re.Match[str]) -> str:
     seconds, decimals = number.groups(default="")
     digits = (seconds or number[0]).lstrip("0")
     return f"\0{len(digits):04d}{digits}" + f".{decimals}\0" * bool(seconds)
+
+
+_SOMETHING_ELSE = {
+    b"version https://git-lfs": "a pointer of Git LFS; `git lfs pull` fetches the file",
+    b"/annex/objects/": "a pointer of git-annex; `git annex get` fetches the file",
+    b"PK\3\4": "a ZIP, or a sheet of Excel: unpack it, or save it as CSV (UTF-8)",
+    b"\x1f\x8b": "compressed; unpack it",
+    b"\x28\xb5\x2f\xfd": "compressed; unpack it",
+    b"<!doctype html": "a web page; download the file again",
+}
+
+
+def something_else(head: bytes) -> str | None:
+    """What a file is that begins so, and what to do; None if it may be one that is read."""
+    head = head.lower()
+    return next(
+        (what for mark, what in _SOMETHING_ELSE.items() if head.startswith(mark.lower())), None
+    )
+
+
+def refuse_pipe(path: Path) -> None:
+    """Raise SonarrecError for a named pipe, into which perhaps nobody ever writes.
+
+    That of `<(command)` is none.
+    """
+    with suppress(OSError):
+        if stat.S_ISFIFO(path.stat().st_mode) and not str(path).startswith(STREAMS):
+            raise SonarrecError(f"{path}: a pipe, at which this would wait; give a file")
+
+
+def composed(name: str) -> str:
+    """A name in the form in which names are compared: some systems part letters and accents."""
+    return unicodedata.normalize("NFC", name)

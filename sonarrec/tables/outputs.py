@@ -10,17 +10,20 @@ import csv
 import glob
 import itertools
 import os
+import re
 import shutil
 import struct
 import warnings
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.records import IMAGE_SUFFIXES
+from sonarrec.tables import STREAMS
 
 Kind = Literal[
     "report", "review", "manual", "picture", "overlay", "video", "model", "table", "JSON"
@@ -32,9 +35,8 @@ PICTURE_MARK = {"Software": "sonarrec"}
 MODEL_MARK = "Made by `sonarrec calibrate`"
 VIDEO_MARK = struct.pack(">I4s", 24, b"free") + b"sonarrec overlay"
 """The last box of a video; players ignore it."""
-_STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
-"""Prefixes of names that may refer to open files of this process."""
 _PNG_HEADER = 33
+_SEVERAL = 3  # images, that are more than a figure and its older version
 _numbers = itertools.count()
 _HEAD = 4096
 _MARKS: dict[Kind, bytes] = {
@@ -63,8 +65,8 @@ def check_output(
         log = place.parent if images else place
         if _same(path, place) or _same(path, log):
             raise UsageError(f"{path}: this command reads it; write somewhere else")
-        if kind in ("picture", "overlay", "video") and log.is_dir() and _same(path.parent, log):
-            raise UsageError(f"{path}: it would become part of the recording; write somewhere else")
+    if kind in ("picture", "overlay", "video"):
+        check_apart(path)
     if not path.exists():
         above = next(place for place in path.parents if place.exists())
         if not above.is_dir():
@@ -104,19 +106,78 @@ def check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
         check_output(folder / name, "table", header=",".join(header[:3]))
 
 
-def check_no_recording(folder: Path, ours: Iterable[str]) -> None:
-    """Raise UsageError if a folder holds images of others, among which our pictures would be mixed.
+def below(results: Path, name: str) -> Path:
+    """The path of an output of ours in a results folder.
 
-    ours: file names; if one of them exists, the folder is ours.
+    Raises UsageError if a link is there: only links that the user names are followed.
     """
-    if folder.is_dir() and not any((folder / name).exists() for name in ours):
+    path = results / name
+    if path.is_symlink():
+        raise UsageError(f"{path}: a link, which is not followed here; remove it, or give --out")
+    return path
+
+
+def check_apart(path: Path) -> None:
+    """Raise UsageError if an image, a video or an MCAP would become a part of a recording.
+
+    A folder is one if it holds images of others and a sonar.toml, or several whose names differ
+    in numbers alone; and the folder of a bag is one.
+    """
+    folder, forms = path.parent, Counter[str]()
+    is_stated = (folder / "sonar.toml").exists()
+    is_recording = (folder / "metadata.yaml").exists()
+    with writing(folder):
+        for image in () if is_recording else _images_of_others(folder):
+            forms[form := re.sub("[0-9]+", "#", image.name)] += 1
+            if is_recording := is_stated or forms[form] == _SEVERAL:
+                break
+    if is_recording:
+        raise UsageError(f"{path}: it would become part of the recording; write somewhere else")
+
+
+def check_folder(folder: Path, ours: Collection[str]) -> None:
+    """Raise UsageError if our files would be mixed with images of others, or go through links.
+
+    ours: the files; if one of them exists, the folder is ours.
+    """
+    paths = [below(folder, name) for name in ours]
+    if not any(path.exists() for path in paths):
         with writing(folder):
-            images = (file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
-            other = next((file for file in images if not is_output(file, "picture")), None)
+            other = next(_images_of_others(folder), None)
         if other is not None:
             raise UsageError(
                 f"{folder}: holds {other.name}, so it may be a recording; write somewhere else"
             )
+
+
+def _images_of_others(folder: Path) -> Iterator[Path]:
+    """The images in a folder that are no pictures of ours. Raises OSError."""
+    for file in folder.iterdir() if folder.is_dir() else ():
+        is_image = file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
+        if is_image and not is_output(file, "picture"):
+            yield file
+
+
+@contextmanager
+def made_whole(folder: Path) -> Iterator[Path]:
+    """A temporary folder inside `folder`, from which the files are moved there at the end, or
+    deleted after an error. Raises OSError."""
+    is_new = not folder.exists()
+    new = folder / f".{os.getpid()}-{next(_numbers)}.new"
+    try:
+        new.mkdir(parents=True)
+        yield new
+        # Last: a folder without geometry is not taken for a whole recording.
+        for file in sorted(new.iterdir(), key=lambda file: file.name.endswith("sonar.toml")):
+            file.rename(folder / file.name)
+    except OSError as error:
+        error.filename = str(folder)
+        raise
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+        if is_new:
+            with suppress(OSError):  # it is not empty
+                folder.rmdir()
 
 
 def is_output(path: Path, kind: Kind, header: str = "") -> bool:
@@ -156,7 +217,7 @@ def replaced(path: Path) -> Iterator[Path]:
     Missing folders are created. For a link its target is replaced. Devices and pipes are written
     directly. An OSError names `path`.
     """
-    if str(path).startswith(_STREAMS) or (path.exists() and not path.is_file()):
+    if str(path).startswith(STREAMS) or (path.exists() and not path.is_file()):
         yield path
         return
     target = path.resolve()
@@ -204,6 +265,12 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]
         table = csv.writer(file, lineterminator="\n")
         table.writerow(header)
         table.writerows(rows)
+
+
+def as_cell(text: str) -> str:
+    """A text that spreadsheets show as it is: no formula, and on one line."""
+    text = text.replace("\r", r"\r").replace("\n", r"\n")
+    return f"'{text}" if text.startswith(("=", "+", "@")) else text
 
 
 def write_page(path: Path, page: str) -> None:

@@ -18,6 +18,7 @@ from pandas.api.types import is_integer_dtype, is_numeric_dtype, union_categoric
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError, printable
+from sonarrec.tables import refuse_pipe, something_else
 
 Kind = Literal[
     "whole",
@@ -177,11 +178,16 @@ def _parts(
     path: Path, expected: str, dtype: Mapping[str, type], rows: int | None
 ) -> Iterator[pd.DataFrame]:
     """The file in data frames of at most `rows` rows. Raises SonarrecError if it is no table."""
+    refuse_pipe(path)
+    if path.is_file():
+        with path.open("rb") as file:
+            if (what := something_else(file.read(32))) is not None:
+                raise SonarrecError(f"{path}: {what}")
     options: Any = {"dtype": dtype, "chunksize": rows or 2**62, **_OPTIONS}
     parts = _told(path, expected, lambda: pd.read_csv(path, **options))
     with parts:
         while (part := _told(path, expected, lambda: next(parts, None))) is not None:
-            yield part
+            yield part.dropna(how="all")  # Excel leaves lines of commas alone
 
 
 def _told(path: Path, expected: str, read: Callable[[], Any]) -> Any:
@@ -216,6 +222,7 @@ def _check_header(
             raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
     if missing := [name for name in required if name not in names]:
         found = printable(",".join(map(str, names)))
+        like += "; separate the cells by commas" * (";" in found or "\\t" in found)
         found = found if len(found) <= MOST_SHOWN else f"{found[:MOST_SHOWN]}..."
         raise SonarrecError(
             f"{path}: wrong columns, no {', '.join(missing)}; found {found}; expected a header "
@@ -301,12 +308,12 @@ def line_number(path: Path, row: int) -> int:
 def line_numbers(path: Path) -> Iterator[int]:
     """The 1-based lines of a CSV file at which its rows end; after the last row it counts on.
 
-    Blank lines are not rows, and a quoted cell may span several lines.
+    Blank lines, also of commas alone, are not rows, and a quoted cell may span several lines.
     """
     line = 0
     with suppress(csv.Error), path.open(encoding="utf-8", errors="replace", newline="") as file:
         rows = csv.reader(file, skipinitialspace=True)
-        filled = (rows.line_num for cells in rows if len(cells) > 1 or "".join(cells).strip())
+        filled = (rows.line_num for cells in rows if "".join(cells).strip())
         for line in islice(filled, 1, None):
             yield line
     yield from count(line + 1)

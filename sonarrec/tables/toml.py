@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import msgspec
 
 from sonarrec.errors import SonarrecError, hidden
+from sonarrec.tables import something_else
 
 MAX_LENGTH = 2**24
 """Characters; a longer file cannot hold settings."""
@@ -64,6 +65,8 @@ def read_text(path: Path) -> str:
         raise SonarrecError(
             f"{path}: not a readable TOML file, it cannot be read ({fault}){how}"
         ) from None
+    if what := something_else(text[:32].encode()):
+        raise SonarrecError(f"{path}: {what}")
     if len(text) > MAX_LENGTH:
         raise SonarrecError(
             f"{path}: not a readable TOML file, it is larger than {MAX_LENGTH >> 20} MiB"

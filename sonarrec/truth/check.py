@@ -28,6 +28,7 @@ from sonarrec.readers.open import find_log
 from sonarrec.records import Fan
 from sonarrec.results.folders import possible_names
 from sonarrec.stretches import stretch_numbers
+from sonarrec.tables import composed
 from sonarrec.tables.read import line_numbers
 from sonarrec.truth.match import ReadLog, Truth, match_times, share_in_image, wrong_unit
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
@@ -104,7 +105,9 @@ def tell_other_logs(
     told: Diagnostics, table: TruthTable, logs: Sequence[str], consequence: str
 ) -> None:
     """Tell of rows of the truth about other logs than `logs`. consequence: of that, a clause."""
-    others = [] if table.log is None else [str(name) for name in table.log if name not in logs]
+    known = {composed(name) for name in logs}
+    named = () if table.log is None else table.log
+    others = [str(name) for name in named if composed(name) not in known]
     if others:
         names = sorted(set(others))
         listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)

@@ -20,7 +20,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
-from sonarrec.tables import natural_order
+from sonarrec.tables import composed, natural_order
 from sonarrec.tables.read import ID_IN_LABELS
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
@@ -105,6 +105,12 @@ def convert(
             f"{number_of(len(without), 'annotation')} without one centre, {more}, left out"
         )
     ids = _landmark_ids(Counter(label for _, label, *_ in found), labels or {}, landmarks, told)
+    twice = [name for name, n in Counter(image.file_name for image in coco.images).items() if n > 1]
+    if twice:
+        raise SonarrecError(
+            f"{source}: {number_of(len(twice), 'name')} of several images each, such as "
+            f"{twice[0]}, as where videos share names; export the annotations of one log only"
+        )
     frames, rule = _frames_of([image.file_name for image in coco.images], first_frame, log)
     if min(frames.values(), default=0) < 0 or len(set(frames.values())) < len(frames):
         raise SonarrecError(
@@ -187,9 +193,12 @@ def _frames_of(
     An image is found by its name in the log, in any folder and with any suffix. If the log has no
     names, the number at the end of every name counts; else the natural order of the names.
     """
-    stems = {name: Path(unquote(name.replace("\\", "/").partition("?")[0])).stem for name in images}
+    stems = {
+        name: composed(Path(unquote(name.replace("\\", "/").partition("?")[0])).stem)
+        for name in images
+    }
     in_log = [] if log is None else [file for file in find_log(log.path).files if is_image(file)]
-    of_log = {file.stem: n for n, file in enumerate(in_log)}
+    of_log = {composed(file.stem): n for n, file in enumerate(in_log)}
     if not of_log.keys() & stems.values():
         stems = {name: _HASH.sub("", stem) for name, stem in stems.items()}
     if in_log:

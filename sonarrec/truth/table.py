@@ -13,6 +13,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
+from sonarrec.tables import composed
 from sonarrec.tables.outputs import write_csv, writing
 from sonarrec.tables.read import (
     NONE,
@@ -66,15 +67,18 @@ class TruthTable:
     def rows_of(self, name: str, *, strangers: bool = False) -> IntArray:
         """(n,) the rows on a log that name a landmark, or those on strangers; rising."""
         wanted = (self.landmark == NONE) == strangers
-        return np.flatnonzero(wanted if self.log is None else wanted & (self.log == name))
+        if self.log is None:
+            return np.flatnonzero(wanted)
+        ours = [composed(one) == composed(name) for one in self.log.categories]
+        return np.flatnonzero(wanted & np.isin(self.log.codes, np.flatnonzero(ours)))
 
     def name_of(self, names: Sequence[str]) -> str:
         """The name by which the log column calls a log; the first if it names none.
 
         names: that its results may have, the most precise last (`folders.possible_names`).
         """
-        named = set() if self.log is None else set(self.log.unique())
-        return next((name for name in reversed(names) if name in named), names[0])
+        named = set() if self.log is None else {composed(name) for name in self.log.unique()}
+        return next((name for name in reversed(names) if composed(name) in named), names[0])
 
 
 def read_truth(path: Path) -> TruthTable:

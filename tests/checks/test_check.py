@@ -247,3 +247,20 @@ def test_the_samples_show_what_a_setting_costs(setting: str) -> None:
 @pytest.mark.slow
 def test_the_samples_are_as_on_record() -> None:
     assert "on record" not in sonarrec("check", SAMPLES / FILE).stderr
+
+
+@pytest.mark.parametrize("text", ["# a comment\n", "finished = true\n", '[input]\nname = "x"\n'])
+def test_a_record_that_does_not_name_its_log_is_not_compared(repository: Path, text: str) -> None:
+    sonarrec("check", "--update")
+    (RECORD / "faint" / "run.toml").write_text(text)
+    alone = sonarrec("check", code=4)
+    assert "not compared" in alone.stderr
+    assert alone.stdout == ""
+    log(repository, "second")
+    FILE.write_text(FILE.read_text() + '[[log]]\npath = "second"\n')
+    shutil.rmtree(RECORD)
+    sonarrec("check", "--update")
+    (RECORD / "faint" / "run.toml").write_text(text)
+    both = sonarrec("check", code=4)
+    assert "not compared" in both.stderr
+    assert "second" in both.stdout

@@ -133,6 +133,38 @@ def test_a_map_that_changes_midway_is_told(tmp_path: Path) -> None:
     assert len(drawn.diagnostics.notes) == 2
 
 
+MAPS_IN_TURN = [("jet", "rainbow"), ("rainbow", "jet"), ("viridis", "magma"), ("magma", "inferno")]
+
+
+@pytest.mark.parametrize(("first", "then"), MAPS_IN_TURN)
+def test_a_map_like_the_one_before_it_is_told(first: str, then: str, tmp_path: Path) -> None:
+    """The colours of rainbow are among those of jet, in reverse."""
+    log = in_colour(tmp_path, MAPS[first])
+    with open_log(log) as drawn:
+        list(drawn)
+        assert len(drawn.diagnostics.notes) == 1
+    paths = sorted(log.glob("*.png"))
+    for path in paths[12:]:
+        grey = cv2.imread(str(SAMPLE / path.name), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), cv2.applyColorMap(grey, MAPS[then]))
+    with open_log(log) as drawn:
+        list(drawn)
+        (_, changed) = drawn.diagnostics.notes
+    assert paths[12].name in changed
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_grey_frame_among_frames_in_colour(channels: int, tmp_path: Path) -> None:
+    log = in_colour(tmp_path, cv2.COLORMAP_JET)
+    path = sorted(log.glob("*.png"))[6]
+    grey = cv2.imread(str(SAMPLE / path.name), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(path), grey if channels == 1 else cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    with open_log(log) as drawn:
+        found = list(drawn)
+    assert len(found) == 24
+    np.testing.assert_array_equal(found[6].image, grey)
+
+
 def test_grey_pictures_and_strange_colours_have_no_map() -> None:
     grey = cv2.cvtColor(picture(), cv2.COLOR_GRAY2BGR)
     assert not is_coloured(grey)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sonarrec.readers import open_log
-from tests.support.logs import frames
+from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
 from tests.support.sonar_files import aris_file, gemini_log, gemini_record, oculus_ping
 
 IMAGES = [np.ascontiguousarray(image) for image in frames(12, 64, 48)]
@@ -39,3 +39,24 @@ def test_times_that_go_back_are_told(tmp_path: Path, name: str, count: int) -> N
         (note,) = (note for note in log.diagnostics.notes if "times go back" in note)
     assert note.startswith(f"{path}: times go back by {'1' if count == 12 else '0'}.")
     assert f"at frame {count} (were two recordings joined, or was the clock set?)" in note
+
+
+@pytest.mark.parametrize("unset", [1, 3])
+def test_a_clock_that_was_set_after_the_first_frames_is_told(unset: int, tmp_path: Path) -> None:
+    set_ns = 1_717_000_000 * 10**9
+    times = [k * PERIOD_NS + (k >= unset) * set_ns for k in range(8)]
+    stored = [("/s", time, cdr_image(i)) for time, i in zip(times, frames(8), strict=True)]
+    with open_log(mcap_file(tmp_path / "log.mcap", stored)) as log:
+        assert [frame.timestamp_ns for frame in log] == times
+        assert any(f"at frame {unset}" in note for note in log.diagnostics.notes)
+
+
+@pytest.mark.parametrize(("divisor", "unit"), [(1, ""), (1_000, "micro"), (10**6, "milli")])
+def test_a_rate_that_no_sonar_has_is_told_with_the_unit_that_fits(
+    divisor: int, unit: str, tmp_path: Path
+) -> None:
+    stored = [("/s", k * PERIOD_NS // divisor, cdr_image(i)) for k, i in enumerate(frames(8))]
+    with open_log(mcap_file(tmp_path / "log.mcap", stored)) as log:
+        list(log)
+        told = [note for note in log.diagnostics.notes if "a second" in note]
+    assert [f"{unit}seconds" in note for note in told] == [True] * bool(unit)

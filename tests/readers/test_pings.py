@@ -335,3 +335,19 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
         "message 2 of /a: its header stamp is 0, as if not set; --time log needs none, skipped"
     ]
     assert len(read(lapse, sonar=TILT)[0]) == 3
+
+
+@pytest.mark.parametrize("pitch_deg", [0.0, 40.0, -25.0])
+def test_beams_that_a_mounting_pitches(pitch_deg: float, tmp_path: Path) -> None:
+    """Bearings are taken in the beams' own plane, whose pitch is told."""
+    flat, pitched = (messages.projected_fields(0, polar_frames(1)[0]) for _ in range(2))
+    pitch = np.radians(pitch_deg)
+    pitched["beam_directions"] = [
+        one | {"x": one["z"] * np.sin(pitch), "z": one["z"] * np.cos(pitch)}
+        for one in flat["beam_directions"]
+    ]
+    (expected,), _, _ = read(log_of(tmp_path / "flat.mcap", [flat]), sonar=TILT)
+    (frame,), _, notes = read(log_of(tmp_path / "log.mcap", [pitched]), sonar=TILT)
+    for edge in ("bearing_min_deg", "bearing_max_deg"):
+        assert getattr(frame.fan, edge) == pytest.approx(getattr(expected.fan, edge), abs=1e-3)
+    assert any("pitched" in note for note in notes) == (pitch_deg != 0)

@@ -24,6 +24,8 @@ from sonarrec.simulation.render import render
 from sonarrec.sonar import Sonar, sonar_from_table
 from tests.studies.learning.random_scenes import random_scene
 from tests.support import messages
+from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
+from tests.support.logs import read as read_log
 from tests.support.messages import (
     BEAMS,
     BEARINGS_DEG,
@@ -300,3 +302,30 @@ def test_an_image_is_turned_as_viewers_turn_it(kind: str, mode: str) -> None:
         shown = np.asarray(ImageOps.exif_transpose(Image.open(file)).convert(picture.mode))
         found = single_channel(decode_image(file.getvalue()))
         np.testing.assert_allclose(found, shown, atol=2)
+
+
+@pytest.mark.parametrize(("share", "as_decibels"), [(0.01, False), (0.2, False), (0.9, True)])
+def test_a_share_of_negative_pixels_decides(
+    share: float, as_decibels: bool, tmp_path: Path
+) -> None:
+    """Noise below 0 makes no decibels of amplitudes; and what was assumed is told."""
+    rng = np.random.default_rng(0)
+    images = [rng.rayleigh(200.0, (48, 38)).astype(np.float32) for _ in range(3)]
+    for image in images:
+        image[rng.random(image.shape) < share] *= -1
+    stored = [("/s", k * PERIOD_NS, cdr_image(i, "32FC1")) for k, i in enumerate(images)]
+    with open_log(mcap_file(tmp_path / "log.mcap", stored)) as log:
+        list(log)
+        (note,) = log.diagnostics.notes
+        assert log.reading()["pixel_scale"] == ("db" if as_decibels else "log")
+    assert ("decibels" if as_decibels else "amplitudes") in note
+
+
+def test_one_pixel_out_of_bounds_costs_no_frame(tmp_path: Path) -> None:
+    images = [(image / 255).astype(np.float32) for image in frames(4)]
+    images[1][0, 0] = -1e-6
+    images[2][:10] = 7
+    stored = [("/s", k * PERIOD_NS, cdr_image(i, "32FC1")) for k, i in enumerate(images)]
+    found, problems = read_log(mcap_file(tmp_path / "log.mcap", stored))
+    assert [frame.index for frame in found] == [0, 1, 3]
+    assert len(problems) == 1

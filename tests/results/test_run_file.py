@@ -13,7 +13,7 @@ from sonarrec.geometry import in_image, pixel_from_polar
 from sonarrec.results.read import check_same_log
 from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.sonar import Sonar
-from tests.support.command import sonarrec
+from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import frames, image_folder
 
 RUN = """\
@@ -149,7 +149,7 @@ def test_rows_that_were_cut_since_are_told_and_run_anew(tmp_path: Path) -> None:
         assert table["input"][key] == len(lines) - 1 > 0
         (folder / name).write_bytes(b"".join(lines[:-1]).rstrip(b"\n"))
         lost = f"{name} holds {len(lines) - 2} of the {len(lines) - 1} rows that the run wrote"
-        assert f"log: {lost}; only these are scored" in sonarrec(*score, code=3).stderr
+        assert f"log: {lost}" in sonarrec(*score, code=3).stderr
         (folder / name).write_bytes(lines[0])
         assert f"replaced ({name} holds 0 of the" in sonarrec(*run).stderr
         assert {name: (folder / name).read_bytes() for name in whole} == whole
@@ -157,3 +157,28 @@ def test_rows_that_were_cut_since_are_told_and_run_anew(tmp_path: Path) -> None:
     run_toml = folder / "run.toml"
     run_toml.write_text(run_toml.read_text().replace("estimates = ", 'estimates = "x" # '))
     assert "input.estimates" in sonarrec(*score, code=1).stderr
+
+
+@pytest.mark.parametrize("name", ["frames.csv", "estimates.csv", "sightings.csv"])
+@pytest.mark.parametrize("change", ["a row more", "another ID"])
+def test_tables_that_were_edited_are_told_and_run_anew(
+    name: str, change: str, tmp_path: Path
+) -> None:
+    log, folder = sample_log(tmp_path / "pan", 8), tmp_path / "out" / "pan"
+    sonarrec("run", log, "-o", tmp_path / "out", "-q")
+    truth, drawn = SAMPLE / "gt.csv", ("-o", tmp_path / "o.mcap")
+    usual = sonarrec("evaluate", folder, "--ground-truth", truth, "-q", code=3).stderr
+    sonarrec("overlay", log, folder, *drawn)
+    whole = (folder / name).read_bytes()
+    lines = whole.splitlines(keepends=True)
+    if change == "a row more":
+        (folder / name).write_bytes(whole + lines[-1].replace(b"7,", b"99,", 1))
+    else:
+        (folder / name).write_bytes(b"".join([*lines[:-1], lines[-1].replace(b"1", b"2", 1)]))
+    told = sonarrec("evaluate", folder, "--ground-truth", truth, "-q", code=3).stderr
+    assert f"{name} was changed after the run" in told
+    assert f"{name} was changed" not in usual
+    assert f"{name} was changed" in sonarrec("overlay", log, folder, *drawn, code=3).stderr
+    assert f"{name} was changed" in sonarrec("run", log, "-o", tmp_path / "out").stderr
+    assert (folder / name).read_bytes() == whole
+    assert "up to date" in sonarrec("run", log, "-o", tmp_path / "out").stdout

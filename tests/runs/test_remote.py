@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
+import socket
 import threading
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, hidden, is_url
 from sonarrec.runs import remote
 from tests.support.command import sonarrec
@@ -131,6 +136,10 @@ def test_logs_on_a_web_server_without_a_secret_told(tmp_path: Path) -> None:
         ("https://h/a;k=1", "https://h/a"),
         ("no 's3://key:pw@b/k' here", "no 's3://b/k' here"),
         ("dives/a.mcap?", "dives/a.mcap?"),
+        ("https://h/a.mcap#token=t0ken", "https://h/a.mcap"),
+        ("https://u:it's@h/x: not there", "https://h/x: not there"),
+        ("https://u:a b@h/x and s3://k:p/w+=@b/y", "https://h/x and s3://b/y"),
+        ("'https://h/x?sig=a/b:c': no such file", "'https://h/x': no such file"),
     ],
 )
 def test_no_output_has_a_secret(text: str, shown: str) -> None:
@@ -153,9 +162,50 @@ def test_no_message_has_a_secret(words: str) -> None:
 
 def test_what_takes_no_url_says_so() -> None:
     told = sonarrec("evaluate", "s3://user:pw@bucket/results", code=2).stderr
-    assert "s3://bucket/results: only `sonarrec run` takes URLs" in told
+    assert "s3://bucket/results: URLs are for" in told
     assert is_url(Path("s3://bucket/a"))
     assert not is_url("a:b/c")
     with pytest.raises(SonarrecError, match="only s3://"):
         remote.logs_at("ftp://host/a/")
     sonarrec("run", "a.mcap", "-o", "https://host/out", code=2)
+
+
+SECRETS = ("s3cret", "s3'cret", "s3 cret", "s3/cret", "s3@cret", "s3%2Fcret", "s3cret/+=s3cret")
+
+
+@pytest.mark.parametrize("secret", SECRETS)
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://me:{}@127.0.0.1:1/a.mcap",
+        "https://127.0.0.1:1/a.mcap#token={}",
+        "https://127.0.0.1:1/a.mcap?X-Amz-Signature={}",
+        "s3://me:{}@bucket/a.mcap",
+        "gs://me:{}@bucket/a.mcap",
+        "sftp://me:{}@127.0.0.1:1/a.mcap",
+        "ftp://me:{}@127.0.0.1:1/a.mcap",
+    ],
+)
+def test_no_library_and_no_option_tells_a_secret(url: str, secret: str, tmp_path: Path) -> None:
+    full, out = url.format(secret), tmp_path / "out"
+    words = ("run", full, "-o", out), ("run", "--from-file", full), ("info", full)
+    for line in (*words, ("run", "x", "--seed", full), ("landmarks", full, full), (full,)):
+        done = CliRunner().invoke(main, [str(word) for word in line])
+        assert done.exit_code in (1, 2)
+        assert not re.search("s3|cret", done.output.replace("s3://", "")), done.output
+
+
+def test_a_server_that_does_not_answer_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(remote, "TIMEOUT_S", 1)
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "made-up")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "made-up")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        host = f"127.0.0.1:{server.getsockname()[1]}"
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}")
+        for url in (f"http://{host}/a.mcap", "s3://bucket/a.mcap"):
+            start_s = monotonic()
+            told = sonarrec("run", url, "-o", tmp_path / "out", code=1).stderr
+            assert len(told.splitlines()) == 1
+            assert monotonic() - start_s < 30  # not after minutes

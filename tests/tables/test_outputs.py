@@ -6,6 +6,8 @@ import csv
 import os
 import resource
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -15,6 +17,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.tables.outputs import with_mark, write_csv, write_text
+from tests.support.batch import until
 from tests.support.command import SAMPLE, sample_log
 from tests.support.slow import but_first
 
@@ -74,6 +77,12 @@ REFUSED = [
     "run log -o log",
     f"overlay log {TABLES} -o log/x.mp4",
     "run pan.mcap -o others",
+    "landmarks -o log/lm.png",
+    "simulate --frames 2 --scene basin -o log/x.mcap",
+    "info pan.mcap --preview log/p.png",
+    f"overlay pan.mcap {TABLES} -o log/x.mcap",
+    "run log -o dives",
+    "run pan.mcap -o dives",
 ]
 
 
@@ -93,6 +102,9 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
         ("mine.json", '{"mine": 1}'),
     ):
         (work / name).write_text(text)
+    shutil.copytree("log", "dives/log")
+    Path("dives/pan").mkdir()
+    shutil.copy("pan.mcap", "dives/pan")
     (others / "pan").mkdir()
     (others / "pan" / "frames.csv").write_text("frame,timestamp_ns\n0,0\n")
     before = contents(work)
@@ -235,3 +247,99 @@ def test_a_folder_that_cannot_be_written_to_is_a_failure(
     monkeypatch.setattr(os, "access", lambda *_: False)
     done = sonarrec("landmarks basin -o ro/x.png")
     assert (done.exit_code, "ro may not be written to" in done.stderr) == (1, True)
+
+
+@pytest.mark.usefixtures("work")
+def test_a_picture_beside_other_pictures_is_no_part_of_a_recording() -> None:
+    for name in ("figure1.png", "figure2.png", "photo.png"):
+        cv2.imwrite(name, np.zeros((8, 8), np.uint8))
+    for _ in range(2):
+        assert sonarrec("landmarks -q -o lm.png").exit_code == 0
+    cv2.imwrite("figure3.png", np.zeros((8, 8), np.uint8))
+    assert sonarrec("landmarks -o lm.png").exit_code == 2  # it may be a recording
+
+
+@pytest.mark.parametrize("out", ["new", "new/x.mcap", "there", "x.mcap"])
+def test_a_simulation_on_a_full_disk_leaves_nothing(work: Path, out: str) -> None:
+    (work / "there").mkdir()
+    before, folders = contents(work), {p for p in work.rglob("*") if p.is_dir()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
+    try:
+        done = sonarrec(f"simulate --frames 3 -q -o {out}")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert done.exit_code == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert contents(work) == before
+    assert {p for p in work.rglob("*") if p.is_dir()} == folders
+    assert sonarrec(f"simulate --frames 3 -q -o {out}").exit_code == 0
+
+
+def test_a_simulation_that_is_terminated_leaves_nothing(work: Path) -> None:
+    words = [sys.executable, "-m", "sonarrec", "simulate", "--frames", "100000", "-o", "x.mcap"]
+    with subprocess.Popen(words, cwd=work, stderr=subprocess.PIPE) as process:
+        until(lambda: any(work.glob(".*.new/x.mcap")))
+        process.terminate()
+        process.wait(30)
+    assert process.returncode == 143
+    assert not [path for path in work.iterdir() if path.name.startswith((".", "x"))]
+
+
+@pytest.mark.parametrize(
+    ("line", "link"),
+    [
+        (EVALUATE, f"{TABLES}/evaluation"),
+        (EVALUATE, f"{TABLES}/evaluation/confusion.csv"),
+        (EVALUATE, f"{TABLES}/evaluation/roc.png"),
+        (f"evaluate {COMPARE}", f"{TABLES}/evaluation"),
+        (f"map {TABLES}", f"{TABLES}/map"),
+        (f"map {TABLES}", f"{TABLES}/map/map.csv"),
+        (f"report {TABLES}", f"{TABLES}/report.html"),
+        ("run log --overwrite", "sonarrec_out/.log.old"),
+        ("run log --overwrite", "sonarrec_out/log.part"),
+    ],
+)
+def test_no_link_in_a_results_folder_is_followed(work: Path, line: str, link: str) -> None:
+    place = work / link
+    precious = work / "precious"
+    precious.mkdir()
+    (precious / "frames.csv").write_text("mine")
+    (precious / "sightings.csv").write_text("mine")
+    place.parent.mkdir(exist_ok=True)
+    place.symlink_to(precious / "frames.csv" if place.suffix in (".csv", ".png") else precious)
+    before = contents(precious)
+    done = sonarrec(line)
+    assert done.exit_code == 2, done.output
+    assert "a link" in done.stderr
+    assert contents(precious) == before
+    named = sonarrec(f"{line} -o {place}") if place.parent.name == "log" else None
+    if named is not None and place.suffix == "":  # what the user names is followed
+        assert named.exit_code in (0, 3), named.output
+        assert len(contents(precious)) > 2
+
+
+def test_logs_csv_is_never_a_link(work: Path) -> None:
+    table = work / "sonarrec_out" / "logs.csv"
+    table.rename(work / "mine.csv")
+    table.symlink_to(work / "mine.csv")
+    before = (work / "mine.csv").read_bytes()
+    done = sonarrec("run pan.mcap")
+    assert "a link" in done.stderr
+    assert (work / "mine.csv").read_bytes() == before
+
+
+@pytest.mark.usefixtures("work")
+def test_names_that_spreadsheets_would_compute() -> None:
+    names = ("=1+1", "+cmd", "@cmd", "a\rb", "plain")
+    for name in names:
+        shutil.copytree("log", name)
+    run = ["run", *names, "-o", "out", "-j", "1", "-q"]
+    for _ in range(2):  # again, with the rows of before
+        done = CliRunner().invoke(main, run)
+        assert (done.exit_code, done.stderr) == (0, "")
+    with Path("out/logs.csv").open(newline="") as file:
+        rows = [*csv.DictReader(file)]
+    assert len(rows) == len(names)
+    assert {row["status"] for row in rows} == {"done"}
+    assert not [cell for row in rows for cell in row.values() if cell[:1] in ("=", "+", "@")]

@@ -264,3 +264,13 @@ def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[
         found = polar_from_pixel(frame.fan, np.array([x]), np.array([y]))
         bearing = (1 if keys else -1) * 51 * 0.3
         assert np.ravel(found) == pytest.approx((1.25 + 120 * 0.0125, bearing), abs=0.02)
+
+
+@pytest.mark.parametrize("with_log", [False, True])
+def test_videos_that_share_the_names_of_their_images(with_log: bool, tmp_path: Path) -> None:
+    """The annotations of both would come to lie on the same frames."""
+    names = [f"frame{k}.png" for k in range(3)]
+    annotations = [BBOX | {"image_id": 7}, BBOX | {"image_id": 10}]
+    source = coco(tmp_path, annotations, [*names, *names])
+    more = ("--log", image_folder(tmp_path / "log", frames(3))) if with_log else ()
+    assert "frame0.png" in failure(source, *more)

@@ -27,7 +27,8 @@ def is_bag_folder(folder: Path) -> bool:
     if (folder / METADATA).is_file():
         with (folder / METADATA).open("rb") as file:
             head = file.read(2**12)
-        if b"rosbag2_bagfile_information" in head or (not head and _stored(folder)):
+        is_lost = re.search(rb"^\w", head, re.MULTILINE) is None  # empty, or {}
+        if b"rosbag2_bagfile_information" in head or (is_lost and _stored(folder)):
             return True
     stems = {match[1] if (match := _numbered(p)) else "" for p in _stored(folder)}
     stem = stems.pop() if len(stems) == 1 else ""
@@ -105,7 +106,7 @@ class BagFolder(Recording):
 
     def _look_into(self, part: Path) -> None:
         """Open a part and register its channels, counts, times and faults."""
-        known = len(self.diagnostics.faults)
+        known = self.diagnostics.faults
         try:
             log = self._open(part, self.diagnostics)
         except SonarrecError as error:
@@ -119,7 +120,7 @@ class BagFolder(Recording):
             self.counts[number] += log.counts.get(own, 0)
         self.chunks.update(log.chunks)
         self.library = self.library or log.library
-        self.whole &= log.whole and len(self.diagnostics.faults) == known
+        self.whole &= log.whole and self.diagnostics.faults == known
         if log.span is not None:
             first, last = self.span or log.span
             self.span = min(first, log.span[0]), max(last, log.span[1])

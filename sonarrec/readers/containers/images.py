@@ -16,7 +16,7 @@ from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
-from sonarrec.records import IMAGE_SUFFIXES, date_text
+from sonarrec.records import ARRAY_SUFFIX, IMAGE_SUFFIXES, date_text
 from sonarrec.tables import natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -46,6 +46,11 @@ def is_image(path: Path) -> bool:
         return names_an_image(path.name) and stat.S_ISREG(path.stat().st_mode)
     except OSError:
         return True
+
+
+def is_array(path: Path) -> bool:
+    """Whether a path is taken for an array of NumPy."""
+    return path.suffix.lower() == ARRAY_SUFFIX and path.name[0] != "." and path.is_file()
 
 
 class ImagePaths(Sequence[Path]):

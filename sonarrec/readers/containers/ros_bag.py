@@ -12,7 +12,9 @@ from typing import Any
 import lz4.frame
 
 from sonarrec.errors import Diagnostics, SonarrecError, name_as_text
-from sonarrec.readers.raw import MAX_FRAME_BYTES, Channel, Message, Recording
+from sonarrec.readers.raw import MAX_FRAME_BYTES, Channel, FileBytes, Message, Recording
+
+_MAGIC = b"#ROSBAG V2.0\n"
 
 
 class RosBag(Recording):
@@ -34,6 +36,10 @@ class RosBag(Recording):
                 definition = c.msgdef.data.encode(errors="replace")
                 self.channels[c.id] = Channel(c.topic, c.msgtype, "ros1msg", definition, "ros1")
             self.counts = Counter({c.id: c.msgcount for c in self._reader.connections})
+            file = FileBytes(path)
+            if file.find(_MAGIC, max(self._reader.chunks, default=len(_MAGIC)), file.size):
+                self.fault("several bags in one file, of which only the first is read")
+            file.close()
             if self._reader.message_count:
                 self.span = self._reader.start_time, self._reader.end_time - 1
         except OSError:

@@ -13,7 +13,7 @@ from sonarrec.readers.raw import RawLog, StoredFrame
 
 _CUES, _CLUSTER = b"\x1c\x53\xbb\x6b", b"\x1f\x43\xb6\x75"  # elements of Matroska
 _TAIL_BYTES = 2**20
-VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
+VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm"})
 
 
 def opencv_name(path: Path) -> str:
@@ -83,4 +83,4 @@ class VideoFrames(RawLog):
             file.seek(max(file.seek(0, 2) - _TAIL_BYTES, 0))
             tail = file.read()
         ending = tail.rfind(_CUES) > tail.rfind(_CLUSTER)  # which a cut one lacks
-        return self._path.suffix.lower() == ".mkv" and ending
+        return self._path.suffix.lower() in (".mkv", ".webm") and ending

@@ -51,11 +51,20 @@ def is_coloured(pixels: np.ndarray) -> bool:
     return bool(len(some) and np.mean(np.ptp(some, axis=1) > _COLOURED) > _LEAST_COLOURED)
 
 
-def strays(pixels: np.ndarray, name: str) -> bool:
-    """Whether colours lie far from a map by which they are read."""
-    some = _sample(pixels)[::10]
-    nearest = np.sqrt(_squared(_colours(name), some).min(axis=1), dtype=float)
-    return bool(len(some) and nearest.mean() > 1.5 * _NEAR_IF_MIXED)
+def distance(pixels: np.ndarray, name: str) -> float:
+    """Mean distance, in levels, of a picture's colours from a map."""
+    nearest = np.sqrt(_squared(_colours(name), _sample(pixels)[::10]).min(axis=1), dtype=float)
+    return float(nearest.mean()) if len(nearest) else 0.0
+
+
+def strays(pixels: np.ndarray, name: str, usual: float) -> bool:
+    """Whether colours are not of the map by which they are read. usual: their distance from it in
+    pictures that are. Far from the map they are of none, and nearer perhaps of another: the colours
+    of rainbow are those of jet, but for a few, in reverse."""
+    off = distance(pixels, name)
+    if off <= 1.5 * usual + 1:
+        return False
+    return off > 1.5 * _NEAR_IF_MIXED or find_map([pixels]) not in (None, name)
 
 
 def find_map(images: Sequence[np.ndarray]) -> str | None:

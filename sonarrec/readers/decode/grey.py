@@ -7,7 +7,7 @@
 | 16 bit | linear, but log if the first frame would be almost black, or if the speckle is that of
   amplitudes | 65535; log: by the first frame |
 | floating-point images within 0 to 1 | linear | 1 |
-| floating-point, some negative | db: decibels | by the first frame |
+| floating-point, most negative | db: decibels | by the first frame |
 | 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |
 
 `linear` is 255 v / full_scale, `log` 255 (1 + 20 log10(v / full_scale) / dynamic_range_db), `db`
@@ -29,7 +29,14 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, quantile
 from sonarrec.errors import SonarrecError
-from sonarrec.readers.decode.colour import LUMINANCE, find_map, is_coloured, map_levels, strays
+from sonarrec.readers.decode.colour import (
+    LUMINANCE,
+    distance,
+    find_map,
+    is_coloured,
+    map_levels,
+    strays,
+)
 from sonarrec.readers.decode.layout import Stated
 from sonarrec.readers.raw import StoredFrame, UnusableError
 from sonarrec.sonar import Sonar
@@ -39,6 +46,8 @@ DYNAMIC_RANGE_DB = 50.0
 # -9999 and -32768 do.
 NO_DATA = -500.0
 _MEDIAN_AT = 1 / 3  # of the range, for floor speckle: high enough for shadows to show
+_MOSTLY = 0.5  # share of pixels; single ones decide nothing
+_STRAY = 0.01  # share of pixels out of bounds that are a fault
 _NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median below
 
 # For `holds_amplitudes`: rows and columns of a block, which blocks are used, and the sum of slope
@@ -108,14 +117,15 @@ def grey_scale(
     if not values.any():
         return None
     floating = pixels.dtype.kind == "f"
-    unit = floating and not amplitudes and values.min() >= 0 and values.max() <= 1
+    decibels = floating and below_zero(values) > _MOSTLY
+    unit = floating and not amplitudes and not decibels and values.max() <= 1
     largest = 1.0 if unit else None
     if not floating and pixels.itemsize <= 2:
         largest = float(white or np.iinfo(pixels.dtype).max)
     scale: Scale = sonar.pixel_scale or "linear"
     if sonar.pixel_scale is None:
         if largest is None:
-            scale = "db" if floating and values.min() < 0 else "log"
+            scale = "db" if decibels else "log"
         elif (amplitudes and not floating) or (
             values.itemsize == 2 and next_to_black(values, largest)
         ):
@@ -129,7 +139,7 @@ def grey_scale(
         return GreyScale(scale, sonar.full_scale, span)
     if scale == "linear":
         full = float(values.max()) if largest is None else largest
-        return GreyScale(scale, full, span, bounded=unit)
+        return GreyScale(scale, full, span, bounded=unit and values.min() >= 0)
     above = (1 - _MEDIAN_AT) * span
     if scale == "db":
         return GreyScale(scale, float(np.median(values)) + above, span)
@@ -137,6 +147,12 @@ def grey_scale(
     if not echoes.size:
         return None
     return GreyScale(scale, float(np.median(echoes) * 10 ** (above / 20)), span)
+
+
+def below_zero(values: np.ndarray) -> float:
+    """The share of pixels below 0, of those that are not 0 and finite."""
+    values = values[np.isfinite(values) & (values != 0)]
+    return float(np.mean(values < 0)) if values.size else 0.0
 
 
 def _middle(values: np.ndarray) -> float:
@@ -210,7 +226,8 @@ def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
             return _rounded(np.ascontiguousarray(pixels), 255 / full)
     values = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
     # Infinities are allowed, because `grey_scale` uses finite values only.
-    if scale.bounded and (((values < 0) | (values > full)) & np.isfinite(values)).any():
+    out_of_bounds = ((values < 0) | (values > full)) & np.isfinite(values) if scale.bounded else 0
+    if np.mean(out_of_bounds) > _STRAY:
         raise UnusableError(
             f"floating-point pixels must lie in 0 to {full:g}, as in the first frame"
         )
@@ -234,12 +251,14 @@ def _rounded(values: np.ndarray, factor: float) -> ByteImage:
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """How pixels become grey. in_colour: whether a frame was, and its map was looked for. strayed:
-    whether it was told that colours are of another map. amplitudes: types of integers that hold
-    them. scales: by type of pixels, each from the first usable frame of its type."""
+    """How pixels become grey. in_colour: whether a frame was, and its map was looked for. off: the
+    distance of colours from the map in the first frame. strayed: whether it was told that colours
+    are of another map. amplitudes: types of integers that hold them. scales: by type of pixels,
+    each from its first usable frame."""
 
     colour_map: str
     in_colour: bool = False
+    off: float | None = None
     strayed: bool = False
     amplitudes: frozenset[np.dtype[Any]] = frozenset()
     scales: Mapping[np.dtype[Any], GreyScale] = field(default_factory=dict)
@@ -280,17 +299,23 @@ def grey_of(
     levels: Levels, frame: StoredFrame, pixels: np.ndarray, stated: Stated
 ) -> tuple[Levels, ByteImage]:
     """(the levels, completed by what the frame is the first to show; its grey image)."""
+    colour_map = levels.colour_map
     if not stated.sonar.colour_map and not levels.in_colour and _in_colour(pixels):
         since = f"begin at {frame.name} after grey frames, and are "
         levels = _of_map(levels, [pixels], stated, since)
-    elif levels.in_colour and not levels.strayed and levels.colour_map != LUMINANCE:
-        levels = replace(levels, strayed=True) if strays(pixels, levels.colour_map) else levels
-        if levels.strayed:
+        colour_map = levels.colour_map
+    elif levels.in_colour and colour_map != LUMINANCE and not _in_colour(pixels):
+        colour_map = LUMINANCE  # a grey frame among others
+    elif levels.in_colour and not levels.strayed and colour_map != LUMINANCE:
+        if levels.off is None:
+            levels = replace(levels, off=distance(pixels, colour_map))
+        elif strays(pixels, colour_map, levels.off):
+            levels = replace(levels, strayed=True)
             stated.note(
-                f"from {frame.name} on colours are not of the map {levels.colour_map}, by which "
-                "they are read; if the map was changed, run each part as a log of its own"
+                f"from {frame.name} on colours are not of the map {colour_map}, by which they are "
+                "read; if the map was changed, run each part as a log of its own"
             )
-    grey = single_channel(pixels, levels.colour_map)
+    grey = single_channel(pixels, colour_map)
     scale = levels.scales.get(grey.dtype)
     if scale is None:
         of_ping = frame.ping is not None and grey.dtype.kind == "f"
@@ -298,6 +323,13 @@ def grey_of(
         scale = grey_scale(stated.sonar, grey, amplitudes, frame.white)
         if scale is None:  # a blank frame decides nothing
             return levels, np.zeros(grey.shape, np.uint8)
+        below = below_zero(grey)
+        if grey.dtype.kind == "f" and below and stated.sonar.pixel_scale is None:
+            kinds = {"db": "decibels", "log": "amplitudes", "linear": "grey levels"}
+            stated.note(
+                f"{below:.2%} of the pixels are below 0; all are read as "
+                f"{kinds[scale.pixel_scale]}; --pixel-scale states another scale"
+            )
         levels = replace(levels, scales={**levels.scales, grey.dtype: scale})
     return levels, to_grey8(grey, scale)
 

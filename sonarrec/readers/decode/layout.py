@@ -23,6 +23,7 @@ from sonarrec.sonar import Geometry, Sonar
 
 MIN_SHARED_WINDOW = 0.5
 """A ping whose window covers less of the fan's is not used."""
+PITCHED_DEG = 2.0
 SAME_BINS = 0.25
 """Range bins by which windows may differ that count as one. Sonars that measure the speed of sound
 state another window with every ping, and to lay out an image anew takes long."""
@@ -164,6 +165,11 @@ def _of_window(
     if layout is None:
         if against:
             stated.note(f"stated against the {stated.origin}: {', '.join(against)}")
+        if abs(ping.pitch_deg) > PITCHED_DEG:
+            stated.note(
+                f"beam directions are pitched by {ping.pitch_deg:.0f} deg, as by a mounting; "
+                "bearings are taken in their plane, and tilt_deg stays yours to state"
+            )
         return Layout(sonar, polar.fan, shape, polar, ping)
     fan = layout.fan
     if not _covers(_ranges(window), _ranges(fan)):

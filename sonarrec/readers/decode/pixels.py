@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import re
 import struct
@@ -15,6 +16,7 @@ import cv2
 import numpy as np
 
 from sonarrec.readers.raw import UnusableError
+from sonarrec.tables import something_else
 
 
 @cache
@@ -121,11 +123,34 @@ _TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _AS_SHOWN = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
 
+_NPY = b"\x93NUMPY"
+
+
+def _array(data: np.ndarray) -> np.ndarray:
+    """The pixels in an array of NumPy. Raises UnusableError if it is damaged or of another kind."""
+    try:
+        pixels = np.asarray(np.load(io.BytesIO(data.tobytes()), allow_pickle=False))
+    except Exception:  # it raises errors of many classes
+        raise UnusableError("a damaged array of NumPy, or one of objects") from None
+    kind = pixels.dtype.newbyteorder("=")
+    if (
+        pixels.ndim != 2
+        or kind not in (np.uint8, np.uint16, np.float32)
+        or pixels.size > _MOST_PIXELS
+    ):
+        what = f"an array of {kind}, shape {pixels.shape}"
+        raise UnusableError(f"{what}; two dimensions of uint8, uint16 or float32 are read")
+    return pixels
+
+
 def _is_misread_tiff(data: bytes, image: np.ndarray) -> bool:
     """Whether OpenCV does not read a TIFF of other than 8 bits right, by the tags in it."""
     order, count = "<" if data[:1] == b"I" else ">", "Q" if b"+" in data[2:4] else "I"
     white_is_zero, in_planes = (
-        struct.pack(f"{order}HH{count}H", tag, 3, 1, value) in data
+        any(
+            struct.pack(f"{order}HH{count}{form}", tag, kind, 1, value) in data
+            for kind, form in ((3, "H"), (4, "I"))
+        )
         for tag, value in ((262, 0), (284, 2))
     )
     is_negative = image.dtype.kind == "i" and image.min() < 0
@@ -147,6 +172,12 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
             raise UnusableError(f"an animated PNG; {_ONE}")
         if not chunks & _TURNED_OR_TRANSPARENT and (plain := _plain_png(buffer.data)) is not None:
             return plain
+    if buffer[: len(_NPY)].tobytes() == _NPY:
+        return _array(buffer)
+    if what := something_else(buffer[:32].tobytes()):
+        raise UnusableError(what)
+    if buffer[8:16].tobytes() == b"WEBPVP8X" and buffer[20] & 2:
+        raise UnusableError(f"an animated WebP; {_ONE}")
     if buffer[:4].tobytes() == b"GIF8":  # OpenCV would take the first of its images
         raise UnusableError("a GIF, which is not read; convert it, as to PNG")
     is_tiff, several = buffer[:4].tobytes() in _TIFFS, False

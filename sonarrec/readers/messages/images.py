@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Iterator
 
@@ -10,6 +11,11 @@ from sonarrec.readers.messages.fields import DefinitionError
 from sonarrec.readers.messages.types import Decoder, decoder_for
 from sonarrec.readers.raw import RawLog, Recording, StoredFrame, frame_of
 
+_OF_SONARS = re.compile(
+    r"sonar|ping|acoustic|oculus|gemini|aris|didson|blueview|blueprint|multibeam|mbes|fls",
+    re.IGNORECASE,
+)
+"""In a topic or a type."""
 MOST_NAMED = 5  # channels, or frame_ids, in a message
 
 
@@ -76,8 +82,16 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
                 f"{log.path}: several image channels; choose one with --topic: {', '.join(topics)}"
             )
     if topic is not None and topic not in topics:
-        raise UsageError(f"{log.path}: no image channel {topic!r}; there is {', '.join(topics)}")
+        kinds = [f" ({c.schema} is not read)" for c in log.channels.values() if c.topic == topic]
+        kind, there = "".join(kinds[:1]), ", ".join(topics)
+        raise UsageError(f"{log.path}: no image channel {topic!r}{kind}; there is {there}")
     chosen = topic or topics[0]
+    unread = [c for n, c in log.channels.items() if n not in decoders and log.counts.get(n)]
+    named = [f"{c.topic} ({c.schema})" for c in unread]
+    if topic is None and not _OF_SONARS.search(chosen) and any(map(_OF_SONARS.search, named)):
+        held = ", ".join([*filter(_OF_SONARS.search, named)][:MOST_NAMED])
+        how = "`sonarrec help formats` has what to do"
+        log.diagnostics.note(f"{chosen} is run, and {held} is not: a type that is not read; {how}")
     return {c: d for c, d in decoders.items() if log.channels[c].topic == chosen}
 
 

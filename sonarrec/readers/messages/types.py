@@ -74,10 +74,11 @@ def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
     return -bearings_deg if falls else bearings_deg
 
 
-def _fan_bearings(directions: FloatArray) -> FloatArray:
-    """(beams,) bearings, deg, from left to right. directions: (beams, 3) unit vectors. The forward
-    axis is the one along which their mean is largest (z in the definition, x in some drivers). The
-    axis across is the one along which they differ most."""
+def _fan_bearings(directions: FloatArray) -> tuple[FloatArray, float]:
+    """((beams,) bearings from left to right, pitch of the beams' plane, both in deg). directions:
+    (beams, 3) unit vectors, which a driver may give in the axes of a vehicle. The forward axis is
+    the one along which their mean is largest (z in the definition, x in some drivers). The axis
+    across is the one along which they differ most."""
     if len(directions) < 2:
         raise UnusableError("fewer than two beams")
     middle = directions.mean(axis=0)
@@ -86,14 +87,19 @@ def _fan_bearings(directions: FloatArray) -> FloatArray:
     spread[forward] = -1
     across = int(np.argmax(spread))
     ahead = directions[:, forward] * np.sign(middle[forward])
-    return _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
+    off = directions[:, 3 - forward - across]
+    pitch = np.arctan2(off.mean(), ahead.mean())
+    ahead = ahead * np.cos(pitch) + off * np.sin(pitch)
+    bearings = _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
+    return bearings, float(np.degrees(pitch))
 
 
 def read_projected_sonar_image(message: Fields) -> Decoded:
     """marine_acoustic_msgs/ProjectedSonarImage: states a direction per beam and a range per bin."""
-    bearings = _fan_bearings(message.vectors("beam_directions"))
+    bearings, pitch_deg = _fan_bearings(message.vectors("beam_directions"))
     ranges = message.numbers("ranges")
-    return _acoustic_ping(message, _samples(message, len(ranges), bearings), ranges, bearings)
+    pixels = _samples(message, len(ranges), bearings)
+    return _acoustic_ping(message, pixels, ranges, bearings, pitch_deg)
 
 
 def read_raw_sonar_image(message: Fields) -> Decoded:
@@ -109,9 +115,14 @@ def read_raw_sonar_image(message: Fields) -> Decoded:
 
 
 def _acoustic_ping(
-    message: Fields, pixels: np.ndarray, ranges_m: FloatArray, bearings_deg: FloatArray
+    message: Fields,
+    pixels: np.ndarray,
+    ranges_m: FloatArray,
+    bearings_deg: FloatArray,
+    pitch_deg: float = 0.0,
 ) -> Decoded:
-    ping = replace(ping_geometry(ranges_m, bearings_deg), beam_width_deg=_beam_width(message))
+    ping = ping_geometry(ranges_m, bearings_deg)
+    ping = replace(ping, beam_width_deg=_beam_width(message), pitch_deg=pitch_deg)
     return Decoded(pixels, message.stamp_ns(), ping)
 
 

@@ -1,0 +1,328 @@
+"""What is not read is named, and first bytes tell what a file is that is none of ours."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import unicodedata
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from PIL import Image
+
+from sonarrec.errors import SonarrecError
+from sonarrec.readers import open_log
+from sonarrec.readers.info import describe
+from tests.support.bags import messages, ros1_bag, split_bag
+from tests.support.command import SAMPLE, sample_log, sonarrec
+from tests.support.logs import (
+    PERIOD_NS,
+    SONAR_TOML,
+    cdr_image,
+    frames,
+    image_folder,
+    mcap_file,
+    video_file,
+)
+
+LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
+
+
+def test_a_folder_of_recordings_of_which_some_are_not_read(tmp_path: Path) -> None:
+    for name in ("a.mov", "b.m4v", "c.webm"):
+        video_file(tmp_path / "as.mkv", frames(4), "HFYU").rename(tmp_path / name)
+    (tmp_path / "as.sonar.toml").rename(tmp_path / "sonar.toml")
+    for name in ("d.imb", "e.imb", "f.ecd", "gt.csv", "notes.txt", ".hidden.imb"):
+        (tmp_path / name).write_bytes(b"not ours")
+    done = sonarrec("run", tmp_path, "-o", tmp_path.with_name("out"))
+    assert "2 .imb, 1 .ecd" in done.stderr
+    assert "3 done" in done.stdout
+    (tmp_path / "other").mkdir()
+    (tmp_path / "d.imb").rename(tmp_path / "other" / "d.imb")
+    assert "1 .imb" in sonarrec("run", tmp_path / "other", code=2).stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "of"),
+    [
+        ("a.mbez", b"", "Blueye"),
+        ("a.bin", b"\0\0", "Ping360"),
+        ("a.svlog", b"", "Cerulean"),
+        ("a.raw", b"\x50\0\0\0XML0", "EK80"),
+        ("a.dat", b"RIP2", "3D-15"),
+    ],
+)
+def test_recordings_of_others_are_named(name: str, head: bytes, of: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(head + b"x" * 50)
+    assert of in sonarrec("run", tmp_path / name, code=1).stderr
+
+
+def two_sonars(path: Path, camera: str = "/camera") -> Path:
+    """A camera, a sonar of a type that is not read, and a thermometer."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, kind in (
+            (camera, "sensor_msgs/msg/Image"),
+            ("/front/scan", "blueprint_msgs/msg/SonarPing"),
+            ("/water", "sensor_msgs/msg/Temperature"),
+        ):
+            schema = writer.register_schema(kind, "ros2msg", b"")
+            channel = writer.register_channel(topic, "cdr", schema)
+            for k, image in enumerate(frames(3)):
+                writer.add_message(channel, k * PERIOD_NS, cdr_image(image), k * PERIOD_NS)
+        writer.finish()
+    (path.parent / "sonar.toml").write_text(SONAR_TOML)
+    return path
+
+
+def test_a_sonar_of_a_type_that_is_not_read_beside_a_camera(tmp_path: Path) -> None:
+    log = two_sonars(tmp_path / "log.mcap")
+    told = sonarrec("run", log, "-o", tmp_path / "out").stderr
+    assert "/front/scan (blueprint_msgs/msg/SonarPing)" in told
+    assert "/water" not in told
+    asked = sonarrec("run", log, "--topic", "/front/scan", "-o", tmp_path / "o", code=2).stderr
+    assert "blueprint_msgs/msg/SonarPing is not read" in asked
+    chosen = ("--topic", "/camera", "-o", tmp_path / "out", "--overwrite")
+    assert "/front/scan" not in sonarrec("run", log, *chosen).stderr
+    other = two_sonars(tmp_path / "two" / "log.mcap", "/sonar/image")
+    assert "/front/scan" not in sonarrec("run", other, "-o", tmp_path / "two_out").stderr
+
+
+def twice(log: Path) -> Path:
+    log.write_bytes(2 * log.read_bytes())
+    return log
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda folder: ros1_bag(folder / "log.bag", frames(5)),
+        lambda folder: ros1_bag(folder / "log.bag", frames(5), "BZ2"),
+        lambda folder: mcap_file(
+            folder / "log.mcap", [("/s", k, cdr_image(i)) for k, i in enumerate(frames(5))]
+        ),
+    ],
+    ids=["bag", "bag, bz2", "mcap"],
+)
+def test_two_recordings_in_one_file(make: Callable[[Path], Path], tmp_path: Path) -> None:
+    log = make(tmp_path)
+    with open_log(log) as opened:
+        whole = [frame.index for frame in opened]
+        assert opened.diagnostics.problems == []
+    with open_log(twice(log)) as opened:
+        assert [frame.index for frame in opened] == whole
+        assert len(opened.diagnostics.problems) == 1
+
+
+def test_an_image_of_several(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(3))
+    pictures = [Image.fromarray(image).convert("RGB") for image in frames(3)]
+    pictures[0].save(log / "frame1.png", "WEBP", save_all=True, append_images=pictures[1:])
+    with open_log(log) as opened:
+        assert [frame.index for frame in opened] == [0, 2]
+        assert "animated WebP" in opened.diagnostics.problems[0]
+
+
+@pytest.mark.parametrize("kind", [3, 4], ids=["SHORT", "LONG"])
+def test_a_tiff_whose_white_is_zero_is_refused(kind: int, tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", [f.astype(np.uint16) for f in frames(3)], ".tif")
+    path = log / "frame1.tif"
+    rows, columns = frames(1)[0].shape
+    tags = [(256, 4, columns), (257, 4, rows), (258, 3, 16), (259, 3, 1), (262, kind, 0)]
+    tags += [(273, 4, 8), (277, 3, 1), (278, 4, rows), (279, 4, 2 * rows * columns)]
+    body = frames(1)[0].astype("<u2").tobytes()
+    ifd = len(tags).to_bytes(2, "little")
+    for tag, of, value in tags:
+        ifd += b"".join(n.to_bytes(k, "little") for n, k in ((tag, 2), (of, 2), (1, 4), (value, 4)))
+    path.write_bytes(b"II*\0" + (8 + len(body)).to_bytes(4, "little") + body + ifd + bytes(4))
+    with open_log(log) as opened:
+        assert [frame.index for frame in opened] == [0, 2]
+        assert "white as zero" in opened.diagnostics.problems[0]
+
+
+@pytest.mark.parametrize(
+    "name", ["a.mcap", "a.aris", "a.bag", "a.db3", "a.mp4", "a.glf", "a.raw", "a.png"]
+)
+def test_a_pointer_in_place_of_a_log(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(LFS)
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    told = sonarrec("run", tmp_path / name, "-o", tmp_path / "out", code=1).stderr
+    assert "git lfs pull" in told
+    assert len(told.splitlines()) == 1
+
+
+def test_a_pointer_in_place_of_an_image_and_of_a_geometry(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(3))
+    (log / "frame1.png").write_bytes(LFS)
+    with open_log(log) as opened:
+        assert len(list(opened)) == 2
+        assert "git lfs pull" in opened.diagnostics.problems[0]
+    (log / "sonar.toml").write_bytes(LFS)
+    assert "git lfs pull" in sonarrec("info", log, code=1).stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "fact"),
+    [
+        ("gt.csv", LFS, "git lfs pull"),
+        ("gt.xlsx", b"PK\3\4\x14\0\6\0" + bytes(range(256)), "CSV (UTF-8)"),
+        ("gt.csv", b"<!DOCTYPE html><html>", "web page"),
+        ("gt.csv", b"\x1f\x8b\x08\0", "unpack it"),
+        ("gt.csv", b"frame;landmark;x_px;y_px\n0;1;3;4\n", "by commas"),
+    ],
+)
+def test_other_files_as_truth(name: str, head: bytes, fact: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(head)
+    told = sonarrec("truth", "check", tmp_path / name, SAMPLE, code=1)
+    assert fact in told.output
+    assert len(told.stderr.splitlines()) == 1
+
+
+def test_rows_that_excel_leaves_empty_are_none(tmp_path: Path) -> None:
+    rows = (SAMPLE / "gt.csv").read_text().splitlines()[:9]
+    plain, padded = tmp_path / "gt.csv", tmp_path / "padded.csv"
+    plain.write_text("\n".join(rows) + "\n")
+    empty = "," * rows[0].count(",")
+    padded.write_text("\n".join([*rows[:4], empty, *rows[4:], empty, empty]) + "\n")
+    log = sample_log(tmp_path / "pan", 12)
+    sonarrec("run", "-q", log, "-o", tmp_path / "out")
+    counts = []
+    for truth in (plain, padded):
+        sonarrec("evaluate", "-q", tmp_path / "out", "--ground-truth", truth, code=3)
+        counts.append((tmp_path / "out" / "evaluation" / "confusion.csv").read_bytes())
+    assert counts[0] == counts[1]
+    padded.write_text("\n".join([*rows[:4], empty, rows[4].replace(",1,", ",x,", 1)]) + "\n")
+    assert "line 6" in sonarrec("truth", "check", padded, SAMPLE, code=1).output
+
+
+def test_a_folder_of_macos_and_a_table_of_another_system(tmp_path: Path) -> None:
+    """One splits é into a letter and an accent, the other does not."""
+    name = "plongée"
+    log = sample_log(tmp_path / unicodedata.normalize("NFD", name), 8)
+    sonarrec("run", "-q", log, "-o", tmp_path / "out")
+    rows = (SAMPLE / "gt.csv").read_text().splitlines()[:9]
+    rows = [f"{rows[0]},log", *(f"{row},{unicodedata.normalize('NFC', name)}" for row in rows[1:])]
+    (tmp_path / "gt.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    sonarrec("evaluate", tmp_path / "out", "--ground-truth", tmp_path / "gt.csv")
+
+
+def test_a_bag_whose_metadata_were_lost_is_one_log(tmp_path: Path) -> None:
+    timed = messages(frames(6))
+    split_bag(tmp_path / "bag", [timed[:3], timed[3:]])
+    (tmp_path / "bag" / "metadata.yaml").write_text("{}\n")
+    log = (tmp_path / "bag").rename(tmp_path / "renamed")
+    with open_log(log) as opened:
+        assert len(list(opened)) == 6
+
+
+def arrays(folder: Path, images: list[np.ndarray]) -> Path:
+    folder.mkdir(parents=True)
+    for k, image in enumerate(images):
+        np.save(folder / f"{k}.npy", image)
+    (folder / "sonar.toml").write_text(SONAR_TOML)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((4, 5, 6), np.uint8),
+        np.zeros((4, 5)),
+        np.array([["a"]]),
+        np.zeros((0, 5), np.uint8),
+        np.array([[{}]], object),
+    ],
+    ids=["three axes", "float64", "text", "empty", "objects"],
+)
+def test_arrays_of_another_kind_are_refused_in_a_line(array: np.ndarray, tmp_path: Path) -> None:
+    log = arrays(tmp_path / "log", frames(3))
+    np.save(log / "1.npy", array, allow_pickle=True)
+    with open_log(log) as opened:
+        assert [frame.index for frame in opened] == [0, 2]
+        (problem,) = opened.diagnostics.problems
+    assert problem.startswith("1.npy: ")
+
+
+def test_damaged_arrays_cost_themselves(tmp_path: Path) -> None:
+    log = arrays(tmp_path / "log", frames(12))
+    whole = (log / "0.npy").read_bytes()
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "|u1", "fortran_order": False, "shape": (10**9, 10**9)}
+    )
+    bad = [whole[:k] for k in (3, 7, 20, 200, 300)] + [header.getvalue(), whole[:8] * 40]
+    for k, data in enumerate(bad, 1):
+        (log / f"{k}.npy").write_bytes(data)
+    both = []
+    for in_order in (np.ascontiguousarray, np.asfortranarray):
+        np.save(log / "8.npy", in_order(frames(12)[8]))
+        with open_log(log) as opened:
+            found = list(opened)
+        assert [frame.index for frame in found] == [0, 8, 9, 10, 11]
+        both.append(found[1].image)
+    np.testing.assert_array_equal(*both)
+
+
+def test_arrays_beside_images_or_logs_are_no_frames(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(3))
+    np.save(log / "times.npy", np.arange(3))
+    with open_log(log) as opened:
+        assert len(list(opened)) == 3
+        assert opened.diagnostics.problems == []
+    day = tmp_path / "day"
+    day.mkdir()
+    shutil.copytree(log, day / "dive")
+    arrays(day / "simulated", frames(3))
+    assert "2 done" in sonarrec("run", day, "--recursive", "-o", tmp_path / "out").stdout
+
+
+def test_a_log_of_very_many_topics_and_one_of_very_many_faults(tmp_path: Path) -> None:
+    images = frames(3)
+    many = mcap_file(
+        tmp_path / "many.mcap",
+        [(f"/t{t}", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images) for t in range(40)],
+        chunk_size=10**6,
+    )
+    assert len(describe(many).images) < 10
+    assert [one.topic for one in describe(many, topic="/t39").images] == ["/t39"]
+    told = sonarrec("info", many).stdout
+    assert "40 image topics" in told
+    assert len(told.splitlines()) < 150
+    bad = mcap_file(
+        tmp_path / "bad.mcap",
+        [("/s", k * PERIOD_NS, cdr_image(images[0])) for k in range(60)],
+        chunk_size=500,
+        compression="none",
+    )
+    data = bad.read_bytes().replace(images[0].tobytes(), (images[0] ^ 1).tobytes())
+    bad.write_bytes(data)
+    told = sonarrec("info", bad, code=1).stdout
+    assert "57 more of this kind" in told
+    assert told.count("fails its checksum") == 3
+
+
+@pytest.mark.parametrize(
+    "command", ["evaluate --ground-truth", "run --from-file", "run {} --odometry"]
+)
+def test_a_named_pipe_is_not_waited_for(command: str, tmp_path: Path) -> None:
+    log = sample_log(tmp_path / "log", 3)
+    os.mkfifo(tmp_path / "pipe")
+    told = sonarrec(*command.format(log).split(), tmp_path / "pipe", code=1).output
+    assert "pipe" in told
+
+
+def test_an_unreadable_image_is_still_one(tmp_path: Path) -> None:
+    (tmp_path / "x.png").write_bytes(b"nothing")
+    with (
+        pytest.raises(SonarrecError, match="unreadable image"),
+        open_log(tmp_path / "x.png", sonar_file=SAMPLE / "sonar.toml") as log,
+    ):
+        list(log)
+    assert cv2.imread(str(tmp_path / "x.png")) is None
