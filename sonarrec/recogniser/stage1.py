@@ -300,7 +300,8 @@ class RingScore:
         self._inside = _shrunk(_whole(plane.inside).astype(np.float32), step)
         self._correlate = Correlation(kernel.astype(np.float32), self._inside.shape)
         self._gain = _gain(self._inside, ring, config) / np.float32(config.ring_full_contrast)
-        self._scale = np.float32(1 if step == 1 else 1 / COARSE_SHARE)
+        scale = np.float32(1 if step == 1 else 1 / COARSE_SHARE)
+        self._scaled_gain = self._gain * scale
         if step == 1:
             return
         # The kernel at a pixel and its neighbours, in a patch that holds them all.
@@ -316,7 +317,7 @@ class RingScore:
         grey = levels.half if step == SEARCHED else _whole(image) * self._inside
         relief = grey - upsample(levels.mean, shape, step) * self._inside
         score = self._correlate(relief)
-        score *= self._gain * self._scale
+        score *= self._scaled_gain
         score /= upsample(levels.sigma, shape, step)
         exact = partial(self._on_pixels, image, levels) if step > 1 else None
         return ScoreMaps(score, score, score, levels.sigma, step, exact)

@@ -12,11 +12,11 @@ import math
 
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray, FloatImage
-from sonarrec.recogniser.motion.keyframes import Keyframes
+from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.recogniser.motion.keyframes import SUSPECT, Keyframes
 from sonarrec.recogniser.motion.motion_grid import motion_grid
 from sonarrec.recogniser.motion.pan import PanEstimator
-from sonarrec.recogniser.motion.registration import FloorRegistration, Registration
+from sonarrec.recogniser.motion.registration import FloorRegistration, Picture, Registration
 from sonarrec.recogniser.plane import Plane
 from sonarrec.records import Motion
 
@@ -83,6 +83,7 @@ class ImageMotion:
         self._registration = FloorRegistration(
             plane.fan, self.pan.range_m, self.pan.bearing_deg, self.pan.seen
         )
+        self._picture = self._registration.picture(self.pan.picture)
         self._keyframes = Keyframes(self._registration)
         self.begin_stretch()
 
@@ -104,18 +105,22 @@ class ImageMotion:
         Where the images of a moving sonar do not show its motion, its last speed is taken. image:
         the working image. seconds: since the last image; None for the first.
         """
-        before = self.pan.picture
-        pan_deg, match = self.pan.step(image)
+        before = self._picture
+        if before.grey is not self.pan.picture:  # poses gave the motion to the last image
+            before = self._registration.picture(self.pan.picture)
+        self.pan.look(image)
+        now = self._picture = self._registration.picture(self.pan.picture)
         if seconds is None:
             return None
         if seconds <= 0:
             seconds = USUAL_STEP_S
-        if self._speed is not None:
-            return self._moving(before, match, seconds)
-        return self._standing(before, pan_deg, match, seconds)
+        if self._speed is None:
+            return self._standing(before, now, seconds)
+        return self._moving(before, now, self._speed * seconds, seconds)
 
-    def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
+    def _standing(self, before: Picture, now: Picture, seconds: float) -> Motion:
         """The motion of a sonar that stood until now."""
+        pan_deg, match = self.pan.turn()
         turn = math.radians(pan_deg)
         start = np.array([0.0, 0.0, turn])
         self._since_quick += 1
@@ -125,14 +130,16 @@ class ImageMotion:
             poor |= self._since_search >= self._pause
         quick, crept, moves = None, False, False
         if poor or self._pan_sigma is None or self._since_quick >= LOOK_EVERY:
-            quick, crept, moves = self._quick_look(before, turn)
+            quick, crept, moves = self._quick_look(before, now, turn)
         if moves or poor:
-            found = self._register(before, start, searched=not moves)
+            found = None
+            if moves or not (quick is not None and _stands(quick)):
+                found = self._register(before, now, start, searched=not moves)
             if found is not None and found.match > (match if moves else match + BETTER):
                 self._evidence, self._under_way, self._pause = _Evidence(), 0, 0
                 if not crept:
                     self._keyframes.clear()
-                return self._accept(found, seconds)
+                return self._accept(found, now, seconds)
             # The sonar stands, and pictures of this floor match no better.
             self._usual_match = match
             self._since_search = 0
@@ -141,19 +148,19 @@ class ImageMotion:
                 self._evidence = _Evidence()
                 self._evidence.add(quick)
         self._usual_match += (match - self._usual_match) / USUAL_MEMORY
-        self._keyframes.keep(self.pan.picture, start)
+        self._keyframes.keep(now, start)
         if match < MIN_MATCH or self._pan_sigma is None or self._evidence.sigma is None:
             return unknown(seconds)
         right, ahead = self._evidence.sigma.tolist()
         return Motion(pan_deg, 0.0, 0.0, self._pan_sigma, right, ahead)
 
     def _quick_look(
-        self, before: FloatImage, turn: float
+        self, before: Picture, now: Picture, turn: float
     ) -> tuple[Registration | None, bool, bool]:
         """(a quick registration, whether a keyframe shows a motion, whether that or the evidence
         of the last frames does). turn: the pan since the picture before, rad."""
-        quick = self._registration.quick(before, self.pan.picture, turn)
-        crept = self._keyframes.crept(self.pan.picture, turn, SET_OUT)
+        quick = self._registration.quick(before, now, turn)
+        crept = self._keyframes.crept(now, turn, SET_OUT)
         moves = (quick is not None and self._evidence.add(quick) > SET_OUT) or crept
         self._since_quick = 0
         self._pan_sigma = None
@@ -161,25 +168,23 @@ class ImageMotion:
             self._pan_sigma = math.hypot(math.degrees(quick.sigma[2]), self.pan.scatter_deg)
         return quick, crept, moves
 
-    def _moving(self, before: FloatImage, match: float, seconds: float) -> Motion:
-        """The motion of a sonar that was under way."""
-        assert self._speed is not None
-        start = self._speed * seconds
-        by_keyframe = self._keyframes.registered(self.pan.picture, start)
+    def _moving(self, before: Picture, now: Picture, start: FloatArray, seconds: float) -> Motion:
+        """The motion of a sonar that was under way. start: (3,) the motion at its last speed."""
+        by_keyframe = self._keyframes.registered(now, start)
         registration = by_keyframe
         if registration is None:
             self._keyframes.clear()
-            registration = self._register(before, start, searched=False)
-            registration = registration or self._register(before, start, searched=True)
+            registration = self._register(before, now, start, searched=False)
+            registration = registration or self._register(before, now, start, searched=True)
         if registration is not None:
-            motion = self._accept(registration, seconds)
+            motion = self._accept(registration, now, seconds)
             self._under_way += 1
             evidence = self._evidence.add(registration)
             if by_keyframe is not None:
                 over_stretch = self._keyframes.under_way(by_keyframe)
                 evidence = evidence if over_stretch is None else over_stretch
             if evidence < STAND and self._under_way >= LEAST_UNDER_WAY:
-                self._speed, self._usual_match = None, match
+                self._speed, self._usual_match = None, registration.match
                 self._keyframes.clear()
             return motion
         self._lost += 1
@@ -191,27 +196,31 @@ class ImageMotion:
         return Motion(math.degrees(turn), right, ahead, degrees, metres, metres)
 
     def _register(
-        self, before: FloatImage, start: FloatArray, *, searched: bool
+        self, before: Picture, now: Picture, start: FloatArray, *, searched: bool
     ) -> Registration | None:
         """A registration from `start`, or from a search; None where it is not accepted."""
-        now = self.pan.picture
         if searched:
-            start = motion_grid(self._registration.places).best(before, now)
+            start = motion_grid(self._registration.places).best(before.grey, now.grey)
         least = LEAST_SEARCHED if searched else LEAST_NEAR
         found = self._registration.refined(before, now, start)
         return None if found is None or found.loose or found.match < least else found
 
-    def _accept(self, registration: Registration, seconds: float) -> Motion:
+    def _accept(self, registration: Registration, now: Picture, seconds: float) -> Motion:
         """The motion by a registration, which also updates the speed and the keyframes.
 
         Its errors are widened by SCALE_ERROR.
         """
-        self._keyframes.keep(self.pan.picture, registration.motion)
+        self._keyframes.keep(now, registration.motion)
         self._speed, self._lost = registration.motion / seconds, 0
         right, ahead, turn = registration.motion.tolist()
         sigma = np.hypot(registration.sigma, [SCALE_ERROR * right, SCALE_ERROR * ahead, 0])
         pan_deg, pan_sigma_deg = math.degrees(turn), math.degrees(sigma[2])
         return Motion(pan_deg, right, ahead, pan_sigma_deg, float(sigma[0]), float(sigma[1]))
+
+
+def _stands(quick: Registration) -> bool:
+    """Whether a quick registration leaves no translation to search for: it matches, shows none."""
+    return quick.match >= LEAST_SEARCHED + BETTER and quick.translation(quick.motion) <= SUSPECT
 
 
 def unknown(seconds: float) -> Motion:

@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.arrays import FloatArray, FloatImage
-from sonarrec.recogniser.motion.registration import FloorRegistration, Registration
+from sonarrec.arrays import FloatArray
+from sonarrec.recogniser.motion.registration import FloorRegistration, Picture, Registration
 
 # A keyframe is used from 6 to 12 cells away, as long as it matches by LEAST_MATCH. Steps of more
 # than MOST_STEP cells are measured from frame to frame: their bias matters little, and consecutive
 # pictures overlap more.
 KEYFRAME_CELLS, LEAST_MATCH, MOST_STEP = 12, 0.3, 2.0
-STRETCH = 12  # frames over which a motion must be significant, else the sonar is taken to stand
+STRETCH = 16  # frames over which a motion must be significant, else the sonar is taken to stand
 # Chi-square, of 2 degrees of freedom, of a quick registration above which a full one is made.
 SUSPECT = 9.0
 
@@ -30,7 +30,7 @@ SUSPECT = 9.0
 class _Keyframe(NamedTuple):
     pose: FloatArray
     """(3,) of the sonar relative to the log's first picture, as Registration.motion."""
-    picture: FloatImage
+    picture: Picture
 
 
 class Keyframes:
@@ -47,7 +47,7 @@ class Keyframes:
         self._kept.clear()
         self._trail.clear()
 
-    def registered(self, now: FloatImage, start: FloatArray) -> Registration | None:
+    def registered(self, now: Picture, start: FloatArray) -> Registration | None:
         """The motion since the last picture, near `start`; None where no keyframe gives it.
 
         start: (3,) as Registration.motion.
@@ -63,7 +63,7 @@ class Keyframes:
         motion = _between(self._pose, _after(keyframe.pose, found.motion))
         return replace(found, motion=motion, covariance=2 * found.covariance)
 
-    def keep(self, now: FloatImage, motion: FloatArray) -> None:
+    def keep(self, now: Picture, motion: FloatArray) -> None:
         """Take in a motion (3,) since the last picture; this one may become a keyframe."""
         self._pose = _after(self._pose, motion)
         self._trail.append(self._pose)
@@ -74,7 +74,7 @@ class Keyframes:
             # Of two, the older goes.
             self._kept.append(_Keyframe(self._pose, now))
 
-    def crept(self, now: FloatImage, turn: float, sure: float) -> bool:
+    def crept(self, now: Picture, turn: float, sure: float) -> bool:
         """Whether a keyframe shows that a sonar taken to stand has moved; its pose is then updated.
 
         turn: yaw since the last picture, rad. sure: the chi-square, of 2 degrees of freedom, above

@@ -28,17 +28,16 @@ class CellPlaces:
     depth: np.float32
 
     def before(
-        self, ground: FloatArray, bearing: FloatArray, motion: FloatArray
+        self, right: FloatArray, ahead: FloatArray, motion: FloatArray
     ) -> tuple[FloatImage, FloatImage]:
         """(row, column) in cells, float32, at which points of the floor lay before a motion.
 
-        ground, bearing: ground range (m) and bearing (rad) of the points after the motion. motion:
-        shift to the right (m), shift ahead (m) and yaw (rad); the shapes of ground, bearing and
-        motion[i] broadcast.
+        right, ahead: the points after the motion, m. motion: shift to the right (m), shift ahead
+        (m) and yaw (rad); the shapes of right, ahead and motion[i] broadcast.
         """
-        toward = bearing + motion[2]
-        x = ground * np.sin(toward) + motion[0]
-        y = ground * np.cos(toward) + motion[1]
+        cos, sin = np.cos(motion[2]), np.sin(motion[2])
+        x = right * cos + ahead * sin + motion[0]
+        y = ahead * cos - right * sin + motion[1]
         slant = np.sqrt(x * x + y * y + self.depth**2)
         row = (slant - self.slant) / np.float32(self.slant_step)
         column = (np.arctan2(x, y) - self.bearing) / np.float32(self.bearing_step)
@@ -75,7 +74,7 @@ class MotionGrid:
         ground = np.sqrt(np.maximum(slant**2 - cells.depth**2, 0.01 * slant**2))
         bearing = cells.bearing + middle[1] * cells.bearing_step
         ground, bearing = (a.ravel() for a in np.meshgrid(ground, bearing, indexing="ij"))
-        before = cells.before(ground, bearing, motions)
+        before = cells.before(ground * np.sin(bearing), ground * np.cos(bearing), motions)
         # (motions, blocks) shifts of each block by each motion, in cells of half the resolution.
         down, across = (
             np.rint((v - m.ravel()) / 2).astype(int)

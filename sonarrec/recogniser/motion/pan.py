@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,14 +27,28 @@ LEAST_KEYFRAME_MATCH = 0.5
 KEYFRAME_SIGMA = 0.05  # cells, standard error of rotations from keyframes (simulated slow pans)
 
 
-class _View(NamedTuple):
-    """A picture, prepared for correlation."""
+class _View:
+    """A picture, prepared for correlation where it is correlated."""
 
-    spectrum: npt.NDArray[np.complexfloating[Any]]
-    """(RANGES / 2, CIRCLE) Fourier transform of its zero-padded rows, two as one complex row: the
-    real part of a product's inverse is then the sum of both rows' correlations."""
-    energy: FloatArray
-    """(BEARINGS + 1,) cumulative sum of squares over the beams, from 0."""
+    def __init__(self, picture: FloatImage) -> None:
+        self._picture = picture
+
+    @cached_property
+    def spectrum(self) -> npt.NDArray[np.complexfloating[Any]]:
+        """(RANGES / 2, CIRCLE) Fourier transform of its zero-padded rows, two as one complex row:
+        the real part of a product's inverse is then the sum of both rows' correlations."""
+        rows = np.zeros((RANGES // 2, CIRCLE), np.complex64)
+        rows.real[:, :BEARINGS] = self._picture[: RANGES // 2]
+        rows.imag[:, :BEARINGS] = self._picture[RANGES // 2 :]
+        # norm="forward" keeps float32; without it numpy computes in float64, in twice the time.
+        return np.asarray(np.fft.fft(rows, norm="forward"))
+
+    @cached_property
+    def energy(self) -> FloatArray:
+        """(BEARINGS + 1,) cumulative sum of squares over the beams, from 0."""
+        energy = np.zeros(BEARINGS + 1)
+        np.einsum("ij,ij->j", self._picture, self._picture).cumsum(out=energy[1:])
+        return energy
 
 
 class PanEstimator:
@@ -57,7 +73,6 @@ class PanEstimator:
         self._map = _as_map(np.where(seen, column, -9), row)  # beyond the image it is 0
         self.picture: FloatImage = np.zeros_like(self.seen)
         self._share = 1 / np.maximum(self.seen.sum(axis=1, keepdims=True), 1)
-        self._rows: npt.NDArray[Any] = np.zeros((RANGES // 2, CIRCLE), np.complex64)
         self._shift = shift = np.arange(-MOST_SHIFT, MOST_SHIFT + 1)
         # The beams [low, high) of the later frame that overlap the earlier one at each shift.
         self._low, self._high = np.maximum(-shift, 0), np.minimum(BEARINGS - shift, BEARINGS)
@@ -65,17 +80,21 @@ class PanEstimator:
 
     def begin_stretch(self) -> None:
         """The next image is as the first of a log."""
+        # Of the last image and the one before; and of that whose pan was last measured.
+        self._view: _View | None = None
         self._before: _View | None = None
+        self._turned: _View | None = None
         self._heading = 0.0  # deg, sum of the pans since the first image
         # The heading and the view of each keyframe, the older first.
         self._keyframes = deque[tuple[float, _View]](maxlen=2)
 
     def step(self, image: ByteImage) -> tuple[float, float]:
-        """(pan in deg since the last image, correlation at that pan, 0 to 1).
+        """`look` at an image, and `turn`."""
+        self.look(image)
+        return self.turn()
 
-        The pan is positive to the right, so that objects move to the left. (0, 0) for the first
-        image and for a blank one. image: the working image.
-        """
+    def look(self, image: ByteImage) -> None:
+        """Take in the next image, a working image."""
         polar = cv2.remap(image, *self._map, cv2.INTER_LINEAR).astype(np.float32)
         # What does not move with the floor would bias the pan towards 0: the fall-off with range,
         # which is in the range bins' means, and the beams' gains, which are in the beams' means.
@@ -87,29 +106,38 @@ class PanEstimator:
         polar -= of_beam
         polar *= self.seen
         self.picture = polar
-        self._rows.real[:, :BEARINGS], self._rows.imag[:, :BEARINGS] = np.split(polar, 2)
-        # norm="forward" keeps float32; without it numpy computes in float64, in twice the time.
-        spectrum = np.fft.fft(self._rows, norm="forward")
-        energy = np.zeros(BEARINGS + 1)
-        np.einsum("ij,ij->j", polar, polar).cumsum(out=energy[1:])
-        view = _View(spectrum, energy)
-        before, self._before = self._before, view
-        if before is None:
-            return 0.0, 0.0
-        pan_deg, match = self._turn(before, view)
-        return self._from_keyframe(before, view, pan_deg, match), match
+        self._before, self._view = self._view, _View(polar)
 
-    def _from_keyframe(self, before: _View, view: _View, pan_deg: float, match: float) -> float:
-        """The pan since the last view, measured from a keyframe; `pan_deg` where none matches.
+    def turn(self) -> tuple[float, float]:
+        """(pan in deg between the last two images, correlation at that pan, 0 to 1).
 
-        pan_deg, match: measured from the last view to this one.
+        The pan is positive to the right, so that objects move to the left. (0, 0) after the first
+        image and for a blank one.
         """
+        before, view = self._before, self._view
+        if before is not self._turned:  # the sonar moved meanwhile
+            self._keyframes.clear()
+        self._turned = view
+        if before is None or view is None:
+            return 0.0, 0.0
+        earlier = [before]
+        if self._keyframes and self._keyframes[0][1] is not before:
+            earlier.append(self._keyframes[0][1])
+        turns = self._turns(earlier, view)
+        return self._from_keyframe(view, turns), turns[0][1]
+
+    def _from_keyframe(self, view: _View, turns: Sequence[tuple[float, float]]) -> float:
+        """The pan since the last view, measured from a keyframe; that from the last view where none
+        matches.
+
+        turns: from the last view and, if it is another, from the older keyframe, as `_turns`.
+        """
+        pan_deg, match = turns[0]
         heading = self._heading + pan_deg
         if match < LEAST_KEYFRAME_MATCH:
             self._keyframes.clear()
-        elif self._keyframes and self._keyframes[0][1] is not before:
-            at, keyframe = self._keyframes[0]
-            turn, alike = self._turn(keyframe, view)
+        elif len(turns) > 1:
+            at, (turn, alike) = self._keyframes[0][0], turns[1]
             if alike < LEAST_KEYFRAME_MATCH or abs(at + turn - heading) > self._step_deg:
                 self._keyframes.clear()
             else:
@@ -122,23 +150,27 @@ class PanEstimator:
             self._keyframes.append((heading, view))  # of two, the older goes
         return pan_deg
 
-    def _turn(self, before: _View, now: _View) -> tuple[float, float]:
-        """(rotation in deg from one view to another, correlation there, 0 to 1)."""
+    def _turns(self, before: Sequence[_View], now: _View) -> list[tuple[float, float]]:
+        """(rotation in deg from an earlier view to this one, correlation there, 0 to 1) of each."""
         # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a rotation to the right.
-        crossed = (before.spectrum * now.spectrum.conj()).sum(axis=0)
-        product = CIRCLE * np.fft.ifft(crossed, norm="forward").real[self._shift]
+        conjugate = now.spectrum.conj()
+        crossed = np.stack([(view.spectrum * conjugate).sum(axis=0) for view in before])
+        products = CIRCLE * np.fft.ifft(crossed, norm="forward").real[:, self._shift]
         low, high = self._low, self._high
         now_energy = now.energy[high] - now.energy[low]
-        before_energy = before.energy[BEARINGS - low] - before.energy[BEARINGS - high]
-        match = product / np.sqrt(np.maximum(now_energy * before_energy, 1e-9))
-        best = int(match.argmax())
-        left, right = match[max(best - 1, 0)], match[min(best + 1, len(match) - 1)]
-        bend = left - 2 * match[best] + right
-        part = 0.5 * (left - right) / bend if bend < 0 else 0.0
-        return (
-            float((self._shift[best] + min(max(part, -0.5), 0.5)) * self._step_deg),
-            min(max(float(match[best]), 0.0), 1.0),
-        )
+        turns = []
+        for view, product in zip(before, products, strict=True):
+            before_energy = view.energy[BEARINGS - low] - view.energy[BEARINGS - high]
+            match = product / np.sqrt(np.maximum(now_energy * before_energy, 1e-9))
+            best = int(match.argmax())
+            left, middle, right = match[
+                [max(best - 1, 0), best, min(best + 1, len(match) - 1)]
+            ].tolist()
+            bend = left - 2 * middle + right
+            part = 0.5 * (left - right) / bend if bend < 0 else 0.0
+            turn = float(self._shift[best] + min(max(part, -0.5), 0.5)) * self._step_deg
+            turns.append((turn, min(max(middle, 0.0), 1.0)))
+        return turns
 
 
 def _as_map(column: FloatArray, row: FloatArray) -> tuple[FloatImage, FloatImage]:

@@ -1,37 +1,45 @@
 """Surge, sway and yaw of the sonar, registered between two polar pictures of a flat floor.
 
 The motion and the sonar's height say where each cell of the later picture lay in the earlier one.
-The earlier picture is resampled accordingly and compared with the later one, and Gauss-Newton
-steps minimise the squared difference. Where nothing is known of the motion, the steps start at the
-best motion of a coarse grid.
+The earlier picture is resampled accordingly and compared with the later one, and Newton's steps
+minimise the squared difference. Where nothing is known of the motion, the steps start at the best
+motion of a coarse grid.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray, FloatImage
+from sonarrec.arrays import BoolArray, FloatArray, FloatImage
 from sonarrec.geometry import floor_depth
 from sonarrec.recogniser.motion.motion_grid import CellPlaces
 from sonarrec.records import Fan
 
-STEPS = 8  # Gauss-Newton steps, at most
-CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad
+STEPS = 8  # at most
+# The motion is found by a step of less than SMALL standard errors, or than CONVERGED (m, m, rad).
+SMALL, CONVERGED = 0.5, (3e-4, 3e-4, 2e-4)
+# Cells: by the curvature no longer step is taken, since it holds within a grain of speckle or two.
+LONGEST = 3.0
 FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; beyond it the registration has failed
 # Standard errors (m, m, rad) beyond which a registration is not accepted.
 LOOSEST = (0.015, 0.015, math.radians(0.6))
-LEAST_SHARE = 0.02  # least regression slope of the later picture on the earlier one
+LEAST_SHARE = 0.02  # least regression slope of one picture on the other
 # Standard deviation of the height's change from frame to frame, m. It moves echoes along the range
 # as surge does, more so the nearer they are.
 HEAVE_M = 0.01
+# deg between the cells of a row that are compared, where a beam covers several. Of the next row
+# those beside are compared, so that all columns count the same.
+APART_DEG = 0.45
 GRAIN = 4.0  # cells in a grain of speckle, which count as one observation
 # (down, across) blocks of a picture. Their residuals count as independent: a block is larger than a
 # grain of speckle, and wider than the leakage between beams.
-BLOCKS = (8, 12)
+BLOCKS = (8, 8)
 # The quick registration uses every EVERY-th row, and fewer blocks.
 EVERY = 8
 QUICK_BLOCKS = (4, 8)
@@ -71,79 +79,130 @@ class Registration:
             return math.inf if way.any() else 0.0
 
 
-class FloorRegistration:
-    """Registers polar pictures (rows, columns), float32, 0 where no floor is seen.
+class Picture:
+    """A polar picture, prepared for registration. grey: (rows, columns) float32.
 
-    The mean of each row and each column must be 0. seen: (rows, columns) float32, 1 where a cell
-    shows floor, else 0. places: the grid of the cells. ground: (rows, 1) ground range in m.
-    bearing: (1, columns) rad. down, across: (4, rows, columns) derivatives of a point's row and
-    column by the motion, in cells a metre to the right, a metre ahead, a radian of yaw and a metre
-    of height.
+    The mean of each row and each column must be 0, and so must cells that show no floor.
     """
+
+    def __init__(self, grey: FloatImage, inner: FloatImage) -> None:
+        """inner: (rows, columns) float32, 1 where the derivatives are of floor that is seen."""
+        self.grey, self._inner = grey, inner
+
+    @cached_property
+    def layers(self) -> FloatImage:
+        """(rows, columns, 4): grey, its derivatives down and across, and `inner`."""
+        down = cv2.Sobel(self.grey, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
+        across = cv2.Sobel(self.grey, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
+        return np.asarray(cv2.merge([self.grey, down, across, self._inner]), np.float32)
+
+
+class FloorRegistration:
+    """Registers polar pictures of (rows, columns) cells. places: the grid of the cells."""
 
     def __init__(
         self, fan: Fan, range_m: FloatArray, bearing_deg: FloatArray, seen: FloatImage
     ) -> None:
-        """range_m: (rows,), bearing_deg: (columns,) of the cells' middles, evenly spaced."""
-        self.seen = seen
+        """range_m: (rows,), bearing_deg: (columns,) of the cells' middles, evenly spaced. seen:
+        (rows, columns) float32, 1 where a cell shows floor, else 0."""
+        rows, columns = seen.shape
         depth = np.float32(floor_depth(fan))
         slant = range_m.astype(np.float32)[:, None]
-        self.bearing = bearing = np.radians(bearing_deg).astype(np.float32)[None]
+        bearing = np.radians(bearing_deg).astype(np.float32)[None]
         self.places = places = CellPlaces(
-            (seen.shape[0], seen.shape[1]),
+            (rows, columns),
             slant[0, 0],
             float(slant[1, 0] - slant[0, 0]),
             bearing[0, 0],
             float(bearing[0, 1] - bearing[0, 0]),
             depth,
         )
+        self._inner = np.asarray(cv2.erode(seen, np.ones((3, 3)), borderValue=0), np.float32)
         # No echo of the floor is nearer than the height, so any distance will do there.
-        self.ground = ground = np.sqrt(np.maximum(slant**2 - depth**2, 0.01 * slant**2))
+        ground = np.sqrt(np.maximum(slant**2 - depth**2, 0.01 * slant**2))
+        # (4, rows, columns) derivatives of a point's row and column by the motion, in cells a metre
+        # to the right, a metre ahead, a radian of yaw and a metre of height.
         down, across = np.float32(1 / places.slant_step), np.float32(1 / places.bearing_step)
         even, sin, cos = np.ones_like(seen), np.sin(bearing), np.cos(bearing)
         along = down * ground / slant
         of_row = [along * sin, along * cos, 0 * even, -down * depth / slant * even]
         of_column = [across * cos / ground, -across * sin / ground, across * even, 0 * even]
-        self.down, self.across = np.stack(of_row), np.stack(of_column)
-        self._quick = slice(1, len(slant) - 1, EVERY)
-        self._quick_down = self.down[:3, self._quick, 1:-1].copy()
-        self._quick_across = self.across[:3, self._quick, 1:-1].copy()
+        row_by, column_by = np.stack(of_row), np.stack(of_column)
+        self._quick = slice(1, rows - 1, EVERY)
+        self._quick_down = row_by[:3, self._quick, 1:-1].copy()
+        self._quick_across = column_by[:3, self._quick, 1:-1].copy()
+        # The cells compared, (rows, n): flat indices, positions on the floor (m), derivatives.
+        every = max(1, round(math.radians(APART_DEG) / places.bearing_step))
+        row, column = np.indices((rows, columns // every))
+        self._cells = row * columns + column * every + row % every
+        self._grain = GRAIN / every  # of them
+        self._x, self._y = ((ground * way).take(self._cells) for way in (sin, cos))
+        self._down, self._across = (
+            by.reshape(4, -1).take(self._cells, axis=1) for by in (row_by, column_by)
+        )
+
+    def picture(self, grey: FloatImage) -> Picture:
+        """Of grey levels (rows, columns), float32."""
+        return Picture(grey, self._inner)
 
     def cells(self, motion: FloatArray) -> float:
         """About how many cells a motion shifts a picture. motion: (3,) as Registration.motion."""
-        right, ahead, turn = np.abs(motion)
+        right, ahead, turn = np.abs(motion).tolist()
         metres = max(right, ahead) / self.places.slant_step
         return float(max(metres, turn / self.places.bearing_step))
 
-    def refined(
-        self, before: FloatImage, now: FloatImage, start: FloatArray
-    ) -> Registration | None:
+    def refined(self, before: Picture, now: Picture, start: FloatArray) -> Registration | None:
         """The motion near `start`; None where the steps do not converge.
 
         start: (3,) as Registration.motion.
         """
-        motion = np.array(start, dtype=float)
+        motion: FloatArray = np.array(start, dtype=float)
+        last: FloatArray = np.zeros(3)
+        later = self._compared(now.layers.reshape(-1, 4).take(self._cells, axis=0))
         for _ in range(STEPS):
-            fit = _Fit.of(self, before, now, motion)
+            row, column = self.places.before(self._x, self._y, motion.astype(np.float32))
+            moved = np.asarray(cv2.remap(before.layers, column, row, cv2.INTER_LINEAR), np.float32)
+            fit = _Fit.of(self._compared(moved, later.shown), later, self._grain)
             if fit is None:
                 return None
-            step = fit.step()
+            step, is_last = fit.newton(), False
+            if step is None or self.cells(step) > LONGEST:
+                step = fit.gauss_newton()
+            else:
+                # Differences of whole cells make the curvature too small: where a step went too
+                # far, the one back must not.
+                if last @ fit.curvature[:3, :3] @ step < 0:
+                    step /= 2
+                is_last = fit.is_small(step)
             motion += step
+            last = step
             if (np.abs(motion - start) > FARTHEST).any():
                 return None
-            if (np.abs(step) < CONVERGED).all():
-                covariance = fit.covariance()
-                return None if covariance is None else Registration(motion, covariance, fit.match)
+            if is_last:
+                return Registration(motion, fit.covariance(), fit.match)
         return None
 
-    def quick(self, before: FloatImage, now: FloatImage, turn: float) -> Registration | None:
+    def _compared(self, layers: FloatImage, within: BoolArray | bool = True) -> _Cells:
+        """layers: (rows, n, 4), as Picture.layers, at the cells compared. within: (rows, n)."""
+        grey, down, across, inner = cv2.split(layers)
+        shown = np.asarray((inner > 0.99) & within)
+        down, across = down * shown, across * shown
+        slopes = np.empty((4, *shown.shape), np.float32)
+        # A yaw moves no row, and a height no column.
+        np.multiply(self._down[:2], down, out=slopes[:2])
+        slopes[:2] += self._across[:2] * across
+        np.multiply(self._across[2], across, out=slopes[2])
+        np.multiply(self._down[3], down, out=slopes[3])
+        return _Cells(np.asarray(grey * shown, np.float32), slopes, shown)
+
+    def quick(self, before: Picture, now: Picture, turn: float) -> Registration | None:
         """A single Gauss-Newton step from a yaw of `turn` (rad), for motions of a part of a cell.
 
         It uses every EVERY-th row, and takes the height as constant. None where the pictures do not
         correlate.
         """
         shift = np.float32(turn / self.places.bearing_step)
-        earlier, later = (self._sampled_rows(p) for p in (before, now))
+        earlier, later = (self._sampled_rows(p.grey) for p in (before, now))
         flat = earlier.reshape(-1, earlier.shape[-1])
         turned = np.asarray(
             cv2.warpAffine(
@@ -192,81 +251,90 @@ class FloorRegistration:
         return np.asarray(0.5 * (self._quick_down * down + self._quick_across * across))
 
 
+class _Cells(NamedTuple):
+    """The cells of a picture that are compared, (rows, n), 0 where they are not shown."""
+
+    grey: FloatImage
+    slopes: FloatImage
+    """(4, rows, n) derivatives by the motion and the height."""
+    shown: BoolArray
+
+
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Two pictures (rows, columns) compared under one motion.
+    """Two pictures, each scaled to a power of 1, compared under one motion.
 
-    later: the later picture where both show floor, else 0. residual: later less the earlier one,
-    which is resampled by the motion and scaled to fit. inner: 1 where derivatives can be taken.
-    slopes: (4, rows, columns) derivatives of the earlier one by the motion and the height.
+    slopes: of the earlier and of the later one, (4, rows, n) derivatives by the motion and the
+    height. residuals: (rows, n) of each on the other, 0 where not both are shown. score: (4,) mean
+    of both products of slopes and residual. curvature: (4, 4) the slopes of one picture times those
+    of the other, since a picture's product with itself would include its noise. noise: variance of
+    the score, as a share of the curvature.
     """
 
-    floor: FloorRegistration
-    later: FloatImage
-    residual: FloatImage
-    inner: ByteImage
-    slopes: FloatImage
+    slopes: tuple[FloatImage, FloatImage]
+    residuals: tuple[FloatImage, FloatImage]
+    score: FloatArray
+    curvature: FloatArray
+    noise: float
     match: float
-    heave_weight: float  # weight of the prior on a change of height (HEAVE_M), per m^2
 
     @classmethod
-    def of(
-        cls, floor: FloorRegistration, before: FloatImage, now: FloatImage, motion: FloatArray
-    ) -> _Fit | None:
-        """Compare two pictures under a motion (3,); None where they do not correlate."""
-        row, column = floor.places.before(floor.ground, floor.bearing, motion.astype(np.float32))
-        earlier = np.asarray(cv2.remap(before, column, row, cv2.INTER_LINEAR), np.float32)
-        seen = np.asarray(cv2.remap(floor.seen, column, row, cv2.INTER_LINEAR))
-        both = (seen > 0.99).view(np.uint8)
-        both *= floor.seen.astype(np.uint8)
-        earlier *= both
-        later = now * both
-        power, other = (float(np.vdot(p, p)) for p in (earlier, later))
-        product = float(np.vdot(earlier, later))
-        if product <= LEAST_SHARE * power or power <= 0:
-            return None
-        share = product / power
-        residual = later - np.float32(share) * earlier
-        inner = np.asarray(cv2.erode(both, np.ones((3, 3), np.uint8), borderValue=0), np.uint8)
-        slopes = np.float32(share) * _slopes(floor, earlier, inner)
-        cells = max(int(np.count_nonzero(both)), 1)
-        heave_weight = float(np.vdot(residual, residual)) / cells * GRAIN / HEAVE_M**2
-        match = product / math.sqrt(power * other)
-        return cls(floor, later, residual, inner, slopes, match, heave_weight)
+    def of(cls, earlier: _Cells, later: _Cells, grain: float) -> _Fit | None:
+        """None where the pictures do not correlate.
 
-    def step(self) -> FloatArray:
-        """(3,) the Gauss-Newton step of the motion."""
-        flat = self.slopes.reshape(4, -1)
-        normal = (flat @ flat.T).astype(float)
-        normal[3, 3] += self.heave_weight
-        normal[range(3), range(3)] += 1e-9
-        return np.asarray(np.linalg.solve(normal, flat @ self.residual.ravel())[:3])
-
-    def covariance(self) -> FloatArray | None:
-        """(3, 3) of the motion, by the sandwich estimator; None where it is not determined.
-
-        It is curvature^-1 scatter curvature^-1. The curvature multiplies the slopes of one picture
-        by those of the other, since a picture's product with itself would include its noise. The
-        scatter is the covariance of the blocks' scores (slope times residual).
+        earlier: shown only where the later one is. grain: compared cells in a grain of speckle.
         """
-        first, second = self.slopes, _slopes(self.floor, self.later, self.inner)
-        curvature = (first.reshape(4, -1) @ second.reshape(4, -1).T).astype(float)
-        curvature = (curvature + curvature.T) / 2
-        curvature[3, 3] += self.heave_weight
-        if np.linalg.eigvalsh(curvature)[0] <= 0:
+        one, other = earlier.grey, np.asarray(later.grey * earlier.shown)
+        powers = float(np.vdot(one, one)), float(np.vdot(other, other))
+        product = float(np.vdot(one, other))
+        if product <= LEAST_SHARE * max(powers) or product <= 0:
             return None
-        blocks = _in_blocks(first * self.residual, BLOCKS)
+        scales = np.float32(1 / math.sqrt(powers[0])), np.float32(1 / math.sqrt(powers[1]))
+        match = min(float(product * scales[0] * scales[1]), 1.0)
+        one, other = scales[0] * one, scales[1] * other
+        slopes = scales[0] * earlier.slopes, scales[1] * later.slopes
+        residuals = other - match * one, match * other - one
+        scores = [_products(a, b[None])[:, 0] for a, b in zip(slopes, residuals, strict=True)]
+        curvature = _products(*slopes)
+        curvature = (curvature + curvature.T) / 2
+        noise = grain * (1 / match - match) / int(np.count_nonzero(earlier.shown))
+        curvature[3, 3] += noise / HEAVE_M**2
+        return cls(slopes, residuals, (scores[0] + scores[1]) / 2, curvature, noise, match)
+
+    def newton(self) -> FloatArray | None:
+        """(3,) the step of the motion by the curvature; None where that is not of a minimum."""
+        if np.linalg.eigvalsh(self.curvature)[0] <= 0:
+            return None
+        return np.asarray(np.linalg.solve(self.curvature, self.score)[:3])
+
+    def gauss_newton(self) -> FloatArray:
+        """(3,) the step by the earlier picture's slopes alone, whose noise makes it too short."""
+        normal = self.match * _products(self.slopes[0], self.slopes[0])
+        normal[3, 3] += self.noise / HEAVE_M**2
+        normal[range(3), range(3)] += 1e-9
+        return np.asarray(np.linalg.solve(normal, self.score)[:3])
+
+    def is_small(self, step: FloatArray) -> bool:
+        """Whether a step (3,) by the curvature is so small that the motion is found."""
+        sigma = np.sqrt(self.noise * np.linalg.inv(self.curvature).diagonal()[:3])
+        return bool((np.abs(step) < np.maximum(SMALL * sigma, CONVERGED)).all())
+
+    def covariance(self) -> FloatArray:
+        """(3, 3) of the motion, by the sandwich estimator: curvature^-1 scatter curvature^-1.
+
+        The scatter is the covariance of the blocks' scores.
+        """
+        first, second = (a * b for a, b in zip(self.slopes, self.residuals, strict=True))
+        blocks = _in_blocks(first + second, BLOCKS) / 2
         scatter = blocks @ blocks.T
-        scatter[3, 3] += (self.heave_weight * HEAVE_M) ** 2
-        inverse = np.linalg.inv(curvature)
+        scatter[3, 3] += (self.noise / HEAVE_M) ** 2
+        inverse = np.linalg.inv(self.curvature)
         return np.asarray((inverse @ scatter @ inverse)[:3, :3])
 
 
-def _slopes(floor: FloorRegistration, picture: FloatImage, inner: ByteImage) -> FloatImage:
-    """(4, rows, columns) derivatives of a picture by the motion and the height."""
-    down = cv2.Sobel(picture, cv2.CV_32F, 0, 1, ksize=1, scale=0.5) * inner
-    across = cv2.Sobel(picture, cv2.CV_32F, 1, 0, ksize=1, scale=0.5) * inner
-    return np.asarray(floor.down * down + floor.across * across)
+def _products(some: FloatImage, others: FloatImage) -> FloatArray:
+    """(n, m) sums over all cells of products of (n, rows, columns) and (m, rows, columns)."""
+    return (some.reshape(len(some), -1) @ others.reshape(len(others), -1).T).astype(float)
 
 
 def _in_blocks(values: FloatImage, blocks: tuple[int, int]) -> FloatArray:
