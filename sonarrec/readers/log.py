@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, islice
-from typing import Any
+from typing import Any, NamedTuple
 
 from sonarrec.errors import SonarrecError, number_of
 from sonarrec.readers.decode.layout import Stated
@@ -243,31 +245,43 @@ class Log:
         self._last_timed = index, stamp
         return stamp
 
-    def digest_source(self) -> tuple[int, str]:
-        """(size in bytes, SHA-256 in hex) of the log's file: see `digest_of`."""
+    def digest_source(self) -> Digest:
+        """Of the log's files: see `digest_of`."""
         return digest_of(self._source)
 
 
-def digest_of(log: Source) -> tuple[int, str]:
-    """(size in bytes, SHA-256 in hex) of a log's file. For several images, or the files of a bag:
-    the sum of their sizes, and the hash over the name of each file, a zero byte and its contents,
-    in frame order. Of a file that cannot be read only the name counts. Raises SonarrecError if a
-    log of one file cannot be read."""
-    size, digest, block = 0, hashlib.sha256(), memoryview(bytearray(2**20))
-    several = log.files != [log.path]
-    for path in log.files:
-        if several:
-            digest.update(path.name.encode(errors="surrogateescape") + b"\0")
+class Digest(NamedTuple):
+    """What identifies the files of a log, as run.toml has it."""
+
+    bytes: int
+    """Their size, all together."""
+    sha256: str
+    sha256_of: str | None = None
+    """What that is of; None: of all bytes."""
+
+
+def digest_of(log: Source) -> Digest:
+    """Of a log's file; for several images, or the files of a bag, of a line for each in frame
+    order: its name, a zero byte, its size and its CRC-32 in hex. Of a file that cannot be read only
+    the name counts. Raises SonarrecError if a log of one file cannot be read."""
+    if log.files == [log.path]:
         try:
-            with path.open("rb", buffering=0) as file:
-                while count := file.readinto(block):
-                    size += count
-                    digest.update(block[:count])
+            with log.path.open("rb", buffering=0) as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+                return Digest(file.tell(), digest)
         except OSError as error:
-            if several:  # reported when the frame was read
-                continue
-            raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    return size, digest.hexdigest()
+            raise SonarrecError(f"{log.path}: cannot be read ({error.strerror})") from None
+    total, lines, block = 0, hashlib.sha256(), memoryview(bytearray(2**20))
+    for path in log.files:
+        lines.update(path.name.encode(errors="surrogateescape") + b"\0")
+        size = crc = 0
+        with suppress(OSError), path.open("rb", buffering=0) as file:  # reported with its frame
+            while count := file.readinto(block):
+                size, crc = size + count, zlib.crc32(block[:count], crc)
+            lines.update(f"{size} {crc:08x}".encode())
+        lines.update(b"\n")
+        total += size
+    return Digest(total, lines.hexdigest(), "names, sizes, CRC-32")
 
 
 def _first_of(frames: Iterator[StoredFrame]) -> list[StoredFrame]:

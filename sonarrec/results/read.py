@@ -454,8 +454,7 @@ def check_same_log(log: Any, folder: Path, run: RunFile) -> None:
     """
     made_from = run.input
     if made_from.sha256 is not None:
-        size, digest = log.digest_source()
-        if (size, digest) != (made_from.bytes, made_from.sha256):
+        if not made_from.is_of(*log.digest_source()):
             raise SonarrecError(
                 f"{folder}: results of another log, {made_from.path or made_from.name}, or of "
                 f"{log.path} before its files changed; give the log they were made from, or "
@@ -480,7 +479,8 @@ def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str 
     if a is None or b is None:
         without = " and ".join(str(f) for f, of in ((old, a), (new, b)) if of is None)
         return f"{without}: run.toml does not identify the log; frames are matched by number"
-    if a != b:
+    later = after.input
+    if a[1] != b[1] or not before.input.is_of(later.bytes, later.sha256, later.sha256_of):
         of = " and ".join(
             f"{run.input.path or run.input.name}{f', topic {topic}' if topic else ''}"
             for run, (_, topic) in ((before, a), (after, b))

@@ -34,6 +34,7 @@ _FAN = (
     *("field_of_view_deg", *_EDGES, "tilt_deg", "height_m"),
 )
 """The keys of [fan]."""
+_DIGEST = ("sha256", "sha256_of")
 
 
 def run_table(
@@ -42,14 +43,15 @@ def run_table(
     sonar: Sonar,
     fan: Fan,
     landmarks: LandmarkSet,
-    source: tuple[str, int, str],
+    source: tuple[str, int, str, str | None],
     reading: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The tables of run.toml: all that is needed to get the same results again.
 
     methods: names in estimates.csv. sonar: the geometry as stated. fan: the complete geometry, with
     values from defaults and messages, so that fan pixels can be converted later. source: the
-    input's name, size in bytes and SHA-256. reading: how it was read (`Log.reading`).
+    input's name, and what identifies it, as `Input.is_of`. reading: how it was read
+    (`Log.reading`).
     """
     tables = [asdict(c) for c in settings]
     of_fan = asdict(fan) | {
@@ -59,7 +61,12 @@ def run_table(
     instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     return {
         "program": {**PROGRAM, "methods": list(methods)},
-        "input": dict(zip(("name", "bytes", "sha256"), source, strict=True)) | dict(reading),
+        "input": {
+            key: value
+            for key, value in zip(("name", "bytes", *_DIGEST), source, strict=True)
+            if value is not None
+        }
+        | dict(reading),
         "config": tables if len(tables) > 1 else tables[0],
         "sonar": sonar.as_table(),
         "fan": {key: of_fan[key] for key in _FAN if of_fan[key] is not None},
@@ -150,7 +157,8 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         return ExistingResults()
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     old, new = run.table["input"], coming["input"]
-    other, is_changed = "", old.get("sha256") != new["sha256"]
+    digest = new["bytes"], new["sha256"], new.get("sha256_of")
+    other, is_changed = "", not run.input.is_of(*digest)
     if is_changed and old.get("place") != new["place"]:
         other = f"another log ({old.get('path')})"
     elif old.get("topic", new.get("topic")) != new.get("topic"):
@@ -163,8 +171,8 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         return ExistingResults(reason="the log has changed")
     # Not compared: what only a finished run states, where it ran and what its log was called.
     before = {k: v for k, v in run.table.items() if k != "finished"}
-    before["input"] = {k: v for k, v in old.items() if k not in _OF_THE_END}
-    before["input"] |= {key: new[key] for key in ("path", "place")}
+    before["input"] = {k: v for k, v in old.items() if k not in (*_OF_THE_END, *_DIGEST)}
+    before["input"] |= {key: new[key] for key in ("path", "place", *_DIGEST) if key in new}
     before["ran_on"] = coming["ran_on"]
     if before == coming:
         if changed := tables_changed(folder, run.input):
@@ -274,6 +282,7 @@ class Input:
     place: str | None = None  # relative to the results folder; or its URL
     bytes: Count | None = None
     sha256: str | None = None
+    sha256_of: str | None = None  # what it is of; None: of all bytes
     topic: str | None = None
     time: Clock | None = None
     frames: str | None = None
@@ -285,6 +294,15 @@ class Input:
     sightings: Count = 0
     tables_sha256: dict[str, str] = field(default_factory=dict)  # by name of the file
     problems: tuple[str, ...] = ()
+
+    def is_of(self, size: int | None, sha256: str | None, sha256_of: str | None) -> bool:
+        """Whether these are the log's size in bytes, SHA-256, and what that is of.
+
+        By the size alone, if the SHA-256 is of something else: earlier versions hashed all bytes.
+        """
+        if self.sha256_of != sha256_of:
+            return self.bytes == size
+        return (self.bytes, self.sha256) == (size, sha256)
 
     @property
     def recording(self) -> tuple[str, str | None] | None:

@@ -58,7 +58,7 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
     digest = digest_of(source) if earlier.input.sha256 else None
     same_log = earlier.input.name == name_as_text(source.name)
     if digest is not None:
-        same_log = digest[1] == earlier.input.sha256
+        same_log = earlier.input.is_of(*digest)
     # Options win over the earlier run, and that over what lies beside the log.
     log_options = earlier.complete(given, same_log=same_log)
     log_options = _with_companions(source, log_options, again=same_log)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import binascii
 import hashlib
 import re
 import subprocess
@@ -291,16 +292,19 @@ def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
     np.testing.assert_array_equal(some[1].image, images[10])
     with open_log(f"{log}/frame1*.png") as by_glob:
         assert by_glob.name == "log"
-    digest, size = hashlib.sha256(), 0
+    lines, total = "", 0
     for k in range(12):
         data = (log / f"frame{k}.png").read_bytes()
-        digest.update(f"frame{k}.png".encode() + b"\0" + data)
-        size += len(data)
+        lines += f"frame{k}.png\0{len(data)} {binascii.crc32(data):08x}\n"
+        total += len(data)
     with open_log(log) as opened:
-        assert opened.digest_source() == (size, digest.hexdigest())
+        digest = opened.digest_source()
+    assert digest[:2] == (total, hashlib.sha256(lines.encode()).hexdigest())
+    assert digest.sha256_of is not None
     one = log / "frame3.png"
     with open_log(one) as opened:
-        assert opened.digest_source()[1] == hashlib.sha256(one.read_bytes()).hexdigest()
+        of_one = hashlib.sha256(one.read_bytes()).hexdigest()
+        assert opened.digest_source() == (one.stat().st_size, of_one, None)
         assert [f.index for f in opened] == [0]
 
 

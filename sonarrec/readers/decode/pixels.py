@@ -112,8 +112,6 @@ _PGM = re.compile(rb"P[25](?:\s|#.*\n)+\d+(?:\s|#.*\n)+\d+(?:\s|#.*\n)+(\d{1,5})
 def pgm_maxval(data: np.ndarray) -> int | None:
     """The value that a PGM states as white; None if it is the largest of its type, and for other
     files."""
-    if data[:1].tobytes() != b"P":
-        return None
     header = _PGM.match(data[:1000].tobytes())
     return int(header[1]) if header and int(header[1]) not in (0, 255, 65535) else None
 
