@@ -35,6 +35,7 @@ _FAN = (
 )
 """The keys of [fan]."""
 _DIGEST = ("sha256", "sha256_of")
+_INPUT = ("name", "bytes", *_DIGEST)
 
 
 def run_table(
@@ -43,7 +44,7 @@ def run_table(
     sonar: Sonar,
     fan: Fan,
     landmarks: LandmarkSet,
-    source: tuple[str, int, str, str | None],
+    source: tuple[str, int, str] | tuple[str, int, str, str | None],
     reading: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The tables of run.toml: all that is needed to get the same results again.
@@ -61,11 +62,7 @@ def run_table(
     instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     return {
         "program": {**PROGRAM, "methods": list(methods)},
-        "input": {
-            key: value
-            for key, value in zip(("name", "bytes", *_DIGEST), source, strict=True)
-            if value is not None
-        }
+        "input": {k: v for k, v in zip(_INPUT, source, strict=False) if v is not None}
         | dict(reading),
         "config": tables if len(tables) > 1 else tables[0],
         "sonar": sonar.as_table(),

@@ -47,6 +47,9 @@ class Settings:
     least: int = 2
 
 
+HALF = Settings(scale=0.5, blur=5)
+
+
 @dataclass(frozen=True, slots=True)
 class Sight:
     """One circle: centre in fan pixels, its best ID (index), that ID's similarity, ring share."""

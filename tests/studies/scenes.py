@@ -16,6 +16,7 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.evaluation.counts import ratio
 from sonarrec.evaluation.uncertainty import bootstrap_weights, interval
+from tests.studies.baseline import METHOD, Settings
 from tests.studies.learning.other_worlds import OTHER_WORLDS
 from tests.studies.learning.random_scenes import (
     ALL_KINDS,
@@ -195,7 +196,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     configs = [preset(name) for name in PRESETS if name in OURS or not asked.ours]
     scenes = [random_scene(r.seed, r.kind, frames=asked.frames) for r in recordings]
     jobs = [
-        Job(s, r.folder, configs, not asked.ours) for s, r in zip(scenes, recordings, strict=True)
+        Job(s, r.folder, configs, {} if asked.ours else {METHOD: Settings()})
+        for s, r in zip(scenes, recordings, strict=True)
     ]
     in_processes(recognise, jobs)
     rows = scored_rows(recordings)

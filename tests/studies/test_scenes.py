@@ -13,6 +13,7 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies import baseline, plates, scenes
+from tests.studies.baseline import METHOD, Settings
 from tests.support.command import sonarrec
 from tests.support.counted import Count
 from tests.support.rows import read_rows
@@ -37,7 +38,7 @@ SCENE = Scene(
 
 def test_harness_is_what_the_commands_do(tmp_path: Path) -> None:
     log, in_memory = tmp_path / SCENE.name, tmp_path / "in_memory"
-    recognise(Job(SCENE, in_memory, [preset(name) for name in PRESETS], hough=True))
+    recognise(Job(SCENE, in_memory, [preset(name) for name in PRESETS], {METHOD: Settings()}))
     write_recording(SCENE, log)
     results = tmp_path / "out" / log.name
     run = ["run", log, "--preset", ",".join(PRESETS), "--landmarks", log / "landmarks.toml"]

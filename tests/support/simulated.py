@@ -9,9 +9,9 @@ from __future__ import annotations
 import multiprocessing
 import shutil
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -35,7 +35,7 @@ from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth, write_truth
-from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
+from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks, Settings
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -57,13 +57,13 @@ METHODS = {
 class Job:
     """One scene to render, and what is to recognise it. folder: emptied, then written.
 
-    hough: whether the plain Hough loop of baseline.py judges the same frames.
+    rivals: plain Hough loops of baseline.py that judge the same frames, by their method.
     """
 
     scene: Scene
     folder: Path
     configs: Sequence[Config]
-    hough: bool = False
+    rivals: Mapping[str, Settings] = field(default_factory=dict)
 
 
 def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
@@ -75,7 +75,7 @@ def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
     assert scene.sonar.layout == "fan"
     shutil.rmtree(job.folder, ignore_errors=True)
     recogniser = SideBySide(job.configs, fan, landmarks)
-    rival = HoughRival(fan, landmarks) if job.hough else None
+    rivals = [HoughRival(fan, landmarks, *named) for named in job.rivals.items()]
     source = (scene.name, 0, "")
     methods = recogniser.methods
     run = run_table(job.configs, methods, scene_sonar(scene), fan, landmarks, source)
@@ -86,7 +86,7 @@ def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
         def seen() -> Iterator[Frame]:
             for frame in frames or render(scene):
                 truth.extend(truth_rows(frame.index, frame.truth))
-                waiting.append([] if rival is None else rival.step(frame.image))
+                waiting.append([e for rival in rivals for e in rival.step(frame.image)])
                 yield Frame(frame.index, frame.timestamp_ns, frame.image, fan)
 
         for result in recogniser.recognise(seen()):
@@ -124,10 +124,10 @@ def score(folders: Sequence[Path]) -> Counts:
 class HoughRival:
     """The plain Hough loop with its votes, one frame at a time."""
 
-    def __init__(self, fan: Fan, landmarks: LandmarkSet) -> None:
-        self._fan = fan
+    def __init__(self, fan: Fan, landmarks: LandmarkSet, method: str, settings: Settings) -> None:
+        self._fan, self._method = fan, method
         self._ids = landmarks.ids
-        self._loop = HoughSmi(fan, landmarks)
+        self._loop = HoughSmi(fan, landmarks, settings)
         self._tracks = MajorityTracks(self._loop.settings, self._loop.radius)
 
     def step(self, image: np.ndarray) -> list[Estimate]:
@@ -137,7 +137,7 @@ class HoughRival:
             range_m, bearing_deg = polar_from_pixel(self._fan, sight.x, sight.y)
             found.append(
                 Estimate(
-                    method=METHOD,
+                    method=self._method,
                     object=track,
                     x_px=sight.x,
                     y_px=sight.y,
