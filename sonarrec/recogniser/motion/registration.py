@@ -23,7 +23,7 @@ from sonarrec.records import Fan
 
 STEPS = 8  # at most
 # The motion is found by a step of less than SMALL standard errors, or than CONVERGED (m, m, rad).
-SMALL, CONVERGED = 0.5, (3e-4, 3e-4, 2e-4)
+SMALL, CONVERGED = 0.3, (3e-4, 3e-4, 2e-4)
 # Cells: by the curvature no longer step is taken, since it holds within a grain of speckle or two.
 LONGEST = 3.0
 FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; beyond it the registration has failed
