@@ -12,6 +12,7 @@ import pytest
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
+from sonarrec.geometry import PoseTable
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.records import Fan, Motion
@@ -104,6 +105,20 @@ def test_pictures_that_come_again_to_the_bit_show_no_motion() -> None:
     images = [frame.image for frame in render(scene)] * 6
     motions = measured(images, scene_fan(scene), scene.landmark_set.radius_m)
     assert all(m is not None and (m.right_m, m.ahead_m) == (0, 0) for m in motions[1:])
+
+
+def test_where_poses_end_the_images_go_on_from_the_last() -> None:
+    scene = replace(random_scene(8710, "plain"), frames=12)
+    frames = list(render(scene))
+    times = np.arange(6) * STEP_NS
+    pose = np.array([(f.pan_deg, 0.0, 0.0) for f in frames[:6]])
+    plane = working_plane("floor", scene_fan(scene), scene.landmark_set.radius_m, 12.0)
+    odometry = Odometry(plane, Continuity(), PoseTable("poses", {}, times, pose, 1e9))
+    motions = [odometry.step(plane.warp(f.image), n * STEP_NS) for n, f in enumerate(frames)]
+    found, _ = as_rows(motions)
+    true = [b.pan_deg - a.pan_deg for a, b in pairwise(frames)]
+    np.testing.assert_allclose(found[:, 2], true, atol=0.1)
+    assert all(m is not None and m.known for m in motions[1:])
 
 
 @pytest.mark.parametrize(("view_deg", "beams"), but_first([(28.8, 96), (130.0, 256)]))

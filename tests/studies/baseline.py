@@ -48,7 +48,7 @@ class Settings:
 
 
 HALF = Settings(scale=0.5, blur=7, edge=120.0, votes=5.0, slack=0.2)
-"""At half the resolution; of 54 searched, again those with most TPR - 5 FPR over TUNING_SCENES."""
+"""At half the resolution; of 72 searched, again those with most TPR - 5 FPR over TUNING_SCENES."""
 
 
 @dataclass(frozen=True, slots=True)

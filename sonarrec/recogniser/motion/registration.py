@@ -117,6 +117,7 @@ class FloorRegistration:
             float(bearing[0, 1] - bearing[0, 0]),
             depth,
         )
+        self._cell = np.array([places.slant_step, places.slant_step, places.bearing_step])
         self._inner = np.asarray(cv2.erode(seen, np.ones((3, 3)), borderValue=0), np.float32)
         # No echo of the floor is nearer than the height, so any distance will do there.
         ground = np.sqrt(np.maximum(slant**2 - depth**2, 0.01 * slant**2))
@@ -147,9 +148,7 @@ class FloorRegistration:
 
     def cells(self, motion: FloatArray) -> float:
         """About how many cells a motion shifts a picture. motion: (3,) as Registration.motion."""
-        right, ahead, turn = np.abs(motion).tolist()
-        metres = max(right, ahead) / self.places.slant_step
-        return float(max(metres, turn / self.places.bearing_step))
+        return float((np.abs(motion) / self._cell).max())
 
     def refined(self, before: Picture, now: Picture, start: FloatArray) -> Registration | None:
         """The motion near `start`; None where the steps do not converge.
@@ -165,20 +164,19 @@ class FloorRegistration:
             fit = _Fit.of(self._compared(moved, later.shown), later, self._grain)
             if fit is None:
                 return None
-            step, is_last = fit.newton(), False
-            if step is None or self.cells(step) > LONGEST:
+            step = fit.newton()
+            is_near = step is not None and self.cells(step) <= LONGEST
+            if step is None or not is_near:
                 step = fit.gauss_newton()
-            else:
-                # Differences of whole cells make the curvature too small: where a step went too
-                # far, the one back must not.
-                if last @ fit.curvature[:3, :3] @ step < 0:
-                    step /= 2
-                is_last = fit.is_small(step)
+            # Differences of whole cells make the slopes too small: where a step went too far, the
+            # one back must not.
+            if np.dot(last / self._cell, step / self._cell) < 0:
+                step /= 2
             motion += step
             last = step
             if (np.abs(motion - start) > FARTHEST).any():
                 return None
-            if is_last:
+            if is_near and fit.is_small(step):
                 return Registration(motion, fit.covariance(), fit.match)
         return None
 
