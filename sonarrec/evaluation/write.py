@@ -94,8 +94,7 @@ class Evaluation:
     @property
     def passes(self) -> pd.DataFrame:
         """How each method did in each pass of a landmark."""
-        found = self.counts.passes[HEADERS["passes"]]
-        return found.assign(log=found.log.map(as_cell))
+        return self.counts.passes[HEADERS["passes"]]
 
     @property
     def mistakes(self) -> pd.DataFrame:
@@ -156,6 +155,8 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> tuple[str, ...]:
 
 def write_table(path: Path, table: pd.DataFrame) -> None:
     """A CSV file; NaN is an empty cell."""
+    if "log" in table:
+        table = table.assign(log=[as_cell(str(name)) for name in table["log"]])
     columns = [
         ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in table[name]]
         for name in table

@@ -288,9 +288,9 @@ def _why_no_log(folder: Path) -> str:
             f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
         )
     endings = ", ".join(sorted(IMAGE_SUFFIXES))
-    held = f"; it holds {held}" if (held := not_read(entries)) else ""
     below = any(is_image(path) or names_a_log(path.name) for path in folder.rglob("*"))
     how = "; --recursive looks into those below" if below else ", nor in those below"
+    held = f"; it holds {held}" if (held := not_read(entries)) else ""
     why = f"no log and no image in this folder ({endings}){how}{held}"
     return f"{folder}: {why if entries else 'the folder is empty'}"
 

@@ -175,6 +175,7 @@ def take(
     """
     check_same_log(log, reported.folder, reported.results.run)
     methods, landmarks = list(reported.results.methods), reported.results.landmarks
+    held = np.intersect1d(held, reported.results.frame).tolist()  # frames.csv may have been cut
     numbers = {picture.frame for picture in pictures} | set(held)
     of_method: dict[str, dict[int, tuple[Estimate, ...]]] = {}
     shown: Shown = {

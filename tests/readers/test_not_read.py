@@ -165,7 +165,7 @@ def test_a_pointer_in_place_of_an_image_and_of_a_geometry(tmp_path: Path) -> Non
         assert len(list(opened)) == 2
         assert "git lfs pull" in opened.diagnostics.problems[0]
     (log / "sonar.toml").write_bytes(LFS)
-    assert "git lfs pull" in sonarrec("info", log, code=1).stderr
+    assert "git lfs pull" in sonarrec("info", log, code=2).stderr
 
 
 @pytest.mark.parametrize(

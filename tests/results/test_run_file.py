@@ -205,3 +205,14 @@ def test_results_from_before_the_digest_of_names_are_of_the_same_log_by_its_size
     (log / "frame1.png").write_bytes((log / "frame1.png").read_bytes() + b"\0")
     told = sonarrec("overlay", log, out, "-o", tmp_path / "more", code=1).stderr
     assert "another log" in told
+
+
+def test_a_report_of_results_whose_frames_were_cut(tmp_path: Path) -> None:
+    """sightings.csv still names frames that frames.csv does not list any more."""
+    log, folder = sample_log(tmp_path / "pan", 8), tmp_path / "out" / "pan"
+    sonarrec("run", log, "-o", tmp_path / "out", "-q")
+    lines = (folder / "frames.csv").read_bytes().splitlines(keepends=True)
+    (folder / "frames.csv").write_bytes(b"".join(lines[:3]))
+    told = sonarrec("report", folder, code=3)
+    assert "holds 2 of the 8 rows" in told.stderr
+    assert "2 frames to click" in told.output
