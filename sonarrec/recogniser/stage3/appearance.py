@@ -30,8 +30,9 @@ from sonarrec.records import Groups
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 # Most new tracks are chance and soon gone: one is judged from its second frame on, if there is
 # likelier an object than not. Its picture changes little from frame to frame: once it has more than
-# SETTLED frames, every third is judged, and between them the last judgement counts.
+# SETTLED frames, every third is judged, and between them that judgement counts if it was SURE.
 SETTLED, JUDGED_EVERY, LEAST_EXISTENCE = 8, 3, 0.5
+SURE = 0.97  # probability of one ID, or of none: .9 loses a third of the gain (tiny discs)
 # Arcs that something hides are left out where an ID is likely: it has this probability.
 LIKELY = 0.4
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
@@ -131,7 +132,7 @@ class AppearanceMeasurement:
         began, in whole steps.
         """
         rows = self._rows
-        due: list[int] = []
+        due, between = list[int](), list[int]()
         first = len(self._earlier.probabilities)
         row = np.zeros(len(smear), np.intp)
         keys = [*zip(tracked.numbers.tolist(), evidence.episodes.tolist(), strict=True)]
@@ -142,16 +143,25 @@ class AppearanceMeasurement:
             if (likely and wanted) or self._model.every_frame:
                 rows[key] = first + len(due)
                 due.append(i)
+            elif likely:
+                between.append(i)
             row[i] = rows.get(key, 0)
-        description = self._describe(
-            evidence.brightness[due], evidence.count[due], tracked.existence[due], smear[due]
-        )
-        now = _Judged(
-            self._probabilities(description, evidence, tracked.existence, smear, due),
-            description.rotation + steps[due, None],
-            description.rotation_sigma,
-        )
-        judged = joined([self._earlier, now])
+
+        def judged_now(due: list[int]) -> _Judged:
+            description = self._describe(
+                evidence.brightness[due], evidence.count[due], tracked.existence[due], smear[due]
+            )
+            return _Judged(
+                self._probabilities(description, evidence, tracked.existence, smear, due),
+                description.rotation + steps[due, None],
+                description.rotation_sigma,
+            )
+
+        judged = joined([self._earlier, judged_now(due)])
+        unsure = judged.probabilities.max(axis=1) < SURE
+        if between := [i for i in between if unsure[row[i]]]:
+            row[between] = len(judged.probabilities) + np.arange(len(between))
+            judged = joined([judged, judged_now(between)])
         last = groups[-1]
         known = {*last.numbers.tolist(), *last.remembered.tolist()}
         kept = [key for key in rows if key[0] in known]
