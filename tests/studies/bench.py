@@ -42,6 +42,7 @@ from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObjec
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.baseline import HALF, METHOD, HoughSmi, Settings, fan_of, read_grey
 from tests.studies.results.record import judge, options, save, show
+from tests.support.counted import counted
 from tests.support.logs import cdr_image, mcap_file
 from tests.support.simulated import Job, recognise, score
 
@@ -353,9 +354,12 @@ def cost(work: Path) -> None:
 def rates(scene: Scene, folder: Path) -> dict[str, str]:
     """TPR / FPR in a scene, protocol strict, of sonarrec and of PEERS."""
     recognise(Job(scene, folder, [preset("default")], PEERS))
-    counts = {s.method: s.count() for s in score([folder]).scored if s.protocol == "strict"}
     names = {FRAMEWORK: "sonarrec"} | {name: name for name in PEERS}
-    return {names[m]: f"{c.tpr:.3f} / {c.fpr:.4f}" for m, c in counts.items() if m in names}
+    return {
+        names[method]: f"{count.tpr:.3f} / {count.fpr:.4f}"
+        for (protocol, method), count in counted(score([folder])).items()
+        if protocol == "strict" and method in names
+    }
 
 
 # On Linux a new process is charged with the peak of the one it was forked from, until it runs
