@@ -44,7 +44,7 @@ FEATURES = (
     "ring_texture_share",  # standard deviation along the ring
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
-    # The first three again, by the fit under INDEPENDENT noise.
+    # The first three again, by the fit under INDEPENDENT noise; of smeared pictures the same.
     "independent_correlation",
     "independent_rival_misfit",
     "independent_structure",
@@ -53,6 +53,9 @@ FEATURES = (
 # floor, or independent from cell to cell, as single stones glitter on bright sectors. The second
 # limits glitter: no cell counts as brighter than this percentile of the symbol's cells.
 INDEPENDENT, GLITTER_PERCENTILE = 0.0, 80
+# A picture is sharp up to the smear SHARP (the beam's standard deviation across the line of sight,
+# in disc radii), and smeared from SMEARED on: discs 14 and 8 beams wide. Chosen on tuning seeds.
+SHARP, SMEARED = 0.06, 0.10
 BEST_FIT = 0.995  # largest correlation that counts
 LEAST_CONTRAST = 0.3  # least contrast of the ring by which features are divided
 # The neighbours of each step, and their neighbours, which the smear of an edge hardly reaches.
@@ -167,13 +170,17 @@ class Describer:
         lines = self._expected.lines
         cells, seen = average[:, lines], count[:, lines] > 0
         fit = self._expected.fit(cells, seen, smear)
-        brightest = _brightest(average[:, self._symbol], count[:, self._symbol])
-        second = self._independent.fit(np.minimum(cells, brightest), seen, smear)
+        second, sharp = _of_fit(fit), smear < SMEARED  # beams correlate the cells of smeared ones
+        if sharp.any():
+            brightest = _brightest(average[sharp][:, self._symbol], count[sharp][:, self._symbol])
+            limited = np.minimum(cells[sharp], brightest)
+            of_sharp = _of_fit(self._independent.fit(limited, seen[sharp], smear[sharp]))
+            second = {name: _replaced(of, sharp, of_sharp[name]) for name, of in second.items()}
         rotation, best = fit.rotation, fit.best  # (n, K)
         # (n, K), or (n,) if equal for every ID
         values = {
             **_of_fit(fit),
-            **{f"independent_{name}": value for name, value in _of_fit(second).items()},
+            **{f"independent_{name}": value for name, value in second.items()},
             **self._of_symbol(average, count, bands, rotation),
             **_of_ring(bands, frames),
             "log_frames": np.log(frames),
@@ -265,6 +272,13 @@ def _of_fit(fit: SymbolFit) -> dict[str, FloatArray]:
         "rival_misfit": np.log(_unexplained(fit.best) / _unexplained(fit.rival)[:, None]),
         "structure": fit.structure,
     }
+
+
+def _replaced(values: FloatArray, rows: BoolArray, by: FloatArray) -> FloatArray:
+    """The values with some rows replaced."""
+    values = values.copy()
+    values[rows] = by
+    return values
 
 
 def _brightest(symbol: FloatArray, count: FloatArray) -> FloatArray:

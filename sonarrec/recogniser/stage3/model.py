@@ -19,14 +19,10 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError, as_usage
-from sonarrec.recogniser.stage3.description import FEATURES
+from sonarrec.recogniser.stage3.description import FEATURES, SHARP, SMEARED
 from sonarrec.tables.toml import Finite, brief, checked, from_table, length, parse_toml, read_text
 
 BUILT_IN = Path(__file__).parent / "appearance.toml"
-
-# A picture is sharp up to the smear SHARP (the beam's standard deviation across the line of sight,
-# in disc radii), and smeared from SMEARED on: discs 14 and 8 beams wide. Chosen on tuning seeds.
-SHARP, SMEARED = 0.06, 0.10
 
 
 def smeared_share(smear: FloatArray) -> FloatArray:
