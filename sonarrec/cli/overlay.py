@@ -94,7 +94,7 @@ def overlay(
     targets: list[Target] = [(one, ground_truth, ()) for one in folders or [Path(log)]]
     if mistakes is not None:
         place = Path(log) if folders else overlays.find_both(Path(log), results)[1]
-        found = _worst(place, ground_truth, method, landmarks, reading, mistakes, told)
+        found = _worst(place, ground_truth, method, landmarks, reading, mistakes, told, lines)
         targets = [(one if folders else Path(log), of, wrong) for one, of, wrong in found]
     with progress(quiet) as step:
         for one, truth, wrong in targets:
@@ -121,7 +121,7 @@ def overlay(
     if faults and not lines:
         raise faults[0]
     told.problem(*(f"{error}; not drawn" for error in faults))
-    finish(quiet, lines or ["no mistake, so nothing is drawn"], told.problems, told.notes)
+    finish(quiet, lines, told.problems, told.notes)
 
 
 def _worst(
@@ -132,9 +132,10 @@ def _worst(
     reading: dict[str, Any],
     most: int,
     told: Diagnostics,
+    lines: list[str],
 ) -> list[Target]:
     """The longest mistakes of a method, at most `most` in all: (results, truth, mistakes) of each
-    log that has one."""
+    log that has one. lines: gets one if there is none."""
     from sonarrec.evaluation.evaluate import evaluate_logs
     from sonarrec.evaluation.rows import ScoringOptions
     from sonarrec.sonar import load_sonar
@@ -151,7 +152,11 @@ def _worst(
     )
     told.problem(*found.unused)
     first = found.counts.methods[0]
-    wrong = [m for m in found.counts.mistakes if m.method == first and not m.at_start][:most]
+    of_first = [m for m in found.counts.mistakes if m.method == first]
+    wrong = [m for m in of_first if not m.at_start][:most]
+    if not wrong:
+        more = " but in the first frame, in which no track is declared" * bool(of_first)
+        lines.append(f"{first}: no mistake{more}, so nothing is drawn; --method chooses another")
     logs = zip(found.folders, found.truths, found.counts.logs, strict=True)
     targets = [(f, t, [m for m in wrong if m.log == log]) for f, t, log in logs]
     return [target for target in targets if target[-1]]

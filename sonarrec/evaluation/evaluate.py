@@ -170,7 +170,8 @@ def _check_comparable(folders: Sequence[Path], sides: Sequence[LogResults]) -> I
         both = " and ".join(", ".join(map(str, side)) for side in ids)
         raise SonarrecError(
             f"{old} and {new}: run with the landmark IDs {both}; only results with the same IDs "
-            "in the same order can be compared; give --landmarks to use one set for both"
+            "in the same order can be compared; give one set for both (--landmarks; `landmarks` in "
+            "a check file)"
         )
 
 

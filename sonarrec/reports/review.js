@@ -128,7 +128,10 @@ const inState = (state) => passes.filter((pass) => pass.state === state);
 const current = () => passes.find((pass) => pass.id === chosen);
 const tint = (landmark) => `--c: var(--bright-${ids.indexOf(landmark)})`;
 const at = (pass, frame) => pass.rows.find((one) => one.frame === frame);
-const spanOf = (pass) => `frames ${pass.rows[0].frame} to ${pass.rows.at(-1).frame}`;
+function spanOf(pass, { from = -Infinity, to = Infinity } = {}) {
+  const rows = pass.rows.filter((one) => one.frame >= from && one.frame <= to);
+  return `frames ${rows[0]?.frame ?? now} to ${rows.at(-1)?.frame ?? now}`;
+}
 
 function left() {
   const open = inState("open"), out = open.filter((pass) => pass.left_out).length;
@@ -219,6 +222,7 @@ function render() {
 /** Choose a pass, and go to its first mistake, or frame, unless it is in this one. */
 function choose(id) {
   if (timer) acts.play();
+  if (id !== chosen) range = "all";
   chosen = id;
   const rows = current()?.rows ?? [], first = rows.find((one) => images[one.frame]) ?? rows[0];
   if (first && !at(current(), now)) now = (at(current(), current().look) ?? first).frame;
@@ -242,15 +246,18 @@ function set(values) {
   if (!pass) return say("Choose a pass first.");
   range = "all";
   decide({ kind: "set", pass: pass.id, ...of, ...values });
-  say(`ID.${pass.landmark}, ${spanOf(pass)}: ${values.state}${values.landmark ? ` as ID.${values.landmark}` : ""}.`);
+  say(`ID.${pass.landmark}, ${spanOf(pass, of)}: ${values.state}${values.landmark ? ` as ID.${values.landmark}` : ""}.`);
   const order = passes.findIndex((one) => one.id === pass.id);
   const next = [...passes.slice(order), ...passes.slice(0, order)].find((one) => one.state === "open");
   if (next && values.state !== "open") choose(next.id);
 }
 
+const toPlace = () => `ID.${placing.landmark}, or type another. Click its centre here, then in another frame.`;
+
 function name(landmark) {
   if (!placing) return set({ state: "accepted", landmark });
   placing.landmark = landmark;
+  say(toPlace());
   if (passes.some((pass) => pass.id === placing.pass)) decide({ kind: "set", pass: placing.pass, landmark });
   else frame();
 }
@@ -290,7 +297,7 @@ const acts = {
   place() {
     placing = placing ? null : { landmark: current()?.landmark ?? ids[0] };
     if (placing) chosen = null;
-    say(placing ? `ID.${placing.landmark}, or type another. Click its centre here, then in another frame.` : "");
+    say(placing ? toPlace() : "");
     render();
   },
   done() { if (placing) acts.place(); },
@@ -315,10 +322,11 @@ view.press = (x, y, event) => {
   if (placing) return {
     move(...place) { to = place; },
     end() {
+      if (!placed(now, ...to).visible) return say("Nothing of a landmark would be in view there.");
       const { landmark, pass = placing.pass = `d${now}.${work.done.length}` } = placing;
       chosen = pass;
       decide({ kind: "move", pass, drawn: true, landmark, frame: now, x: to[0], y: to[1] });
-      say("Go to another frame and click there, too; what is between is drawn. Enter ends.");
+      say("Go to another frame and click there, too; what is between is drawn. Enter, or New again, ends.");
     },
   };
   const hits = document.elementsFromPoint(event.clientX, event.clientY).map((one) => one.dataset.pass);
@@ -349,7 +357,7 @@ function digit(figure) {
   wait = setTimeout(use, longer ? WAIT_MS : 0);
 }
 
-const keys = { ArrowUp: "up", ArrowDown: "down", Home: "first", End: "last", Enter: "done", "+": "bigger", "-": "smaller" };
+const keys = { ArrowUp: "up", ArrowDown: "down", Home: "first", End: "last", Enter: "done", Escape: "done", "+": "bigger", "-": "smaller" };
 for (const each of document.querySelectorAll("[data-keys]")) {
   for (const one of each.dataset.keys.split(" ")) keys[one.replace("Space", " ")] = each.dataset.act;
 }
@@ -371,6 +379,7 @@ document.addEventListener("click", (event) => {
   const { act, id, pass } = target.dataset;
   if (act) acts[act](event);
   if (id) name(Number(id));
+  if (pass) say("");
   if (pass) choose(pass);
 });
 

@@ -128,6 +128,8 @@ def unread_columns(table: TruthTable) -> str:
     names = ", ".join(name for name, _ in found)
     near = ", ".join(dict.fromkeys(near for _, near in found if near))
     asked = f"; rename to {near}" * bool(near)
+    if not near and table.position is None:
+        asked = "; positions are read from x_px and y_px, or range_m and bearing_deg"
     return f"{table.path}: {'columns' if found[1:] else 'column'} {names} not read{asked}"
 
 

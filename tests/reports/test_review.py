@@ -27,6 +27,7 @@ from sonarrec.truth.match import share_in_image
 from tests.support.browser import COLOURS, contrast, look
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import make_fan
+from tests.support.pages import as_written
 from tests.support.rows import read_rows
 
 ENTER, RIGHT = "\ue007", "\ue014"
@@ -78,8 +79,7 @@ def with_tracks(ran: Path, folder: Path, tracks: Sequence[Track]) -> Path:
     results = folder / "out" / "dive"
     lines[1:] = sorted(lines[1:], key=lambda line: int(line.partition(",")[0]))
     (results / "estimates.csv").write_text("\n".join(lines) + "\n")
-    run = (results / "run.toml").read_text()
-    (results / "run.toml").write_text(re.sub(r"(?m)^estimates = .*", "estimates = 1", run))
+    as_written(results)
     return folder
 
 
@@ -467,8 +467,7 @@ def test_no_passes_and_damaged_frames(browser: Any, ran: Path, tmp_path: Path) -
     sonarrec("run", log, "--out", tmp_path / "w" / "out", "-q", code=3)
     estimates = tmp_path / "w" / "out" / "dive" / "estimates.csv"
     estimates.write_text(HEADER + "\n")
-    run = estimates.with_name("run.toml")
-    run.write_text(re.sub(r"(?m)^(estimates|sightings) = .*", r"\1 = 0", run.read_text()))
+    as_written(estimates.parent)
     page = Page(browser, review(tmp_path / "w", code=3), tmp_path)
     assert page.faults["console"] == []
     assert page.passes == []
@@ -571,8 +570,7 @@ def test_plates_show_their_corners_and_are_not_dragged(
     corners = "2.6,-3,2.6,3,2.4,3,2.4,-3"
     rows = [f"{n},framework,1,2.5,0,{ids[1]},0.95,1,{corners}" for n in range(20)]
     (folder / "estimates.csv").write_text("\n".join([header, *rows]) + "\n")
-    run = (folder / "run.toml").read_text()
-    (folder / "run.toml").write_text(re.sub(r"(?m)^(estimates|sightings) = .*", r"\1 = 0", run))
+    as_written(folder)
     page = Page(browser, review(tmp_path / "w"), tmp_path)
     fan = read_log(folder).fan
     assert fan is not None

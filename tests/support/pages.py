@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import tomllib
 from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.reports.logs import LogToShow, ReportedLog, read_logs
@@ -114,3 +116,11 @@ def random_results(folder: Path) -> Path:
     lines = ["frame,landmark,range_m,bearing_deg,visible", *dict.fromkeys(truth), ""]
     (folder / "gt.csv").write_text("\n".join(lines))
     return folder
+
+
+def as_written(folder: Path) -> None:
+    """Let run.toml state the tables of a results folder as they are now."""
+    run = tomllib.loads((folder / "run.toml").read_text(encoding="utf-8"))
+    run["input"] |= {"estimates": 0, "sightings": 0}
+    run["input"].pop("tables_sha256", None)
+    (folder / "run.toml").write_text(tomli_w.dumps(run), encoding="utf-8", newline="\n")
