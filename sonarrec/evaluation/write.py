@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from sonarrec.errors import number_of
-from sonarrec.evaluation.counts import Counts
+from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.figures import Summary
 from sonarrec.evaluation.mistakes import Mistake
 from sonarrec.evaluation.rows import PAPER_MIN_VISIBLE
@@ -105,7 +105,8 @@ class Evaluation:
     @property
     def table(self) -> pd.DataFrame:
         """A row per method: TPR and FPR under each protocol over all IDs."""
-        total = self.confusion.query("landmark == @TOTAL").set_index(["method", "protocol"])
+        found = self.confusion
+        total = found[found.landmark == TOTAL].set_index(["method", "protocol"])
         methods = list(self.counts.methods)
         return (
             pd.DataFrame(
