@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sonarrec.arrays import quantile
 from sonarrec.config import Candidates
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import DrawnSet, LandmarkSet
@@ -70,4 +71,4 @@ class RingSizes:
             return 0.0
         select = CandidateSelector(config, plane, landmarks, usual_beam_width_deg(first.fan))
         scores = [select(plane.warp(f.pixels, f.polar)).scores.max(initial=0) for f in self._kept]
-        return float(np.quantile(scores, SHARE))
+        return float(quantile(np.array(scores), SHARE))

@@ -18,7 +18,7 @@ from sonarrec.evaluation import screen
 from sonarrec.evaluation.rows import PROTOCOLS
 from tests.support.claims import all_scored, evaluate
 from tests.support.command import SAMPLE, sonarrec
-from tests.support.pages import DECLARED, PLACED, Page, tables, without_log
+from tests.support.pages import DECLARED, PLACED, Page, as_written, tables, without_log
 from tests.support.rows import read_rows, write_rows
 
 PASSES = "Declared by framework, a row per pass, in order of first sight"
@@ -208,6 +208,7 @@ def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
         if row["method"] == "framework" and row["declared"] == "0" and row["frame"] == "9":
             row |= {"declared": "1", "landmark": "2", "score": "0.8"}
     write_rows(tmp_path / "pan" / "estimates.csv", rows)
+    as_written(tmp_path / "pan")
     truth = ("--ground-truth", SAMPLE / "gt.csv")
     sonarrec("report", tmp_path / "pan", *truth, "--log", SAMPLE, "-o", tmp_path / "x.html")
     text = re.sub(r"\s+", " ", Page(tmp_path / "x.html").text)

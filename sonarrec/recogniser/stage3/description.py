@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IndexArray
+from sonarrec.arrays import BoolArray, FloatArray, IndexArray, quantile
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3.expected_symbol import SymbolFit, expected_symbols
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands, rotated_codes
@@ -203,7 +203,7 @@ class Describer:
         # A ring may be as dark as the floor, and wide beams fill the gap: either contrast will do.
         contrast = ring - np.minimum(gap, 0.5 * (gap + outer))
         contrast = contrast[:, around % ANGLES].mean(axis=2)
-        better = np.maximum(np.quantile(contrast, 0.75, axis=1), LEAST_CONTRAST)
+        better = np.maximum(quantile(contrast.T, 0.75), LEAST_CONTRAST)
         weak = contrast < HIDDEN_SHARE * better[:, None]
         # An opening: what is covered by windows of HIDDEN_STEPS that lie within weak arcs.
         window = (np.arange(ANGLES)[:, None] + np.arange(HIDDEN_STEPS)) % ANGLES
