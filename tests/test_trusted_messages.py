@@ -26,7 +26,7 @@ from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.rows import read_rows
 
 SAMPLES = SAMPLE.parent
-DATA = Path("/work/shared/data")
+DATA = SAMPLE.parents[2] / "shared" / "data"
 Row = dict[str, str]
 
 
