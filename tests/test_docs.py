@@ -177,9 +177,7 @@ def test_a_command_has_help_an_example_a_page_and_a_place_in_the_readme(name: st
 def test_a_page_is_fit_for_a_terminal(name: str) -> None:
     text = page_texts()[name]
     assert re.match(rf"# {name}: \S.*\n\n\S", text)  # then what it is for, in a sentence
-    assert len(text.splitlines()) <= (
-        220 if name in ("formats", "method", "results", "run") else 150
-    )
+    assert len(text.splitlines()) <= (220 if name in ("formats", "results", "run") else 150)
     shown = {line for _, lines in examples(PAGES[name]) for line in lines}
     assert not [
         line
@@ -301,7 +299,7 @@ def test_what_is_gone_is_answered_with_what_to_use() -> None:
 
 
 def test_files_that_the_page_for_developers_names_are_there() -> None:
-    text = PAGES["method"].read_text(encoding="utf-8").partition("## How to add")[0]
+    text = PAGES["contribute"].read_text(encoding="utf-8").partition("## How to add")[0]
     rows = "\n".join(line for line in text.splitlines() if line.startswith("    "))
     named = re.findall(r"(?<![\w/])((?:[a-z_0-9]+/)*[a-z_0-9]+\.py)\b", rows)
     assert len(named) > 20
