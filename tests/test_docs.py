@@ -118,6 +118,9 @@ def test_commands_in_order_print_what_is_shown(
 ) -> None:
     shutil.copytree(ROOT / "sample_data", tmp_path / "sample_data")
     monkeypatch.chdir(tmp_path)
+    if document == README:  # the MCAP of its reader: of a sonar that states all but its height
+        run("sonarrec simulate --scene sample_polar --frames 24 -o my.mcap", tmp_path)
+        (tmp_path / "my.sonar.toml").unlink()
     found = examples(document)
     without = document.stem in ("changes", "limits", "python")  # no command of the program
     assert without or any("sonarrec" in command for command, _ in found)
@@ -138,9 +141,6 @@ def test_commands_in_order_print_what_is_shown(
                 if line.strip() != "..."
             )
             assert re.search(pattern, "\n" + printed, re.DOTALL), f"$ {command}\n{printed}"
-    if document == README:  # tests/test_python.py has those of the manual
-        for block in re.findall(r"```python\n(.*?)```", README.read_text("utf-8"), re.DOTALL):
-            exec(compile(block, "README.md", "exec"), {})
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
@@ -214,7 +214,7 @@ def test_pages_named_in_the_documentation_exist() -> None:
 
 def test_files_named_in_the_readme_exist() -> None:
     text = README.read_text(encoding="utf-8")
-    named = re.findall(r"[`(]((?:sonarrec|tests|sample_data)/[\w./]+)[`)]", text)
+    named = re.findall(r"[`(]((?:sonarrec|tests|sample_data)/[\w./]+)[`)#]", text)
     assert len(named) > 5
     assert not [path for path in named if not (ROOT / path).exists()]
 
@@ -274,8 +274,8 @@ def test_the_columns_of_a_map_are_those_listed() -> None:
     assert listed_columns("map", "passes.csv") == [*PASS_COLUMNS]
 
 
-def test_the_readme_is_at_most_120_lines() -> None:
-    assert len(README.read_text(encoding="utf-8").splitlines()) <= 120
+def test_the_readme_is_at_most_110_lines() -> None:
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 110
 
 
 def test_help_is_short_and_options_are_few() -> None:
