@@ -208,14 +208,14 @@ def _notes(
         note(f"{'; '.join(doubts)}; {_preview(job, run)} shows it")
     elif other := sizes.other():
         note(
-            f"rings of some {other:.2g} m radius fit clearly better than those of "
-            f"{run.landmarks.name}, {run.landmarks.radius_m:g} m: is radius_m right, and the "
-            f"window? {_preview(job, run)} shows both"
+            f"rings of about {other:.2g} m radius fit clearly better than those of "
+            f"{run.landmarks.name}, {run.landmarks.radius_m:g} m; check radius_m and the range "
+            f"window: {_preview(job, run)}"
         )
     if why := hardly_seen(run.fan, run.landmarks):
         note(why)
     if static:
-        note(f"{static:.1%} of the picture never changes, and is filled from beside it")
+        note(f"{static:.1%} of the picture never changes, and is filled from its neighbours")
     if saturated:
         note(f"{saturated:.0%} of the frames are saturated; a lower gain is better")
     if log.untimed:

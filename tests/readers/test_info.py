@@ -156,7 +156,7 @@ def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
     assert "found from the pings: beam_order = range-major" in text
     assert images["origins"]["beam_order"] == "found"
     assert "lacks tilt_deg" in text
-    assert "stated against the messages" in info(path, "--layout", "fan").output
+    assert "what is stated differs from the messages" in info(path, "--layout", "fan").output
     assert "clock at 0.000 s, 4.8 s long" in text
 
 
