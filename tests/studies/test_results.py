@@ -57,6 +57,24 @@ def test_the_readme_is_filled_from_the_records() -> None:
     assert set(linked) <= anchors
 
 
+def test_the_kinds_in_the_readme_have_the_lowest_tpr_and_the_highest_fpr() -> None:
+    text = README.read_text(encoding="utf-8")
+    shown = {
+        kind: found for kind in KINDS if (found := re.search(rf"\| († )?{KINDS[kind]} \|", text))
+    }
+    lines = read("scenes_fresh")["table"][0]["csv"].splitlines()
+    rates = {}
+    for line in lines:
+        if kind := re.match("`(.*)`", line):
+            _, _, default = line.split(",")[:3]
+            rates[kind[1]] = [float(rate) for rate in re.findall(r"([\d.]+) \(", default)]
+    pairs = [pair for pair in rates.values() if len(pair) == 2]
+    lowest, highest = min(tpr for tpr, _ in pairs), max(pair[-1] for pair in rates.values())
+    assert 1 <= len(shown) <= 2
+    assert lowest in [rates[kind][0] for kind in shown]
+    assert highest in [rates[kind][-1] for kind in shown]
+
+
 def test_other_figures_in_the_readme_are_on_record() -> None:
     """A paragraph has the figures of the command that it names."""
     text = README.read_text(encoding="utf-8")

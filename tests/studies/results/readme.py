@@ -85,7 +85,7 @@ def _scenes() -> list[list[str]]:
     rows = {row["kind of scene"]: row for row in _rows("scenes_fresh")}
     kinds = {found[1]: row for label, row in rows.items() if (found := re.search("`(.+)`", label))}
     rates = {kind: _rates(row["`default`"]) for kind, row in kinds.items()}
-    lowest = min((kind for kind in rates if kind != "no_landmark"), key=lambda k: rates[k][0])
+    lowest = min((k for k in rates if not math.isnan(rates[k][0])), key=lambda k: rates[k][0])
     highest = max(rates, key=lambda k: rates[k][1])
     shown = [
         ("random scenes of twelve kinds", rows[POOLED], "No setting was chosen on these."),
@@ -118,7 +118,7 @@ def _others() -> list[list[str]]:
 
 
 def _paper() -> list[list[str]]:
-    of = {row["method"]: row["paper"] for row in _rows("paper") if "method" in row}
+    of = {row["method"]: row["paper"] for row in _rows("paper") if {"method", "paper"} <= set(row)}
     published = " and ".join(f"{tpr:.4f} / {fpr:.4f}" for _, fpr, tpr in PUBLISHED)
     framework = f"{of['framework']} (`--preset paper`)"
     about = "the paper's comparison, protocol `paper`"
