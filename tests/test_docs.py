@@ -304,3 +304,11 @@ def test_files_that_the_page_for_developers_names_are_there() -> None:
     named = re.findall(r"(?<![\w/])((?:[a-z_0-9]+/)*[a-z_0-9]+\.py)\b", rows)
     assert len(named) > 20
     assert not [file for file in named if not (ROOT / "sonarrec" / file).exists()]
+    places = re.findall(
+        r"([\w/]+\.py) +([\w.]+(?:, \w+)*)$", rows.partition("cli   ")[0], re.MULTILINE
+    )
+    assert len(places) > 8
+    for file, names in places:
+        text = (ROOT / "sonarrec" / file).read_text(encoding="utf-8")
+        for name in re.split(r"[, .]+", names):
+            assert re.search(rf"\b{name}\b", text), f"{file}: {name}"
