@@ -39,10 +39,14 @@ class RingSizes:
     def __init__(self, landmarks: LandmarkSet) -> None:
         self._landmarks = landmarks
         self._kept: list[Frame] = []
-        self._seen, self._every = 0, 1
+        self._seen, self._every, self._fitting = 0, 1, 0
 
-    def look(self, frame: Frame) -> None:
-        """Keep a frame out of so many that no more than KEPT are held."""
+    def look(self, frame: Frame, contrast: float = 0.0) -> None:
+        """Keep a frame out of so many that no more than KEPT are held.
+
+        contrast: the best score of its candidates, if stage 1 looked for rings.
+        """
+        self._fitting += contrast * BETTER >= 1
         if self._seen % self._every == 0 and not isinstance(self._landmarks, DrawnSet):
             self._kept.append(frame)
             if len(self._kept) > KEPT:
@@ -53,7 +57,9 @@ class RingSizes:
     def other(self) -> float | None:
         """The radius, m, at which rings are clearly there and much clearer than at that of the
         landmarks; None if there is none."""
-        if len(self._kept) < LEAST_KEPT or (own := self._contrast(1.0)) * BETTER >= 1:
+        if self._fitting >= (1 - SHARE) * self._seen or len(self._kept) < LEAST_KEPT:
+            return None  # as in most logs: that costs nothing
+        if (own := self._contrast(1.0)) * BETTER >= 1:
             return None
         found = {factor: self._contrast(factor) for factor in FACTORS.tolist()}
         best = max(found, key=lambda factor: found[factor])
