@@ -25,6 +25,8 @@ LEAST_KEPT = 3
 STEPS = 1.3 * 1.14 ** np.arange(7)
 FACTORS = np.concatenate([1 / STEPS[::-1], STEPS])
 """Of the radius. Steps of a seventh, since a ring is a fifth of its radius wide."""
+RADIUS_PX = 10.0
+"""Of a disc in the pictures that are searched; stage 1 uses larger ones, and more memory."""
 SHARE = 0.75
 """The best ring of a frame counts, and of the frames the best quarter: others may show none."""
 # Measured on the recordings and the sample logs: rings of landmarks have a contrast of .63 or more
@@ -72,7 +74,7 @@ class RingSizes:
         first, config = self._kept[0], Candidates()
         landmarks = replace(self._landmarks, radius_m=factor * self._landmarks.radius_m)
         try:
-            plane = FloorPlane(first.fan, landmarks.radius_m, config.disc_radius_px)
+            plane = FloorPlane(first.fan, landmarks.radius_m, RADIUS_PX)
         except SonarrecError:  # no floor in the window
             return 0.0
         select = CandidateSelector(config, plane, landmarks, usual_beam_width_deg(first.fan))
