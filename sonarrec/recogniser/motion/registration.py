@@ -23,7 +23,8 @@ from sonarrec.records import Fan
 
 STEPS = 8  # at most
 # The motion is found by a step of less than SMALL standard errors, or than CONVERGED (m, m, rad).
-SMALL, CONVERGED = 0.3, (3e-4, 3e-4, 2e-4)
+SMALL, CONVERGED = 0.4, (3e-4, 3e-4, 2e-4)
+DAMPING = 0.85  # of steps, which are a sixth too long (median of a simulated vehicle's first ones)
 # Cells: by the curvature no longer step is taken, since it holds within a grain of speckle or two.
 LONGEST = 3.0
 FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; beyond it the registration has failed
@@ -168,8 +169,9 @@ class FloorRegistration:
             is_near = step is not None and self.cells(step) <= LONGEST
             if step is None or not is_near:
                 step = fit.gauss_newton()
-            # Differences of whole cells make the slopes too small: where a step went too far, the
-            # one back must not.
+            # Differences of whole cells make the slopes too small, and the steps too long. Where a
+            # step went too far, the one back must not.
+            step *= DAMPING
             if np.dot(last / self._cell, step / self._cell) < 0:
                 step /= 2
             motion += step
@@ -326,10 +328,11 @@ class _Fit:
 
         The scatter is the covariance of the blocks' scores.
         """
+        (earlier, later), (first, second) = self.pictures, self.scales
+        one, other = first * earlier.layers[4], second * later.layers[4] * earlier.shown
         match = np.float32(self.match)
-        earlier, later = (s * p.layers for s, p in zip(self.scales, self.pictures, strict=True))
-        one, other = earlier[4], later[4] * self.pictures[0].shown
-        scores = earlier[:4] * (other - match * one) + later[:4] * (match * other - one)
+        scores = earlier.layers[:4] * (first * (other - match * one))
+        scores += later.layers[:4] * (second * (match * other - one))
         blocks = _in_blocks(scores, BLOCKS) / 2
         scatter = blocks @ blocks.T
         scatter[3, 3] += (self.noise / HEAVE_M) ** 2
