@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sonarrec.runs.job import Job
 
 
-@command(short_help="Run logs anew and compare with their results on record (for CI).")
+@command(short_help="Run logs again and compare with their results on record (for CI).")
 @click.argument(
     "file",
     type=click.Path(path_type=Path),
@@ -114,7 +114,7 @@ def check(
             of_set = _compare(one, logs, one.record, folder)
         except SonarrecError as error:
             if not update:
-                again = f"{command_line('check', file, '--update')} records the results anew"
+                again = f"{command_line('check', file, '--update')} records new results"
                 raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
             new_alone = _compare(one, logs, folder, folder)  # raises if no truth can be used
             unused = [line for compared in new_alone.values() for line in compared.unused]
@@ -150,7 +150,7 @@ def _jobs(
     configs, model = chosen.configs(), one.beside(file.model)
     run_options = RunOptions(configs, one.landmarks, model, chosen.config_file)
     run_options.check()
-    # Anew in any case: it is the program that may have changed, not the settings.
+    # Run in any case: it is the program that may have changed, not the settings.
     return [
         Job(log.path, log.name, str(out), log.options, run_options, overwrite=True) for log in logs
     ]

@@ -79,7 +79,7 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """SIGTERM raises Terminated, so that what is half done is put away."""
+    """SIGTERM raises Terminated, so that unfinished outputs are removed."""
 
     def stop(*_: object) -> None:
         raise Terminated

@@ -68,7 +68,7 @@ class _FolderOrUrl(click.Path):
     "--odometry",
     type=FILE,
     help="CSV of the sonar's poses (sonarrec help geometry).  [default: NAME.poses.csv or "
-    "poses.csv beside the log; else the motion is measured between the images]",
+    "poses.csv next to the log; else the motion is measured between the images]",
 )
 @in_input(
     "--odometry-topic",
@@ -128,7 +128,7 @@ def run(
 
     LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file
     (.aris, .ddf, .oculus, .raw, .glf), a folder of logs, or a quoted glob of these. The sonar's
-    geometry comes from sonar.toml beside LOG (NAME.sonar.toml for one file), from --sonar, or from
+    geometry comes from sonar.toml next to LOG (NAME.sonar.toml for one file), from --sonar, or from
     the flags below; polar messages and sonars' own files state theirs, mostly without tilt and
     height. Several logs are processed in parallel; one that cannot be used does not stop the
     others. LOG and OUT may be on a server (`sonarrec help run`).
@@ -195,7 +195,7 @@ def run_and_print(
     from sonarrec.runs.run import run_jobs
 
     several, frames = len(jobs) > 1, 0
-    goes_by: dict[str, list[str]] = {}  # the logs of each line, told once
+    goes_by: dict[str, list[str]] = {}  # the logs of each line, printed once
     folders = [] if is_url(out) else [Path(out, job.name) for job in jobs]
     # A bar over the logs, or over the frames of the only one.
     bar = (len(jobs), None, "log") if several else (None, jobs[0].name, "frame")
@@ -247,7 +247,7 @@ def run_and_print(
         elif "/" in (folder := jobs[0].results):
             line += f", in {folder.rpartition('/')[0]}"
         click.echo(printable(line), err=bool(failed))
-    if several and not quiet:  # again, for they were told before the table
+    if several and not quiet:  # again, for they were printed before the table
         tell(outcome.message for _, outcome in failed[:MOST_FAILED])
     tell((), [*_notes(jobs, done.outcomes), *done.notes])
     return done

@@ -117,7 +117,7 @@ def _truth_beside(folder: Path, source: Input) -> Path:
     """NAME.gt.csv, else gt.csv, beside the log that results were made from; for a folder, of images
     or a bag, those in it, else NAME.gt.csv beside it. Raises SonarrecError if there is none."""
     found = recorded_at(folder, source)
-    truth = found.beside(TRUTH_FILE)
+    truth = found.companion(TRUTH_FILE)
     if truth is None:
         name = f"{log_name(found.place)}.{TRUTH_FILE}"
         raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")

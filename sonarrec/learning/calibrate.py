@@ -110,7 +110,7 @@ def learn(
 
 def _truth_beside(path: str | Path) -> Path:
     """The truth of a log where none is named. Raises UsageError if none lies beside it."""
-    truth = find_log(path).beside(TRUTH_FILE)
+    truth = find_log(path).companion(TRUTH_FILE)
     if truth is None:
         raise UsageError(
             f"{path}: no {TRUTH_FILE} in or beside it; label it ({HEADER}), or give --ground-truth"

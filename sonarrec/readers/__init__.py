@@ -25,11 +25,11 @@ def open_log(
     """Open a folder or glob of images, a video, an MCAP, a ROS bag or a sonar's own file.
 
     path: may also be a log that `find_log` found. sonar: keys that take precedence over those in
-    files, such as {"tilt_deg": 20.0}. sonar_file: in place of the sonar.toml beside the log (for a
-    folder or glob `sonar.toml` beside the images; for one file `NAME.sonar.toml`, else `sonar.toml`
-    in its folder). topic: the image channel of an MCAP file or a bag. time: which time of a message
-    becomes the time of its frame; the order of frames is always that of log time. up_to: the
-    highest folder searched for sonar.toml if there is none beside the log.
+    files, such as {"tilt_deg": 20.0}. sonar_file: in place of the log's own sonar.toml (for a
+    folder or glob `sonar.toml` next to the images; for one file `NAME.sonar.toml`, else
+    `sonar.toml` in its folder). topic: the image channel of an MCAP file or a bag. time: which time
+    of a message becomes the time of its frame; the order of frames is always that of log time.
+    up_to: the highest folder searched for sonar.toml if there is none next to the log.
     Raises SonarrecError if the log or its geometry cannot be used, UsageError if the topic or time
     is invalid.
     """
@@ -54,7 +54,7 @@ def open_log(
             own = own_file(source.path, SONAR_FILE)
             chosen = [] if topic is None else ["--topic", topic]
             begin = command_line("info", Path(path), *chosen, "--write-sonar", own)
-            there = file is not None or source.beside(SONAR_FILE) is not None
+            there = file is not None or source.companion(SONAR_FILE) is not None
             how = "complete it" if there else f"{begin} begins a sonar.toml"
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}; {how}, or give `run` options "
@@ -66,7 +66,7 @@ def open_log(
             raise SonarrecError(
                 f"{where}: the log states the sonar's geometry except for its tilt; give "
                 "--tilt-deg (downward, to within some 10 deg) or --height-m, or write one of the "
-                "two into a sonar.toml beside it"
+                "two into a sonar.toml next to it"
             )
     except SonarrecError:
         raw.close()

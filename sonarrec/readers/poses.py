@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sonarrec.tables.read import Table
 
 POSES_FILE = "poses.csv"
-"""Poses beside a log (or NAME.poses.csv), used if the user gives none."""
+"""The poses that belong to a log (or NAME.poses.csv), used if the user gives none."""
 HEADER = "timestamp,yaw,x,y"
 LOOK_ALIKE = (
     *("x", "y", "x_m", "y_m", "px", "py", "pos_x", "pos_y", "position_x", "position_y"),
@@ -32,8 +32,8 @@ LOOK_ALIKE = (
 )
 """Names, in lower case, that other programs give to positions. They are refused: without x and y
 the sonar would be taken to turn in one place."""
-# How the unit of a column `timestamp` is recognised: rows of a steady pan may be half a minute
-# apart, and nobody writes 2,000 a second. Steps in between must be milliseconds or microseconds.
+# How the unit of a column `timestamp` is recognised: a steady pan may have only two rows a
+# minute, and nobody writes 2,000 a second. Steps in between must be milliseconds or microseconds.
 SECONDS_BELOW = 50
 NANOSECONDS_FROM = 500_000
 # The message types read, with the fields that lead to the pose inside each.
@@ -92,7 +92,7 @@ def _times_ns(path: Path, table: Table) -> IntArray:
     step = float(np.median(steps))
     if SECONDS_BELOW <= step < NANOSECONDS_FROM:
         raise SonarrecError(
-            f"{path}: timestamp must be seconds or nanoseconds; rows {step:g} apart are "
+            f"{path}: timestamp must be seconds or nanoseconds; steps of {step:g} are "
             "neither (milliseconds or microseconds?); name nanoseconds timestamp_ns"
         )
     times = np.rint(times * 1e9 if step < SECONDS_BELOW else times)

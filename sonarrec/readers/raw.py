@@ -66,7 +66,7 @@ class StoredFrame:
 
     @property
     def is_lost(self) -> bool:
-        """Whether there is nothing to say of it: it was passed over, or is told with others."""
+        """Whether it needs no line of its own: it was passed over, or lost together with others."""
         return self.pixels is None and self.problem is None
 
 
@@ -112,14 +112,14 @@ class HeaderInfo:
 class RawLog(ABC):
     """One opened log: a pass over its frames, in time order, one in memory at a time.
 
-    A further pass begins anew.
+    Each pass begins at the first frame.
 
     frame_count: number of frames; None if unknown before the end. topic: the channel read; None if
     the log has no channels. polar: whether frames state their own geometry. header_info: for a
-    sonar's own file. playback_hz: of a video, the rate that its times follow. diagnostics: is told
-    what is wrong or uncertain, all of it by the end of the pass. passed_over: numbers of frames
-    that are not needed; they are yielded without pixels and without a problem. It may be set during
-    the pass. close: closes what is open.
+    sonar's own file. playback_hz: of a video, the rate that its times follow. diagnostics:
+    receives what is wrong or uncertain, all of it by the end of the pass. passed_over: numbers of
+    frames that are not needed; they are yielded without pixels and without a problem. It may be set
+    during the pass. close: closes what is open.
     """
 
     def __init__(self, diagnostics: Diagnostics, *, polar: bool = False) -> None:
@@ -202,7 +202,7 @@ class Recording(ABC):
     channels: by the container's own numbers. counts: number of messages of each. profile, library:
     what wrote it; empty if not stated. span: first and last log time in ns; None without messages.
     chunks: number of chunks by compression. whole: whether its writer closed it and it is not cut.
-    diagnostics: is told what is wrong or uncertain, all of it by the end of a pass. close: closes
+    diagnostics: receives what is wrong or uncertain, all of it by the end of a pass. close: closes
     what is open.
     """
 

@@ -217,10 +217,10 @@ def _truth_in(frame: Frame, log: ReportedLog) -> Iterator[Mark]:
     if log.matched is not None:
         truths = log.matched.truths
         here = truths[log.results.frame[truths["at"]] == frame.index]
-        places = pixel_from_plane(frame.fan, np.column_stack([here["x"], here["y"]])).tolist()
-        for landmark, place in zip(here["landmark"].tolist(), places, strict=True):
-            if not np.isnan(place).any():
-                yield Mark(landmark, *place)
+        pixels = pixel_from_plane(frame.fan, np.column_stack([here["x"], here["y"]])).tolist()
+        for landmark, pixel in zip(here["landmark"].tolist(), pixels, strict=True):
+            if not np.isnan(pixel).any():
+                yield Mark(landmark, *pixel)
 
 
 def _draw(

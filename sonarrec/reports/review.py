@@ -113,26 +113,28 @@ def review(
     mistakes: bool = False,
     method: str | None = None,
 ) -> tuple[str, Diagnostics]:
-    """Write the page of one log; (what is in it, in a line, and what is told).
+    """Write the page of one log; (a line on what is in it, faults and notes).
 
-    log, results: as `find_both` takes them. truth: default: that beside the log, if there is one.
+    log, results: as `find_both` takes them. truth: default: the log's own gt.csv, if there is one.
     every, spans: frames in the page; all rows are in it anyway.
     mistakes: begin with the passes on which results and truth disagree. method: that of the tracks;
     None: the leading one.
     Raises SonarrecError if something cannot be used, UsageError for an invalid option.
     """
-    (source, folder), told = find_both(Path(log), results), Diagnostics()
+    (source, folder), diagnostics = find_both(Path(log), results), Diagnostics()
     found = read_log(folder)
     if found.fan is None:
-        raise SonarrecError(f"{folder}: its run.toml does not tell the sonar's geometry; run again")
+        raise SonarrecError(
+            f"{folder}: its run.toml does not state the sonar's geometry; run again"
+        )
     method = method or leading(found.methods)
-    truth = truth or source.beside(TRUTH_FILE)
+    truth = truth or source.companion(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
-    told.problem(*not_whole(found, "shown"))
+    diagnostics.problem(*not_whole(found, "shown"))
     stretch = dict(zip(found.frame.tolist(), found.stretch.tolist(), strict=True))
     table, passes, taken = _Table([*HEADER]), list[_Pass](), Taken(list)
     if truth is not None:
-        table, passes = _of_truth(truth, source, found, stretch, taken, told)
+        table, passes = _of_truth(truth, source, found, stretch, taken, diagnostics)
     passes += _of_tracks(folder, found, method, stretch, taken, table, truth is not None)
     _look_up(passes, folder, found, method)
     if mistakes:
@@ -142,13 +144,13 @@ def review(
     with open_log(source, **options) as recording:
         check_same_log(recording, folder, found.run)
         frames = _Frames(recording, found, spans, every, passes)
-        told.problem(*recording.diagnostics.problems)
+        diagnostics.problem(*recording.diagnostics.problems)
     write_page(out, _page(found, folder, truth, frames, table, passes))
     size, held = out.stat().st_size / 1e6, f"{len(frames.images)} of {len(frames.numbers)} frames"
     opened = (
         f"{number_of(len(passes), 'pass', 'es')}, {sum(p.state == 'open' for p in passes)} open"
     )
-    return f"{out}: {size:.1f} MB, {held}, {opened}; open it in a browser", told
+    return f"{out}: {size:.1f} MB, {held}, {opened}; open it in a browser", diagnostics
 
 
 # The passes
@@ -160,7 +162,7 @@ def _of_truth(
     found: LogResults,
     stretch: Mapping[int, int],
     taken: Taken,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
 ) -> tuple[_Table, list[_Pass]]:
     """The passes of a truth, and what else is in it. Raises SonarrecError if it has no positions,
     or cannot be the truth of this log."""
@@ -181,7 +183,7 @@ def _of_truth(
     table.log = "" if truth.log is None else name
     if replaced:
         of = ", ".join(replaced)
-        told.note(f"{path}: the page saves frame, x_px and y_px in place of {of}")
+        diagnostics.note(f"{path}: the page saves frame, x_px and y_px in place of {of}")
 
     def cells_of(row: int, **values: str) -> list[str]:
         return [
@@ -212,7 +214,7 @@ def _of_truth(
         is_mine = truth.log is None or truth.log[n] == name
         table.kept.append((int(truth.at[n]) if is_mine else None, cells_of(n)))
     if rest and not whole:
-        told.note(
+        diagnostics.note(
             f"{path}: {number_of(len(rest), 'row')} on other logs, or on no frame, have no frame "
             "or pixel; the page does not save them"
         )
@@ -288,12 +290,12 @@ def _mark_mistakes(
     """State in how many frames of each pass the method and the truth disagree, as mistakes.csv of
     `sonarrec evaluate` has it. results: where it may have been written; the latest counts. Raises
     MissingError if there is none."""
-    places = [folder / "evaluation" / "mistakes.csv" for folder in results]
-    tables = sorted(filter(Path.is_file, places), key=lambda path: path.stat().st_mtime)
+    candidates = [folder / "evaluation" / "mistakes.csv" for folder in results]
+    tables = sorted(filter(Path.is_file, candidates), key=lambda path: path.stat().st_mtime)
     if not tables:
         given = f"--ground-truth {truth} " if truth else ""
-        write = f"`sonarrec evaluate {given}{places[0].parents[1]}` writes it"
-        raise MissingError(f"{places[0]}: no such file; {write}")
+        write = f"`sonarrec evaluate {given}{candidates[0].parents[1]}` writes it"
+        raise MissingError(f"{candidates[0]}: no such file; {write}")
     kinds: Any = dict.fromkeys(("log", "method", "kind"), "text") | {
         **dict.fromkeys(("first_frame", "last_frame", "frames", "landmark"), "whole"),
         "other": "blank or number",

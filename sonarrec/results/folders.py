@@ -36,8 +36,8 @@ MADE = {
 def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
     """A name for the results of each log of one call.
 
-    It is the log's name, with as many parent folders in front as are needed to tell logs apart.
-    logs: (name, resolved path) of each. Raises UsageError if they cannot be told apart.
+    It is the log's name, with as many parent folders in front as make all names different.
+    logs: (name, resolved path) of each. Raises UsageError if no folders make them different.
     """
     depth = [0] * len(logs)
     while True:
@@ -48,11 +48,11 @@ def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
         for i, (name, place) in enumerate(logs):
             depth[i] += count[names[i]] > 1
             if depth[i] > len(place.parts):
-                places = [str(logs[k][1]) for k, other in enumerate(names) if other == names[i]]
-                if len(set(places)) == 1:
-                    raise UsageError(f"{places[0]}: given {len(places)} times; name it once")
+                paths = [str(logs[k][1]) for k, other in enumerate(names) if other == names[i]]
+                if len(set(paths)) == 1:
+                    raise UsageError(f"{paths[0]}: given {len(paths)} times; name it once")
                 raise UsageError(
-                    f"{', '.join(places)}: their results would all go to {name}; run each "
+                    f"{', '.join(paths)}: their results would all go to {name}; run each "
                     "with its own --out"
                 )
 
@@ -101,7 +101,7 @@ def _named(folder: Path) -> Path:
 
 
 def rerun_left(folder: Path) -> list[str]:
-    """A line if, beside finished results, there is the part of a later run."""
+    """A line if a later run has left its part in addition to finished results."""
     if not (folder / "frames.csv").is_file() or not (part_of(folder) / "frames.csv").is_file():
         return []
     return [
@@ -115,7 +115,7 @@ def alone(folder: Path) -> Iterator[None]:
     """No other run writes `folder` until the end; what a killed run left is put right before.
 
     Raises LockedError if another run writes it, OSError, and SonarrecError if a file of the user
-    is in both places.
+    is in both folders.
     """
     path = folder.with_name(f".{folder.name}.lock")
     while True:
@@ -145,7 +145,7 @@ def restore(folder: Path) -> None:
 
     Such a run leaves old results under another name: either nothing has replaced them yet, or not
     all of the user's files in them were moved.
-    Raises OSError if that fails, SonarrecError if a file is in both places.
+    Raises OSError if that fails, SonarrecError if a file is in both folders.
     """
     old = below(folder.parent, _aside(folder).name)
     below(folder.parent, part_of(folder).name)

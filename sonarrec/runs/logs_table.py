@@ -87,7 +87,7 @@ class LogsTable:
             self._rows[i] = replace(self._rows[i], status="running", frames=event[0])
         if monotonic() >= self._written_at_s + WRITE_EVERY_S:
             self.write()
-        elif isinstance(event, Outcome):  # the next event may be hours away
+        elif isinstance(event, Outcome):  # the next event may come hours later
             self._later.cancel()
             self._later = Timer(WRITE_EVERY_S, self.write)
             self._later.start()
@@ -167,6 +167,6 @@ def read_logs(path: Path) -> list[Row]:
     except (TypeError, ValueError, csv.Error):
         line = max(table.line_num, 1)
         raise SonarrecError(
-            f"{path} line {line}: not a row of {','.join(COLUMNS)}; move the file away"
+            f"{path} line {line}: not a row of {','.join(COLUMNS)}; rename or delete the file"
         ) from None
     return rows

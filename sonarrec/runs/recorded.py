@@ -29,10 +29,10 @@ def _log_at(path: str, folder: Path, place: str | None) -> Source:
 
     In both, bytes that are not UTF-8 are escaped. Raises MissingError if there is no log.
     """
-    places = [path, name_from_text(path)]
+    candidates = [path, name_from_text(path)]
     if place is not None:  # the path is relative to the folder that `run` was called in
-        places.append(str((folder.resolve() / name_from_text(place)).resolve()))
-    for candidate in places:
+        candidates.append(str((folder.resolve() / name_from_text(place)).resolve()))
+    for candidate in candidates:
         with suppress(MissingError):
             return find_log(candidate)
     return find_log(path)

@@ -31,7 +31,7 @@ TIMEOUT_S = 60
 """A server that says nothing for so long gives no answer."""
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
 COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv")
-"""What may lie beside a log: files of these names, and NAME.sonar.toml and so on."""
+"""Files that may belong to a log: of these names, and NAME.sonar.toml and so on."""
 
 
 def check_out(url: str) -> None:

@@ -116,8 +116,8 @@ def configs_of(presets: Presets) -> list[Config]:
         raise UsageError("preset: none is given; leave it out for default")
     if len(set(names)) < len(names):
         raise UsageError(
-            f"preset {', '.join(names)}: each once, for results go by its name; run settings of "
-            "one preset apart, each with an out of its own"
+            f"preset {', '.join(names)}: each once, for results go by its name; to compare "
+            "settings of one preset, run it once for each, each with an out of its own"
         )
     return configs
 
@@ -187,8 +187,8 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
     preset: "default", "offline", "paper", a Config, or several, each of a name of its own.
     landmarks: a set by name or TOML file, default `basin`. model: of `sonarrec calibrate`. sonar:
     geometry that wins over files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m,
-    deg). sonar_file: in place of the sonar.toml beside the log. topic: the image channel of an
-    MCAP or bag. time: which time of its messages names a frame, "log" (default), "publish" or
+    deg). sonar_file: in place of the log's own sonar.toml. topic: the image channel of an MCAP
+    or bag. time: which time of its messages names a frame, "log" (default), "publish" or
     "header". odometry: CSV of the sonar's poses. frames: only those from the first number up to,
     not including, the second, if there is one; they keep their numbers. overwrite: do again what is
     up to date, and replace the results of another log of that name. jobs: how many logs
@@ -232,7 +232,7 @@ def jobs_of(
 ) -> list[Job]:
     """A job for each log. out: the folder of the results, or its URL.
 
-    Raises UsageError if two logs cannot be told apart.
+    Raises UsageError if two logs would have the same name.
     """
     names = result_names([shown_url(log.path) if is_url(log.path) else log.path for log in logs])
     return [

@@ -212,7 +212,7 @@ def writing(place: object) -> Iterator[None]:
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that replaces it at the end, or is deleted after an error.
+    """A temporary path next to `path` that replaces it at the end, or is deleted after an error.
 
     Missing folders are created. For a link its target is replaced. Devices and pipes are written
     directly. An OSError names `path`.

@@ -36,7 +36,7 @@ from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 SLACK = 0.1
 """Tolerance for labels made by eye: a tenth of the radius in position, of the area in `visible`."""
 MOST_FRAMES = 3  # named in a note
-FEWEST = 5  # frames from which on a pattern in them is told
+FEWEST = 5  # so many frames at least for a note on a pattern in them
 
 
 # --- As a whole ----------------------------------------------------------------------------------
@@ -87,22 +87,22 @@ def without_rows(path: Path, rows: int, logs: Iterable[str], consequence: str) -
     )
 
 
-def tell_rows(told: Diagnostics, name: str, truth_rows: int, between: int) -> None:
+def tell_rows(diagnostics: Diagnostics, name: str, truth_rows: int, between: int) -> None:
     """Tell if the truth has no row on a log, or rows between its frames.
 
     name: of the log. truth_rows, between: as in Truth.
     """
     if not truth_rows:
-        told.note(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
+        diagnostics.note(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
     if between:
-        told.note(
+        diagnostics.note(
             f"{name}: {number_of(between, 'ground-truth row')} between frames ignored, "
             "because others are nearer in time"
         )
 
 
 def tell_other_logs(
-    told: Diagnostics, table: TruthTable, logs: Sequence[str], consequence: str
+    diagnostics: Diagnostics, table: TruthTable, logs: Sequence[str], consequence: str
 ) -> None:
     """Tell of rows of the truth about other logs than `logs`. consequence: of that, a clause."""
     known = {composed(name) for name in logs}
@@ -111,7 +111,7 @@ def tell_other_logs(
     if others:
         names = sorted(set(others))
         listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
-        told.problem(
+        diagnostics.problem(
             f"{table.path}: {len(others)} of {len(table.at)} rows name logs that were not "
             f"given ({listed}); {consequence}"
         )
@@ -145,7 +145,7 @@ def unchecked(table: TruthTable, name: str) -> str:
 
 
 def tell_fit(
-    told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, check: str = ""
+    diagnostics: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, check: str = ""
 ) -> None:
     """Tell what a reader should know of the rows on one log.
 
@@ -157,14 +157,14 @@ def tell_fit(
         found = log.frame[np.unique(truth.frame_index[outside])].tolist()
         listed = ", ".join(map(str, found[:MOST_FRAMES])) + " ..." * (len(found) > MOST_FRAMES)
         how = f"; {check} has their lines" * bool(check)
-        told.note(
+        diagnostics.note(
             f"{path}: {np.sum(outside)} of {len(outside)} positions lie outside the image of "
             f"{name}, in frame{'s' * bool(found[1:])} {listed}{how}"
         )
     frames = np.unique(truth.frame_index)
     if len(frames) >= FEWEST and np.diff(frames).min() > 1:
         first, last = log.frame[frames[[0, -1]]]
-        told.note(
+        diagnostics.note(
             f"{path}: {len(frames)} of {len(log.frame)} frames of {name}, from {first} to {last}, "
             "have a row; the others count as without a landmark, and claims there as false"
         )
@@ -206,7 +206,7 @@ def check_truth(
     """Check a gt.csv against the log it describes: one pass over the log, for its frames.
 
     max_pan_deg: by how much the sonar may turn from one frame to the next. Returns the number of
-    rows on this log, the faults in order of the lines, and what is told of the log.
+    rows on this log, the faults in order of the lines, and the faults and notes of the log.
     Raises SonarrecError if either cannot be read at all.
     """
     table = read_rows(path)
@@ -256,11 +256,11 @@ def check_truth(
         faults += _overlaps(rows, radius_m)
         faults += _changes(rows, radius_m)
         faults += _jumps(rows, radius_m, max_pan_deg)
-    told = Diagnostics()
-    told.problem(*log.diagnostics.problems)
+    diagnostics = Diagnostics()
+    diagnostics.problem(*log.diagnostics.problems)
     if others := len(table.at) - len(row):
-        told.note(f"{number_of(others, 'row')} of other logs not checked")
-    return len(row), sorted(faults, key=lambda fault: fault.line), told
+        diagnostics.note(f"{number_of(others, 'row')} of other logs not checked")
+    return len(row), sorted(faults, key=lambda fault: fault.line), diagnostics
 
 
 def _frames(
@@ -317,9 +317,9 @@ def _overlaps(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
     for group in _by_frame(rows).values():
         for a, b in combinations(group, 2):
             distance = dist(a.floor, b.floor)
-            # The same ID in the same position is a repeated row, which is told already.
+            # The same ID in the same position is a repeated row, which is another fault.
             if distance < radius_m and (distance or a.landmark != b.landmark):
-                text = f"lies on the landmark of line {a.line}, {distance:.2f} m away on the floor"
+                text = f"lies on the landmark of line {a.line}, {distance:.2f} m from its centre"
                 yield Fault(b.line, "overlap", text)
 
 

@@ -25,7 +25,7 @@ from sonarrec.tables.read import (
     read_table,
 )
 
-TRUTH_FILE = "gt.csv"  # beside a log, as such or as NAME.gt.csv: its truth
+TRUTH_FILE = "gt.csv"  # next to a log, as such or as NAME.gt.csv: its truth
 HEADER = "frame,landmark,x_px,y_px,visible"
 TRACKED, FILLED_IN = "tracked", "interpolated"
 """In the column `source` of a proposal: what its rows are."""

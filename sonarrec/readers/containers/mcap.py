@@ -5,8 +5,8 @@ package the parsers of single records are used. The heads of all records are wal
 reads a few bytes a chunk. Messages come in log-time order, whatever the order of chunks: these are
 opened in the order of their first messages, and merged where they overlap in time.
 
-A chunk that contradicts itself is not read. Lost messages that the index behind it names keep their
-places, so that later frames keep their numbers.
+A chunk that contradicts itself is not read. Lost messages that the index behind it names are still
+counted, so that later frames keep their numbers.
 """
 
 from __future__ import annotations
@@ -306,7 +306,8 @@ class McapRecording(Recording):
 
     def _messages_at(self, position: int, channels: Collection[int]) -> list[Message]:
         """The messages of some channels in the chunk there, or the one message that is there. Of a
-        damaged chunk, which is told, those that the indexes behind it name, without their data."""
+        damaged chunk, a fault is recorded, and the messages that the indexes behind it name are
+        given without their data."""
         position, end = int(position), 0
         opcode, length = _HEAD.unpack(self._file.at(position, _HEAD.size))
         if opcode == Opcode.MESSAGE:

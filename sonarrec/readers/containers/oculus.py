@@ -249,8 +249,8 @@ class OculusPings(RawLog):
         self, diagnostics: Diagnostics, limit: int
     ) -> Iterator[tuple[int, int | None, bytes | None, str | None]]:
         """Yield (position, time in ns, message, problem) of each ping; no message if damaged.
-        limit: where in the file to stop. diagnostics: after all is read, it is told of bytes that
-        belong to no message, and of pings in a format that is not read."""
+        limit: where in the file to stop. diagnostics: receives, after all is read, the number of
+        bytes that belong to no message, and of pings in a format that is not read."""
         stray_bytes = stray_places = full = 0
         for at, length, whole in self._divided(limit):
             if self._length_at(at) is None:
@@ -274,7 +274,7 @@ class OculusPings(RawLog):
                 yield at, time_ns, message, None
         if stray_places:
             diagnostics.fault(
-                f"{stray_bytes} bytes in {stray_places} places belong to no message; damaged, so "
+                f"{stray_bytes} bytes in {stray_places} gaps belong to no message; damaged, so "
                 "pings may be missing there, or wrong before them",
                 self._name,
             )

@@ -252,9 +252,9 @@ def _rounded(values: np.ndarray, factor: float) -> ByteImage:
 @dataclass(frozen=True, slots=True)
 class Levels:
     """How pixels become grey. in_colour: whether a frame was, and its map was looked for. off: the
-    distance of colours from the map in the first frame. strayed: whether it was told that colours
-    are of another map. amplitudes: types of integers that hold them. scales: by type of pixels,
-    each from its first usable frame."""
+    distance of colours from the map in the first frame. strayed: whether a note was made
+    that colours are of another map. amplitudes: types of integers that hold them. scales: by type
+    of pixels, each from its first usable frame."""
 
     colour_map: str
     in_colour: bool = False

@@ -26,14 +26,14 @@ MIN_SHARED_WINDOW = 0.5
 PITCHED_DEG = 2.0
 SAME_BINS = 0.25
 """Range bins by which windows may differ that count as one. Sonars that measure the speed of sound
-state another window with every ping, and to lay out an image anew takes long."""
+state another window with every ping, and it takes long to work out a layout for each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
     """What the user states of a log: the geometry, complete if frames do not state theirs; and
-    where, for messages. origin: what states the rest, "messages" or "headers". note: is told what
-    was found out, or contradicts."""
+    where, for messages. origin: what states the rest, "messages" or "headers". note: receives a
+    line on what was found out, or contradicts."""
 
     sonar: Sonar
     where: str
@@ -265,10 +265,10 @@ def _as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, lis
 
 def looks_beam_major(image: ByteImage) -> bool:
     """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead. In
-    range-major data the sample `beams` places later is the next range bin of the same beam; in
-    beam-major data the sample `bins` places later is the next beam at the same range. Such a sample
-    resembles the first one more than the samples around it do. If this decides nothing, as with
-    equal numbers of bins and beams, the data are taken to be range-major, as most are."""
+    range-major data the sample `beams` positions later is the next range bin of the same beam; in
+    beam-major data the sample `bins` positions later is the next beam at the same range. Such a
+    sample resembles the first one more than the samples around it do. If this decides nothing, as
+    with equal numbers of bins and beams, the data are taken to be range-major, as most are."""
     bins, beams = image.shape
     samples = image.ravel()
     if bins == beams:
@@ -279,8 +279,8 @@ def looks_beam_major(image: ByteImage) -> bool:
 
 
 def _resemblance(samples: np.ndarray, lag: int) -> float:
-    """Mean difference of samples `lag` apart, divided by that of samples a little less or more
-    apart: small if samples `lag` apart resemble each other."""
+    """Mean difference of samples at this lag, divided by that at a slightly smaller or larger lag:
+    small if samples at this lag resemble each other."""
     off = max(1, min(8, lag // 3))  # farther than a spot is wide
     at, near, far = (
         float(np.mean(cv2.absdiff(samples[k:], samples[:-k]))) for k in (lag, lag - off, lag + off)

@@ -118,8 +118,8 @@ def pgm_maxval(data: np.ndarray) -> int | None:
 
 _ONE = "one image a file is read"
 _TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# Of any type, and turned by EXIF data as viewers and annotation tools show it. A TIFF is turned in
-# any case, and one of four channels of floats can only be read unchanged.
+# Of any type, and rotated by EXIF data as viewers and annotation tools show it. A TIFF is rotated
+# in any case, and one of four channels of floats can only be read unchanged.
 _AS_SHOWN = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
 
@@ -184,7 +184,7 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     flags = cv2.IMREAD_UNCHANGED if is_tiff else _AS_SHOWN
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        with _warnings_to(told := _warnings_file()):
+        with _warnings_to(captured := _warnings_file()):
             image = cv2.imdecode(buffer, flags)
             if is_tiff:
                 several = cv2.imdecodemulti(buffer, cv2.IMREAD_REDUCED_GRAYSCALE_8, range=(1, 2))[0]
@@ -201,9 +201,9 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
             f"a TIFF of {image.dtype} with negative pixels, white as zero or colours in planes, "
             "which is not read; convert it, as to PNG"
         )
-    if told.tell():
-        told.seek(0)
-        warning = told.read(4096)
+    if captured.tell():
+        captured.seek(0)
+        warning = captured.read(4096)
         if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
             raise UnusableError("a JPEG that is damaged inside")
     return np.asarray(image)
