@@ -119,7 +119,7 @@ def _truth_beside(folder: Path, source: Input) -> Path:
     found = recorded_at(folder, source)
     truth = found.companion(TRUTH_FILE)
     if truth is None:
-        name = f"{log_name(found.place)}.{TRUTH_FILE}"
+        name = f"{log_name(found.location)}.{TRUTH_FILE}"
         raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")
     return truth
 

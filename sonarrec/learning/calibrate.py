@@ -92,7 +92,7 @@ def learn(
         table = tables[file]
         with open_log(path, **log_options.arguments()) as log:
             # Results are named by the log's name, with folders in front if another has the same.
-            name = table.name_of(possible_names(log.name, find_log(log.path).place.resolve()))
+            name = table.name_of(possible_names(log.name, find_log(log.path).location.resolve()))
             if name in (lesson.log for lesson in lessons):
                 raise UsageError(f"{path}: a second log {name!r}; the truth tells logs by name")
             lessons.append(_lesson(table, log, name, config, landmarks, observe, told))

@@ -222,7 +222,7 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
             ) from None
     source, results = find_log(path), results or Path("sonarrec_out")
     # A run of several logs of one name put the names of their folders in front.
-    names = possible_names(source.name, source.place.resolve())
+    names = possible_names(source.name, source.location.resolve())
     for place in (results, *(results / name for name in names)):
         for folder in (place, part_of(place)):
             if (folder / "frames.csv").is_file():

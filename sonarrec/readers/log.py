@@ -296,7 +296,7 @@ def _first_of(frames: Iterator[StoredFrame]) -> list[StoredFrame]:
             size = frame.pixels.shape[:2] if frame.ping is None else None
             held += frame.pixels.nbytes
             sizes[size] += 1
-            shown[size] += frame.shows
+            shown[size] += frame.has_content
         enough = max(shown.values(), default=0) >= SETTLING_FRAMES
         if enough or (held > SETTLING_BYTES and len(first) >= SETTLING_FRAMES):
             break

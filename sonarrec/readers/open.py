@@ -38,8 +38,8 @@ Open = Callable[[Sequence[Path], Diagnostics], RawLog]
 
 def _recorded(module: str, name: str) -> Callable[[Path, Diagnostics], Recording]:
     """A class of `containers`, whose libraries are loaded only where it is needed."""
-    place = f"sonarrec.readers.containers.{module}"
-    return lambda path, diagnostics: getattr(import_module(place), name)(path, diagnostics)
+    full_name = f"sonarrec.readers.containers.{module}"
+    return lambda path, diagnostics: getattr(import_module(full_name), name)(path, diagnostics)
 
 
 def _file(kind: Callable[[Path, Diagnostics], RawLog]) -> Open:
@@ -93,7 +93,7 @@ _NOT_READ: dict[str | bytes, str] = {
     **{b"XML0": "an EK80", b"CON0": "an EK60", b"RIP1": "a 3D-15", b"RIP2": "a 3D-15"},
 }
 """Recordings of others, by their ending or a mark in their first bytes."""
-_BESIDE = (
+_COMPANIONS = (
     *("", ".toml", ".csv", ".tsv", ".txt", ".md", ".json", ".yaml", ".yml", ".xml", ".html"),
     *(".pdf", ".xlsx", ".ods", ".docx", ".log", ".py", ".ipynb", ".sh", ".svg", ".geojson"),
 )
@@ -114,13 +114,13 @@ class Source:
     up_to: Path | None = None
 
     @property
-    def place(self) -> Path:
+    def location(self) -> Path:
         """The log's file or folder; for a glob of images, their folder."""
         return self.path if self.path.exists() else self.files[0].parent
 
     def companion(self, name: str) -> Path | None:
         """A file that belongs to the log, such as its sonar.toml; None if there is none."""
-        return companion(self.place, name, self.up_to)
+        return companion(self.location, name, self.up_to)
 
     def check_topic(self, topic: str | None, where: str | Path) -> None:
         """Raise UsageError if a topic is given but the log has none. where: the log as given."""
@@ -301,7 +301,7 @@ def not_read(entries: Iterable[Path]) -> str:
     """How many files of each ending may be recordings, and are not read; empty if none is."""
     shown = (path for path in entries if path.name[0] != "." and path.is_file())
     endings = Counter(path.suffix.lower() for path in shown)
-    for ending in {*_ENDINGS, *_BESIDE} & {*endings}:
+    for ending in {*_ENDINGS, *_COMPANIONS} & {*endings}:
         del endings[ending]
     return ", ".join(f"{count} {ending}" for ending, count in endings.most_common())
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 POSES_FILE = "poses.csv"
 """The poses that belong to a log (or NAME.poses.csv), used if the user gives none."""
 HEADER = "timestamp,yaw,x,y"
-LOOK_ALIKE = (
+SIMILAR_NAMES = (
     *("x", "y", "x_m", "y_m", "px", "py", "pos_x", "pos_y", "position_x", "position_y"),
     *("east", "north", "east_m", "north_m", "easting", "northing"),
     *("lat", "lon", "latitude", "longitude"),
@@ -63,7 +63,7 @@ def read_poses(path: Path) -> PoseTable:
         )
     if ("x" in table) != ("y" in table):
         raise SonarrecError(f"{path}: x and y go together; give both or neither")
-    similar = [name for name in read_header(path, HEADER) if name.lower() in LOOK_ALIKE]
+    similar = [name for name in read_header(path, HEADER) if name.lower() in SIMILAR_NAMES]
     if "x" not in table and similar:
         raise SonarrecError(
             f"{path}: no position can be read from the columns {', '.join(similar)}: expected x,y "

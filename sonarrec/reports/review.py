@@ -167,7 +167,7 @@ def _of_truth(
     """The passes of a truth, and what else is in it. Raises SonarrecError if it has no positions,
     or cannot be the truth of this log."""
     truth = read_truth(path)
-    name = truth.name_of(possible_names(found.name, source.place.resolve()))
+    name = truth.name_of(possible_names(found.name, source.location.resolve()))
     named = replace(found, name=name)
     matched = match_truth(truth, named)
     assert found.fan is not None  # else nothing could be proposed

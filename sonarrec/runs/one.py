@@ -38,7 +38,7 @@ def result_names(logs: Sequence[str | Path]) -> list[str]:
     for log in logs:
         try:
             source = find_log(log)
-            named.append((source.name, source.place.resolve()))
+            named.append((source.name, source.location.resolve()))
         except SonarrecError:  # reported when the log is run
             place = Path(log)
             with suppress(OSError):  # the current folder is gone
@@ -170,7 +170,7 @@ def _recognise(
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
             for check in checks:
-                check.look(frame)
+                check.inspect(frame)
             yield frame
 
     try:

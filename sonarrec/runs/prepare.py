@@ -132,7 +132,7 @@ def _check_folder(job: Job, source: Source) -> None:
     cannot be written there."""
     folder = job.folder
     try:
-        itself = source.place.resolve() in (folder.resolve(), Path(job.out).resolve())
+        itself = source.location.resolve() in (folder.resolve(), Path(job.out).resolve())
     except OSError as error:  # the current folder is gone
         raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     if itself:

@@ -211,7 +211,7 @@ def check_truth(
     """
     table = read_rows(path)
     # Results are named by the log's name, with folders in front if another log has the same name.
-    names = possible_names(log.name, find_log(log.path).place.resolve())
+    names = possible_names(log.name, find_log(log.path).location.resolve())
     row = table.rows_of(table.name_of(names))
     if len(table.at) and table.log is not None and not len(row):
         named = ", ".join(sorted({repr(str(name)) for name in table.log}))

@@ -207,9 +207,9 @@ def _speckle(image: np.ndarray, white: np.float32 | None) -> FloatArray:
         block = block * 255 / white
     level, spread = block.mean(axis=1), block.std(axis=1)
     # Black has no speckle, and clipping at either end changes it.
-    whole = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
-    whole &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
-    block, level, spread = block[whole], level[whole], spread[whole]
+    usable = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
+    usable &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
+    block, level, spread = block[usable], level[usable], spread[usable]
     off = (block - level[:, None]) / spread[:, None]
     skew = (off * off * off).mean(axis=1)  # ** 3 takes twenty times as long
     return np.stack([level, spread, skew])

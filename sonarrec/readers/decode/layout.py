@@ -59,7 +59,7 @@ class Layout:
     order_from: str | None = None
 
 
-def laid_out(
+def arranged(
     layout: Layout | None, image: ByteImage, ping: PingGeometry | None, stated: Stated
 ) -> tuple[Layout, ByteImage]:
     """(the layout, with the window of this frame; its fan image, or its polar one with the nearest
@@ -117,7 +117,7 @@ def _ping(
     known = None if layout is None else layout.order
     order = known or stated.sonar.beam_order or ping.beam_order
     if order is None and image.any():  # nothing can be found from a blank ping
-        order = "beam-major" if looks_beam_major(image) else "range-major"
+        order = "beam-major" if is_beam_major(image) else "range-major"
     if order == "beam-major":
         image = image.reshape(image.shape[::-1]).T
     if stated.sonar.range_order == "far_first":
@@ -263,7 +263,7 @@ def _as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, lis
     return sonar, against
 
 
-def looks_beam_major(image: ByteImage) -> bool:
+def is_beam_major(image: ByteImage) -> bool:
     """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead. In
     range-major data the sample `beams` positions later is the next range bin of the same beam; in
     beam-major data the sample `bins` positions later is the next beam at the same range. Such a
@@ -282,7 +282,7 @@ def _resemblance(samples: np.ndarray, lag: int) -> float:
     """Mean difference of samples at this lag, divided by that at a slightly smaller or larger lag:
     small if samples at this lag resemble each other."""
     off = max(1, min(8, lag // 3))  # farther than a spot is wide
-    at, near, far = (
+    at_lag, near, far = (
         float(np.mean(cv2.absdiff(samples[k:], samples[:-k]))) for k in (lag, lag - off, lag + off)
     )
-    return 2 * at / (near + far) if near + far else 1.0
+    return 2 * at_lag / (near + far) if near + far else 1.0

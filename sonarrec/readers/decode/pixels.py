@@ -73,20 +73,20 @@ _PNG_CHUNK = struct.Struct(">I4s")  # length, name; a checksum of 4 bytes follow
 
 _PNG_HEADER = struct.Struct(">II5B")  # columns, rows, bits, colours, and three that are 0
 _PLAIN_GREY = (8, 0, 0, 0, 0)
-_TURNED_OR_TRANSPARENT = {b"eXIf", b"tRNS"}
+_ROTATED_OR_TRANSPARENT = {b"eXIf", b"tRNS"}
 _MOST_PIXELS = 2**24  # as OpenCV, see sonarrec/__init__.py
 
 
 def _png_chunks(data: memoryview) -> set[bytes] | None:
     """The names of a PNG's chunks; None if one is cut or missing. OpenCV trusts the stated length
     of a chunk, and allocates it (up to 4 GB), before it reads."""
-    names, at = set(), len(_PNG)
-    while at + _PNG_CHUNK.size <= len(data):
-        length, name = _PNG_CHUNK.unpack_from(data, at)
+    names, position = set(), len(_PNG)
+    while position + _PNG_CHUNK.size <= len(data):
+        length, name = _PNG_CHUNK.unpack_from(data, position)
         names.add(name)
-        at += _PNG_CHUNK.size + int(length) + 4
+        position += _PNG_CHUNK.size + int(length) + 4
         if name == b"IEND":
-            return names if at <= len(data) else None
+            return names if position <= len(data) else None
     return None
 
 
@@ -170,7 +170,7 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
             raise UnusableError("unreadable image")
         if b"acTL" in chunks:
             raise UnusableError(f"an animated PNG; {_ONE}")
-        if not chunks & _TURNED_OR_TRANSPARENT and (plain := _plain_png(buffer.data)) is not None:
+        if not chunks & _ROTATED_OR_TRANSPARENT and (plain := _plain_png(buffer.data)) is not None:
             return plain
     if buffer[: len(_NPY)].tobytes() == _NPY:
         return _array(buffer)
