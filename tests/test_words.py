@@ -14,7 +14,7 @@ LONGEST_NOTE = 160
 VALUE = "x" * 8  # in place of what a message is filled with
 TOLD = {
     *("SonarrecError", "UsageError", "MissingError", "UnusableError", "DamagedError"),
-    *("note", "problem", "fault", "tell", "inform", "skip"),
+    *("note", "problem", "fault", "print_notes", "inform", "skip"),
 }
 """Who says a message to the user: errors, and what takes lines for the terminal."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import MOST_NOTES, PARTLY, WORSE, leave, say, tell
+from sonarrec.cli.endings import MOST_NOTES, PARTLY, WORSE, leave, print_notes, say
 from sonarrec.cli.groups import ANY, command, in_output
 from sonarrec.errors import UsageError, number_of
 
@@ -110,7 +110,7 @@ def evaluate(
         worse = limits.broken(scored.counts)
         document = json_text(scored) if as_json else ""
         shown = screen(scored, details) + "\n"
-    tell(unused)
+    print_notes(unused)
     if as_json:
         click.echo(document, nl=False)
     elif not quiet:
@@ -120,6 +120,6 @@ def evaluate(
             notes = (*notes[:MOST_NOTES], f"and {number_of(more, 'more note')}; see --details")
         lines = (f"note: {note}" for note in notes)
         say(*lines, f"{folder}: {', '.join(files)}")
-    tell(worse)
+    print_notes(worse)
     if code := WORSE if worse else PARTLY if unused else 0:
         leave(code)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import say, tell
+from sonarrec.cli.endings import print_notes, say
 from sonarrec.cli.groups import NEW_FILE, FiniteRange, command, file_names, in_geometry
 from sonarrec.errors import UsageError, number_of
 
@@ -94,4 +94,4 @@ def landmarks(
             say(f"  {ids:<12} {shown(d.drawn):>8}  {d.seen:>8.2f}")
         if out is not None:
             say(f"{out}: drawn")
-    tell([], [f"{landmark_set}: {warning}" for warning in warnings])
+    print_notes([], [f"{landmark_set}: {warning}" for warning in warnings])

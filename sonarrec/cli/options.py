@@ -131,8 +131,8 @@ GEOMETRY_TEXTS = {
 }
 
 
-def _choice(key: str, choices: str, text: str, **look: Any) -> Decorator:
-    return in_geometry(_flag(key), type=click.Choice(choices.split()), help=text, **look)
+def _choice(key: str, choices: str, text: str, **attributes: Any) -> Decorator:
+    return in_geometry(_flag(key), type=click.Choice(choices.split()), help=text, **attributes)
 
 
 def _flag(key: str) -> str:

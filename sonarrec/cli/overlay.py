@@ -93,18 +93,18 @@ def overlay(
         )
     targets: list[Target] = [(one, ground_truth, ()) for one in folders or [Path(log)]]
     if mistakes is not None:
-        place = Path(log) if folders else overlays.find_both(Path(log), results)[1]
+        folder = Path(log) if folders else overlays.find_both(Path(log), results)[1]
         found = _worst(
-            place, ground_truth, method, landmarks, reading, mistakes, diagnostics, lines
+            folder, ground_truth, method, landmarks, reading, mistakes, diagnostics, lines
         )
         targets = [(one if folders else Path(log), of, wrong) for one, of, wrong in found]
     with progress(quiet) as step:
         for one, truth, wrong in targets:
-            place = out / one.name if several else out
+            picture = out / one.name if several else out
             try:
                 report = overlays.overlay(
                     one,
-                    place,
+                    picture,
                     results=results,
                     method=method,
                     frames=[(m.worst_frame, m.worst_frame + 1) for m in wrong] or frames,
@@ -118,7 +118,7 @@ def overlay(
                 continue
             diagnostics.problem(*report.diagnostics.problems)
             diagnostics.note(*report.diagnostics.notes)
-            lines.append(f"{place}: {number_of(report.frames, 'frame')}, {report.method}")
+            lines.append(f"{picture}: {number_of(report.frames, 'frame')}, {report.method}")
             lines += [f"  frame {m.worst_frame}: {m.in_words}; {m.span}" for m in wrong]
     if faults and not lines:
         raise faults[0]

@@ -22,9 +22,9 @@ from sonarrec.cli.endings import (
     code_of_all,
     inform,
     leave,
+    print_notes,
     progress,
     say,
-    tell,
 )
 from sonarrec.cli.groups import (
     FILE,
@@ -225,7 +225,7 @@ def run_and_print(
         done = run_jobs(jobs, out, watch, **calling)
     failed = [(j.path, o) for j, o in zip(jobs, done.outcomes, strict=True) if o.error is not None]
     if done.fault and not failed:
-        tell([done.fault])  # else the disk is full, which was reported
+        print_notes([done.fault])  # else the disk is full, which was reported
     if not several and (error := done.outcomes[0].error) is not None:
         raise error
     if briefly:
@@ -248,8 +248,8 @@ def run_and_print(
             line += f", in {folder.rpartition('/')[0]}"
         click.echo(printable(line), err=bool(failed))
     if several and not quiet:  # again, for they were printed before the table
-        tell(outcome.message for _, outcome in failed[:MOST_FAILED])
-    tell((), [*_notes(jobs, done.outcomes), *done.notes])
+        print_notes(outcome.message for _, outcome in failed[:MOST_FAILED])
+    print_notes((), [*_notes(jobs, done.outcomes), *done.notes])
     return done
 
 
@@ -259,9 +259,9 @@ def _print_faults(outcome: Outcome, job: Job, several: bool) -> None:
         click.echo(outcome.traceback.rstrip(), err=True)
     if outcome.error is None:
         lines = outcome.problems
-        tell([x if job.path in x or not several else f"{job.name}: {x}" for x in lines])
+        print_notes([x if job.path in x or not several else f"{job.name}: {x}" for x in lines])
     elif several:  # else it is raised
-        tell([outcome.message])
+        print_notes([outcome.message])
 
 
 def _plan(jobs: Sequence[Job]) -> int:
@@ -288,7 +288,7 @@ def stoppable(folders: Sequence[Path]) -> Iterator[None]:
         from sonarrec.results.folders import part_of
 
         parts = ", ".join(name_as_text(part_of(f)) for f in folders if part_of(f).is_dir())
-        tell(["stopped" + f"; the frames so far are in {parts}" * bool(parts)])
+        print_notes(["stopped" + f"; the frames so far are in {parts}" * bool(parts)])
         leave(TERMINATED if isinstance(error, Terminated) else INTERRUPTED)
 
 

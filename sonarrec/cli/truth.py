@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import PARTLY, finish, leave, say, tell
+from sonarrec.cli.endings import PARTLY, finish, leave, print_notes, say
 from sonarrec.cli.groups import (
     ANY,
     FILE,
@@ -167,12 +167,12 @@ def check(
     for kind, count in counts.items():
         if count > MOST_FAULTS:
             lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
-    tell(diagnostics.problems)
+    print_notes(diagnostics.problems)
     found = number_of(len(faults), "fault") if faults else "no fault"
     if not quiet:
         lines.append(f"{ground_truth}: {number_of(rows, 'row')}, {found}")
     say(*lines)
-    tell((), diagnostics.notes)
+    print_notes((), diagnostics.notes)
     if faults or diagnostics.problems:
         leave(PARTLY)
 

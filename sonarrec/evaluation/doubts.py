@@ -158,7 +158,7 @@ def _sightings(
     """The rows on a log, whether or not matching kept them, and the claims."""
     rows = table.rows_of(log.name)
     rows = rows[table.visible[rows] > 0]
-    at, frames, stretch = table.at[rows], log.frame, log.stretch
+    at, frames, stretch = table.keys[rows], log.frame, log.stretch
     of_index = frames
     if table.key != "frame" and log.timestamp_ns is not None:
         order = np.argsort(log.timestamp_ns, kind="stable")

@@ -100,11 +100,11 @@ def learn(
     names = [lesson.log for lesson in lessons]
     if not any(lesson.rows for lesson in used):
         misfits = [lesson.misfit for lesson in lessons if lesson.misfit is not None]
-        why = check.without_rows(file, len(table.at), names, "it shows no landmark")
+        why = check.without_rows(file, len(table.keys), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
     for file, table in tables.items():
         if truths.count(file) > 1:  # of one log a truth of several is used as it is
-            check.tell_other_logs(told, table, names, "they teach nothing")
+            check.report_other_logs(told, table, names, "they teach nothing")
     return _learned(used, landmarks, told)
 
 
@@ -183,8 +183,8 @@ def _lesson(
         if proposed := check.unchecked(table, name):
             told.note(f"{proposed}; they teach what the program takes for true already")
         again = command_line("truth", "check", table.path, Path(log.path))
-        check.tell_fit(told, table, tracks, truth, again)
-        check.tell_rows(told, name, truth.rows, truth.between)
+        check.report_fit(told, table, tracks, truth, again)
+        check.report_rows(told, name, truth.rows, truth.between)
         if truth.unprocessed:
             told.problem(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "

@@ -250,7 +250,7 @@ def _truth_marks(
     if truth.rows:
         unlike = misfit(table, log, truth)
     else:
-        unlike = without_rows(path, len(table.at), [log.name], "it shows no landmark")
+        unlike = without_rows(path, len(table.keys), [log.name], "it shows no landmark")
     if unlike is not None:
         told.problem(f"{unlike}; no truth is drawn")
         return {}

@@ -26,7 +26,7 @@ from sonarrec.reports.logs import (
 )
 from sonarrec.reports.overview import SharedMistake, all_logs, shared, worst_first
 from sonarrec.reports.page import MOST_MISTAKES, render
-from sonarrec.results.read import find_logs, not_whole
+from sonarrec.results.read import find_logs, why_incomplete
 from sonarrec.results.run_file import read_run
 from sonarrec.runs.recorded import recorded_at
 from sonarrec.sonar import Sonar
@@ -84,7 +84,9 @@ def report(
     sonar = options.sonar or Sonar()
     pictures, shown, missing = _draw_all(reported, mistakes, (given, folders), sonar, topic)
     if evaluation is None:
-        diagnostics.problem(*(line for log in reported for line in not_whole(log.results, "shown")))
+        diagnostics.problem(
+            *(line for log in reported for line in why_incomplete(log.results, "shown"))
+        )
     unused = (*diagnostics.problems, *unread, *missing)
     rows = all_logs(Path(results), folders, evaluation, left_out)
     page = render(reported, evaluation, mistakes, truth_file, pictures, shown, unused, rows)
@@ -187,7 +189,7 @@ def _draw_all(
     for log in recorded:
         mine = [picture for picture in pictures if picture.log == log.name]
         with open_recording(sources[log.name], log, sonar, topic) as recording:
-            shown.append(frames.take(recording, log, mine, held[log.name], most_bytes))
+            shown.append(frames.read_frames(recording, log, mine, held[log.name], most_bytes))
     return pictures, shown, missing
 
 

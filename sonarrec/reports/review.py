@@ -40,14 +40,20 @@ from sonarrec.records import VERSION, Frame
 from sonarrec.reports.template import fill
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import possible_names
-from sonarrec.results.read import LogResults, check_same_log, not_whole, read_estimates, read_log
+from sonarrec.results.read import (
+    LogResults,
+    check_same_log,
+    read_estimates,
+    read_log,
+    why_incomplete,
+)
 from sonarrec.results.run_file import LogOptions
 from sonarrec.results.sightings import PASS_GAP
 from sonarrec.tables.outputs import check_output, write_page
 from sonarrec.tables.read import read_table
 from sonarrec.truth.check import misfit
 from sonarrec.truth.match import match_truth
-from sonarrec.truth.propose import HEADER, LEAST_DECLARED, Taken, proposals
+from sonarrec.truth.propose import HEADER, LEAST_DECLARED, Occupied, proposals
 from sonarrec.truth.table import FILLED_IN, TRACKED, TRUTH_FILE, read_cells, read_truth
 
 MOST_BYTES = 24_900_000  # of a page
@@ -73,9 +79,9 @@ class _Pass:
     """A landmark on its way through the view; the page's script has these fields, too.
 
     id: the same on every page of these tracks or this truth. state: open or accepted. left_out:
-    whether it is saved only once accepted. why: what speaks against it. belief: see `_look_up`.
-    wrong: frames in which results and truth disagree; look: the first of the longest such run.
-    corners: of a plate, by frame.
+    whether it is saved only once accepted. why: what speaks against it. belief: see
+    `_find_beliefs`. wrong: frames in which results and truth disagree; first_wrong: the first of
+    the longest such run. corners: of a plate, by frame.
     """
 
     id: str
@@ -87,7 +93,7 @@ class _Pass:
     why: str = ""
     belief: float = 0.0
     wrong: int = 0
-    look: int = -1
+    first_wrong: int = -1
     picture: str = ""
     corners: dict[int, list[list[float]]] = field(default_factory=dict)
 
@@ -130,13 +136,13 @@ def review(
     method = method or leading(found.methods)
     truth = truth or source.companion(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
-    diagnostics.problem(*not_whole(found, "shown"))
+    diagnostics.problem(*why_incomplete(found, "shown"))
     stretch = dict(zip(found.frame.tolist(), found.stretch.tolist(), strict=True))
-    table, passes, taken = _Table([*HEADER]), list[_Pass](), Taken(list)
+    table, passes, occupied = _Table([*HEADER]), list[_Pass](), Occupied(list)
     if truth is not None:
-        table, passes = _of_truth(truth, source, found, stretch, taken, diagnostics)
-    passes += _of_tracks(folder, found, method, stretch, taken, table, truth is not None)
-    _look_up(passes, folder, found, method)
+        table, passes = _of_truth(truth, source, found, stretch, occupied, diagnostics)
+    passes += _of_tracks(folder, found, method, stretch, occupied, table, truth is not None)
+    _find_beliefs(passes, folder, found, method)
     if mistakes:
         _mark_mistakes(passes, found, method, [folder, folder.parent], truth)
     passes.sort(key=lambda p: (-p.wrong, p.state != "open", p.belief, p.rows[0].frame))
@@ -161,7 +167,7 @@ def _of_truth(
     source: Source,
     found: LogResults,
     stretch: Mapping[int, int],
-    taken: Taken,
+    occupied: Occupied,
     diagnostics: Diagnostics,
 ) -> tuple[_Table, list[_Pass]]:
     """The passes of a truth, and what else is in it. Raises SonarrecError if it has no positions,
@@ -200,20 +206,20 @@ def _of_truth(
         pixel = {"x_px": f"{x:.3f}", "y_px": f"{y:.3f}"} if "range_m" in columns else {}
         came = cells_of(int(matched.row[n]), frame=str(frame), **pixel)
         rows[landmark].append(_Row(frame, x, y, float(matched.visible[n]), came))
-        taken[frame, landmark].append(floor[n].tolist())
-    passes, at = [], table.header.index("source")
+        occupied[frame, landmark].append(floor[n].tolist())
+    passes, column = [], table.header.index("source")
     for landmark, of_landmark in rows.items():
         for part in _split(of_landmark, stretch):
-            proposed = {row.cells[at] for row in part} & {TRACKED, FILLED_IN}
+            proposed = {row.cells[column] for row in part} & {TRACKED, FILLED_IN}
             made = f"g{landmark}.{part[0].frame}.{part[0].x:.0f}"
             state = "open" if proposed else "accepted"
             passes.append(_Pass(made, landmark, "truth", part, state))
-    whole = truth.key == "frame" and ("x_px" in columns or "range_m" not in columns)
-    rest = sorted({*range(len(truth.at))} - {*matched.row.tolist()})
-    for n in rest if whole else ():
+    saves_all = truth.key == "frame" and ("x_px" in columns or "range_m" not in columns)
+    rest = sorted({*range(len(truth.keys))} - {*matched.row.tolist()})
+    for n in rest if saves_all else ():
         is_mine = truth.log is None or truth.log[n] == name
-        table.kept.append((int(truth.at[n]) if is_mine else None, cells_of(n)))
-    if rest and not whole:
+        table.kept.append((int(truth.keys[n]) if is_mine else None, cells_of(n)))
+    if rest and not saves_all:
         diagnostics.note(
             f"{path}: {number_of(len(rest), 'row')} on other logs, or on no frame, have no frame "
             "or pixel; the page does not save them"
@@ -226,12 +232,12 @@ def _of_tracks(
     found: LogResults,
     method: str,
     stretch: Mapping[int, int],
-    taken: Taken,
+    occupied: Occupied,
     table: _Table,
     has_truth: bool,
 ) -> Iterator[_Pass]:
     """The passes of all tracks that declared an ID; with a truth those that it does not have."""
-    for track, rows in proposals(folder, found, method, taken=taken):
+    for track, rows in proposals(folder, found, method, occupied=occupied):
         made = []
         for row in rows:
             of = dict(zip(HEADER, map(str, row), strict=True)) | {"log": table.log}
@@ -262,9 +268,9 @@ def _split(rows: Iterable[_Row], stretch: Mapping[int, int]) -> list[list[_Row]]
     return passes
 
 
-def _look_up(passes: Iterable[_Pass], folder: Path, found: LogResults, method: str) -> None:
-    """Each pass's least belief, the lowest probability of its ID where the method declares an ID on
-    it (0 if it never does), and its corners."""
+def _find_beliefs(passes: Iterable[_Pass], folder: Path, found: LogResults, method: str) -> None:
+    """Find each pass's least belief, the lowest probability of its ID where the method declares an
+    ID on it (0 if it never does), and its corners."""
     fan, landmarks = found.fan, found.landmarks
     assert fan is not None
     by_frame = dict(read_estimates(folder / "estimates.csv", method, landmarks, fan))
@@ -312,7 +318,7 @@ def _mark_mistakes(
         why = f"{table['kind'][n]} ID.{landmark} in frames {first}-{last}"
         for one in passes:
             if one.landmark in ids and any(first <= row.frame <= last for row in one.rows):
-                one.look = first if one.wrong == 0 else one.look
+                one.first_wrong = first if one.wrong == 0 else one.first_wrong
                 one.wrong += frames
                 one.state = "open"
                 one.why = "; ".join(filter(None, (one.why, why)))

@@ -150,7 +150,7 @@ def _holds_frames(folder: Path) -> bool:
         return False
 
 
-def not_whole(log: LogResults, action: str) -> list[str]:
+def why_incomplete(log: LogResults, action: str) -> list[str]:
     """A line for each part of the results that cannot be used.
 
     action: what a command does with the rest, such as "scored".
@@ -351,8 +351,8 @@ def _estimates_in(
     beliefs[:, -1] = 1 - score
     if all(name in table for name in columns):
         in_table = np.column_stack([table[name] for name in columns])
-        whole = np.isfinite(in_table).all(axis=1)
-        beliefs[whole] = in_table[whole]
+        complete = np.isfinite(in_table).all(axis=1)
+        beliefs[complete] = in_table[complete]
     corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
     of_estimates = {
         **positions(table, fan),

@@ -110,7 +110,7 @@ class LogsTable:
             return
         try:
             below(self._path.parent, NAME).parent.mkdir(parents=True, exist_ok=True)
-            with _turn(self._path.parent):
+            with _file_lock(self._path.parent):
                 before = read_logs(self._path) if is_filled(self._path) else []
                 rows = map(astuple, self._merged(before).values())
                 write_csv(self._path, COLUMNS, rows)
@@ -135,7 +135,7 @@ class LogsTable:
 
 
 @contextmanager
-def _turn(folder: Path) -> Iterator[None]:
+def _file_lock(folder: Path) -> Iterator[None]:
     """Wait until no other call writes the file, if the file system supports locks."""
     with ExitStack() as stack:
         with suppress(OSError):

@@ -40,10 +40,10 @@ def result_names(logs: Sequence[str | Path]) -> list[str]:
             source = find_log(log)
             named.append((source.name, source.location.resolve()))
         except SonarrecError:  # reported when the log is run
-            place = Path(log)
+            path = Path(log)
             with suppress(OSError):  # the current folder is gone
-                place = place.absolute()
-            named.append((results_name(log_name(Path(log))), place))
+                path = path.absolute()
+            named.append((results_name(log_name(Path(log))), path))
     return folder_names(named)
 
 

@@ -123,8 +123,8 @@ def _where(job: Job) -> dict[str, str]:
     path = Path(job.path)
     if (url := job.shown(path)) != str(path):
         return {"path": url, "place": url}
-    place = os.path.relpath(path.resolve(), job.folder.resolve())
-    return {"path": name_as_text(path), "place": name_as_text(place)}
+    relative = os.path.relpath(path.resolve(), job.folder.resolve())
+    return {"path": name_as_text(path), "place": name_as_text(relative)}
 
 
 def _check_folder(job: Job, source: Source) -> None:
