@@ -409,7 +409,7 @@ def few_units(counts: Counts, figures: pd.DataFrame | None = None) -> Iterator[s
     yield (
         f"{which}: {number_of(passes, 'pass', 'es')} of landmarks in {number_of(logs, 'log')} "
         f"{has} {number_of(least, 'independent unit')}, as passes at the same time are one, and a "
-        f"log without any; {MIN_UNITS} are needed: some {number_of(more, 'more log')} like {like}"
+        f"log without any; {MIN_UNITS} are needed: about {number_of(more, 'more log')} like {like}"
     )
 
 

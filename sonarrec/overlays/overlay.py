@@ -213,7 +213,13 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
     """
     if (path / "frames.csv").is_file():
         if results is not None:
-            raise UsageError(f"{path} and {results}: both hold results; leave one out")
+            try:
+                find_log(results)
+            except SonarrecError:
+                raise UsageError(
+                    f"{path} and {results}: both hold results; leave one out"
+                ) from None
+            raise UsageError(f"{path} holds results, {results} is a log: name the log first")
         try:
             return recorded_at(path, read_run(path / "run.toml").input), path
         except SonarrecError as error:

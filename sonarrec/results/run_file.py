@@ -217,10 +217,20 @@ def frame_span(text: str) -> tuple[int, int | None]:
 
 
 def frame_spans(text: str) -> list[tuple[int, int | None]]:
-    """The spans of "A:B,C:D,N", where N is one frame. Raises as `frame_span`."""
-    single = re.compile(r"[0-9]{1,18}")
-    parts = text.split(",")
-    return [frame_span(f"{p}:{int(p) + 1}" if single.fullmatch(p) else p) for p in parts]
+    """The spans of "A:B, C:D, N", where N is one frame; blanks do not count. Raises UsageError if
+    the text has another form or a span is empty."""
+    spans = list[tuple[int, int | None]]()
+    for part in (part.strip() for part in text.split(",")):
+        if part.isdecimal() and len(part) <= 18:
+            spans.append((int(part), int(part) + 1))
+        elif ":" in part:
+            spans.append(frame_span(part))
+        else:
+            raise UsageError(
+                f"--frames: expected frame numbers N and spans A:B with commas between them, such "
+                f"as 12,40:50, not {part[:60]!r}"
+            )
+    return spans
 
 
 def span_text(span: tuple[int, int | None]) -> str:

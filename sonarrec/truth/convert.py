@@ -20,7 +20,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
-from sonarrec.tables import composed, natural_order
+from sonarrec.tables import composed, natural_order, something_else
 from sonarrec.tables.read import ID_IN_LABELS
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
@@ -83,11 +83,16 @@ def convert(
     UsageError if `labels` are invalid.
     """
     try:
-        coco = msgspec.json.decode(source.read_bytes(), type=_Coco)
+        text = source.read_bytes()
+        coco = msgspec.json.decode(text, type=_Coco)
     except OSError as error:
         raise SonarrecError(f"{source}: cannot be read ({error.strerror})") from None
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise SonarrecError(f"{source}: not COCO JSON ({error}); export it as COCO") from None
+        what = something_else(text[:32]) or f"not COCO JSON ({error})"
+        raise SonarrecError(
+            f"{source}: {what}. This command reads COCO JSON; a CSV with the columns of gt.csv "
+            "needs no conversion (sonarrec help truth)"
+        ) from None
     diagnostics = Diagnostics()
     images = {image.id: image for image in coco.images}
     names = {one.id: one.name for one in coco.categories}

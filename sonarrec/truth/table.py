@@ -27,6 +27,8 @@ from sonarrec.tables.read import (
 
 TRUTH_FILE = "gt.csv"  # next to a log, as such or as NAME.gt.csv: its truth
 HEADER = "frame,landmark,x_px,y_px,visible"
+_SECONDS = ("time", "time_s", "t", "t_s", "timestamp", "timestamp_s", "stamp", "seconds", "sec")
+"""Names, in lower case, that other programs give to times."""
 TRACKED, FILLED_IN = "tracked", "interpolated"
 """In the column `source` of a proposal: what its rows are."""
 _KINDS: dict[str, Kind] = {
@@ -109,10 +111,11 @@ def read_rows(path: Path) -> TruthTable:
     table = read_table(path, _KINDS, ("landmark",), HEADER, others)
     key = "frame" if "frame" in table else "timestamp_ns"
     if key not in table:
-        raise SonarrecError(
-            f"{path}: wrong columns, neither frame nor timestamp_ns; "
-            f"expected a header such as {HEADER}"
-        )
+        seconds = next((name for name in others if name.lower() in _SECONDS), None)
+        how = f"expected a header such as {HEADER}"
+        if seconds is not None:
+            how = f"multiply {seconds} by 1e9 if it is in seconds, and call it timestamp_ns"
+        raise SonarrecError(f"{path}: wrong columns, neither frame nor timestamp_ns; {how}")
     rows, position = len(table["landmark"]), position_pair(path, table)
     # Of two ways to say the same, one suffices.
     spare = {*table, "frame", "timestamp_ns", *(POSITION_KINDS if position else ())}

@@ -178,11 +178,11 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     # Why they are few, and how much more it takes: 2 passes a log, and 6 are needed.
     (note,) = summary.notes
     assert "2 passes of landmarks in 1 log are 2 independent units" in note
-    assert "some 2 more logs" in note
+    assert "about 2 more logs" in note
     together = [*seen(1, 0, 9), *seen(2, 0, 9), *seen(3, 1, 9)]
     (note,) = summarise(counts(matched(40, together, []))).notes
     assert "3 passes of landmarks in 1 log are 1 independent unit" in note
-    assert "some 5 more logs" in note
+    assert "about 5 more logs" in note
     assert over_units(summary.units) == ""
     often = [row for n in range(0, 90, 15) for row in seen(1, n, n)]
     assert over_units(counts(matched(90, often, [])).units) == "; 95% intervals over 6 passes"

@@ -105,6 +105,8 @@ def test_time_matching_against_brute_force(case: Path) -> None:
     [
         ("image,id\n0,1\n", "expected a header such as frame,landmark,x_px,y_px,visible"),
         ("landmark,x_px,y_px\n1,2,3\n", "neither frame nor timestamp_ns"),
+        ("time_s,landmark\n1.5,1\n", "multiply time_s by 1e9"),
+        ("timestamp_ns,landmark\n1.5,1\n", "whole number of ns (1 s is 1000000000), not '1.5'"),
         ("frame,landmark\n0,1\n\none,1\n", "line 4: frame must be a whole number, not 'one'"),
         (
             "frame,landmark\n0,north\n",
