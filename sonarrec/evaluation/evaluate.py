@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sonarrec.errors import Diagnostics, SonarrecError, local, number_of, printable
+from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable, refuse_url
 from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.doubts import doubts
 from sonarrec.evaluation.figures import summarise
@@ -315,7 +315,7 @@ def evaluate(
     for line in found.unused:
         warnings.warn(line, stacklevel=2)
     if out is not None:
-        write_evaluation(Path(local(out)), found)
+        write_evaluation(Path(refuse_url(out)), found)
     return found
 
 

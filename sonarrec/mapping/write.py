@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.arrays import FloatArray
-from sonarrec.errors import local, number_of
+from sonarrec.errors import number_of, refuse_url
 from sonarrec.mapping.build import SiteMap, make_map
 from sonarrec.mapping.landmarks import Landmark, Pass, ellipse, frames_of
 from sonarrec.mapping.path import Drift
@@ -280,7 +280,7 @@ def map_landmarks(
         min_frames=min_frames,
     )
     if out is not None:
-        write_all(Path(local(out)), site)
+        write_all(Path(refuse_url(out)), site)
     return LandmarkMap(
         landmarks=_table(MAP_COLUMNS, map_rows(site)),
         passes=_table(PASS_COLUMNS, pass_rows(site)),

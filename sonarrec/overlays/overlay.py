@@ -24,8 +24,8 @@ from sonarrec.errors import (
     SonarrecError,
     UsageError,
     command_line,
-    local,
     number_of,
+    refuse_url,
 )
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlays.foxglove_mcap import WriteFrame, foxglove_file
@@ -102,8 +102,8 @@ def overlay(
     for an invalid option.
     """
     source, folder = find_both(Path(log), None if results is None else Path(results))
-    path, out = source.path, Path(local(out))
-    truth_file = None if ground_truth is None else Path(local(ground_truth))
+    path, out = source.path, Path(refuse_url(out))
+    truth_file = None if ground_truth is None else Path(refuse_url(ground_truth))
     kind = KINDS.get(out.suffix.lower(), "picture")
     if kind == "picture" and out.is_dir():
         check_output(out / "000000.png", kind, [path])

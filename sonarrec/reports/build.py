@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError, local, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, refuse_url
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import find_truths_beside
 from sonarrec.evaluation.rows import ScoringOptions, scoring_options
@@ -70,10 +70,10 @@ def report(
     """
     options = options or scoring_options(**scoring)
     path, folders = (
-        Path(local(out or below(Path(results), "report.html"))),
+        Path(refuse_url(out or below(Path(results), "report.html"))),
         find_logs(Path(results)),
     )
-    truth_file = None if ground_truth is None else Path(local(ground_truth))
+    truth_file = None if ground_truth is None else Path(refuse_url(ground_truth))
     given = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
     check_output(path, "report", [truth_file, *given])
     told, left_out = Diagnostics(), dict[Path, str]()

@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
-from sonarrec.errors import UsageError, is_url, local, number_of, shown_url
+from sonarrec.errors import UsageError, is_url, number_of, redact_url, refuse_url
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.readers.log import Log
 from sonarrec.readers.named_logs import NamedLog
@@ -210,7 +210,7 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
     run_options = RunOptions(configs_of(preset), landmarks, learned)
     several = [log] if isinstance(log, str | Path) else log
     logs = [NamedLog(str(one)) for one in several]
-    to_run = jobs_of(logs, str(local(out)), log_options, run_options, overwrite)
+    to_run = jobs_of(logs, str(refuse_url(out)), log_options, run_options, overwrite)
     if isinstance(log, str | Path):
         with at_hand(to_run[0]) as job:
             return run_log(job, observe)
@@ -234,7 +234,7 @@ def jobs_of(
 
     Raises UsageError if two logs cannot be told apart.
     """
-    names = result_names([shown_url(log.path) if is_url(log.path) else log.path for log in logs])
+    names = result_names([redact_url(log.path) if is_url(log.path) else log.path for log in logs])
     return [
         Job(
             log=log.path,

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sonarrec.errors import SonarrecError, UsageError, local
+from sonarrec.errors import SonarrecError, UsageError, refuse_url
 from sonarrec.landmarks import load_landmarks
 from sonarrec.results.columns import CORNERS
 from sonarrec.simulation.render import render
@@ -42,7 +42,7 @@ def simulate(
     chosen = load_scene(scene) if isinstance(scene, str | Path) else scene
     changed = {"seed": seed, "frames": frames}
     given: Any = {key: value for key, value in changed.items() if value is not None}
-    write_recording(replace(chosen, **given), Path(local(out)))
+    write_recording(replace(chosen, **given), Path(refuse_url(out)))
     return Path(out)
 
 
