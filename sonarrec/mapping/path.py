@@ -116,7 +116,7 @@ def path_from_poses(
     frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: Drift
 ) -> SonarPath:
     """The path that poses give. frame, timestamp_ns: (F,). Drift begins at the first known pose."""
-    pose = poses.at_times(timestamp_ns)
+    pose = poses.poses_at(timestamp_ns)
     first = int(np.isfinite(pose).all(axis=1).argmax())
     minutes = np.maximum(np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9, 0)
     minutes[: first + 1] = 0

@@ -72,7 +72,7 @@ class Odometry:
         if self._without_pose and self._span is not None:
             covered, log = (
                 "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in span))
-                for span in (poses.at[[0, -1]], self._span)
+                for span in (poses.time_ns[[0, -1]], self._span)
             )
             diagnostics.problem(
                 f"{poses.name}: no pose for {self._without_pose} of {self._frames} frames; it "
