@@ -35,12 +35,12 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "cli": 2879,
-    "drawing": 690,
-    "evaluation": 3618,
+    "drawing": 692,
+    "evaluation": 3630,
     "geometry": 415,
-    "learning": 554,
-    "mapping": 1319,
-    "overlays": 503,
+    "learning": 556,
+    "mapping": 1323,
+    "overlays": 512,
     "readers": 5853,
     "recogniser": 6943,
     "reports": 2083,

@@ -51,17 +51,11 @@ REFUSED = {
 """Parts of the names in code, and what is used in place of them."""
 LATER = {
     "cli",
-    "drawing",
-    "evaluation",
-    "learning",
-    "mapping",
-    "overlays",
     "readers",
     "recogniser",
     "reports",
     "results",
     "runs",
-    "simulation",
     "tables",
     "truth",
 }
@@ -69,6 +63,7 @@ LATER = {
 KEYS = {
     "config": {"alike_radii", "strikes", "count_strikes"},
     "run_file": {"place"},
+    "scene": {"turned_deg"},
     "model": {"at"},
 }
 """By module, the fields named as the keys of files that users have."""

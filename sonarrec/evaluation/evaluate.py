@@ -20,7 +20,7 @@ from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable, re
 from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.doubts import doubts
 from sonarrec.evaluation.figures import summarise
-from sonarrec.evaluation.pairs import Pair, check_of, find_truths_beside, read_pairs, usable_pairs
+from sonarrec.evaluation.pairs import Pair, check_of, find_truths, read_pairs, usable_pairs
 from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match, scoring_options
 from sonarrec.evaluation.write import Evaluation, write_evaluation
 from sonarrec.records import Clock
@@ -96,7 +96,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
 
     orders: its own is added. Raises SonarrecError if its results or its truth cannot be read.
     """
-    told, unused = Diagnostics(), list[str]()
+    diagnostics, unused = Diagnostics(), list[str]()
     table = _truth_table(log.ground_truth)
     sides = [
         replace(read_log(folder, options.landmarks, options.sonar), name=log.name)
@@ -105,7 +105,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
     of = recording(log.results[-1], sides[-1].run)
     common = sides[0].frame
     if sides[1:]:
-        told.note(*_check_comparable(log.results, sides))
+        diagnostics.note(*_check_comparable(log.results, sides))
         common = np.intersect1d(common, sides[1].frame)
         if not len(common):
             raise SonarrecError(f"{' and '.join(map(str, log.results))} have no frame in common")
@@ -114,7 +114,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
             frames = number_of(alone, "frame")
             unused.append(f"{log.name}: {frames} in {folder} only; not compared")
         unused += not_whole(side, "scored")
-        told.note(*rerun_left(folder))
+        diagnostics.note(*rerun_left(folder))
     if sides[1:]:
         sides = [_only(side, common) for side in sides]
     last = sides[-1]
@@ -126,8 +126,8 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
     truth = truths[-1]
     if unread := unread_columns(table):
         unused.append(unread)
-    tell_fit(told, table, last, truth, check_of(table.path, last, options))
-    told.note(*_about_clock(last), about=log.name)
+    tell_fit(diagnostics, table, last, truth, check_of(table.path, last, options))
+    diagnostics.note(*_about_clock(last), about=log.name)
     score = LogScore(
         log=log,
         recording=of,
@@ -136,7 +136,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
         frames=len(last.frame),
         ids=orders.setdefault(frozenset(last.landmarks.ids), last.landmarks.ids),
         fault=misfit(table, last, truth),
-        notes=told.notes,
+        notes=diagnostics.notes,
         unused=unused,
         matched=[],
     )
@@ -197,10 +197,10 @@ def score_logs(
     logs: Sequence[LogToScore],
     options: ScoringOptions,
     action: str,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
     one_truth_of: object = None,
 ) -> tuple[list[LogScore], list[Counts], list[str]]:
-    """Read, match and count the logs, and tell what is in doubt or not used.
+    """Read, match and count the logs, and note what is in doubt or not used.
 
     action: what is done with the logs, such as "scored". one_truth_of: what one truth is for, where
     it is given for all logs. Returns the logs that can be scored, the counts of their results, old
@@ -249,19 +249,21 @@ def score_logs(
     ids = Counter(score.ids for score in scored).most_common(1)[0][0]
     others = [score for score in scored if score.ids != ids]
     scored, sides = [score for score in scored if score.ids == ids], sides_of[ids]
-    told.problem(*(line for score in scored for line in score.unused))
-    told.problem(*_other_sets(others, ids, len(scored), action))
-    told.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
-    told.problem(*(f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None))
-    told.problem(*copies.problems)
-    told.note(*copies.notes)
-    told.note(*(note for score in scored for note in score.notes))
+    diagnostics.problem(*(line for score in scored for line in score.unused))
+    diagnostics.problem(*_other_sets(others, ids, len(scored), action))
+    diagnostics.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
+    diagnostics.problem(
+        *(f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None)
+    )
+    diagnostics.problem(*copies.problems)
+    diagnostics.note(*copies.notes)
+    diagnostics.note(*(note for score in scored for note in score.notes))
     for counts in sides:
         counts.finish(
             [score.log.results[-1] for score in scored], options.methods if not sides[1:] else ()
         )
     for score, name in zip(scored, sides[0].logs, strict=True):
-        tell_rows(told, name, score.rows[1], score.rows[3])
+        tell_rows(diagnostics, name, score.rows[1], score.rows[3])
     return scored, sides, names
 
 
@@ -329,26 +331,30 @@ def evaluate_logs(
     Logs of equal name get the names of their folders.
     """
     options.check()
-    told, table = Diagnostics(), None  # the table of all logs; None if each has its own
+    diagnostics, table = Diagnostics(), None  # the table of all logs; None if each has its own
     if not isinstance(results, str | Path):
-        pairs = usable_pairs(results, told)
+        pairs = usable_pairs(results, diagnostics)
     elif ground_truth is None:
-        pairs = find_truths_beside(find_logs(Path(results)), told)
+        pairs = find_truths(find_logs(Path(results)), diagnostics)
     else:
         results, table = Path(results), read_truth(Path(ground_truth))
         pairs = [Pair(folder, table.path) for folder in find_logs(results)]
     logs = [LogToScore((p.results,), p.ground_truth, p.log or log_of(p.results)) for p in pairs]
-    scored, [counts], names = score_logs(logs, options, "scored", told, table and results)
-    told.problem(*_unprocessed(scored, as_one=table is not None))
+    scored, [counts], names = score_logs(logs, options, "scored", diagnostics, table and results)
+    diagnostics.problem(*_unprocessed(scored, as_one=table is not None))
     if table is not None:
         others = Diagnostics()
         tell_other_logs(others, table, names, "they are not scored")
         # If one log was asked for the rows of others are a note.
-        tell = told.note if [log.results for log in logs] == [(results,)] else told.problem
-        tell(*others.problems)
+        add = (
+            diagnostics.note
+            if [log.results for log in logs] == [(results,)]
+            else diagnostics.problem
+        )
+        add(*others.problems)
     if isinstance(results, str | Path):
-        told.note(*_failed(Path(results)))
-    told.note(*_notes(counts))
+        diagnostics.note(*_failed(Path(results)))
+    diagnostics.note(*_notes(counts))
     summary = summarise(counts)
     return Evaluation(
         counts=counts,
@@ -356,8 +362,8 @@ def evaluate_logs(
         min_visible=options.min_visible,
         folders=tuple(score.log.results[-1] for score in scored),
         truths=tuple(score.log.ground_truth for score in scored),
-        notes=(*map(printable, told.notes), *summary.notes),
-        unused=tuple(map(printable, told.problems)),
+        notes=(*map(printable, diagnostics.notes), *summary.notes),
+        unused=tuple(map(printable, diagnostics.problems)),
     )
 
 

@@ -207,10 +207,12 @@ def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) 
     begins = np.diff(stretch_numbers(frame, times), prepend=0).astype(bool) & ~by_poses
     first = np.flatnonzero(begins)
     if len(first):
-        at = ", ".join(map(str, frame[first][:MOST_LISTED])) + " ..." * (len(first) > MOST_LISTED)
+        listed = ", ".join(map(str, frame[first][:MOST_LISTED])) + " ..." * (
+            len(first) > MOST_LISTED
+        )
         diagnostics.note(
             f"{folder}: the motion over {number_of(len(first), 'pause')} is not known; each begins "
-            f"a path with axes of its own, at frame {at}"
+            f"a path with axes of its own, at frame {listed}"
         )
     paths = []
     for part in map(slice, [0, *first.tolist()], [*first.tolist(), len(frame)]):

@@ -89,7 +89,7 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
     picture, earth = folder / "map.png", folder / "map.geojson"
     check_folder(folder, (*headers, "map.png", "map.geojson"))
     check_tables(folder, headers)
-    if not is_filled(folder / "map.csv"):  # beside it the others are of a map too, marked or not
+    if not is_filled(folder / "map.csv"):  # with it the others are of a map too, marked or not
         check_output(picture, "picture")
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
     with writing(folder):

@@ -66,7 +66,7 @@ KINDS: dict[str, Kind] = {".mcap": "overlay", ".mp4": "video"}
 
 @dataclass(frozen=True, slots=True, repr=False)
 class OverlayReport:
-    """The method shown, the number of frames written, and what is to be told."""
+    """The method shown, the number of frames written, and the notes and problems."""
 
     method: str
     frames: int
@@ -117,19 +117,23 @@ def overlay(
         same_log=source.reader.has_topics,  # else a topic in run.toml is another log's
     )
     spans = _spans(frames) or [run.span() or (0, None)]
-    method, told = choose_method(folder / "estimates.csv", method), Diagnostics()
+    method, diagnostics = choose_method(folder / "estimates.csv", method), Diagnostics()
     with open_log(source, **log_options.arguments()) as recording, ExitStack() as stack:
         check_same_log(recording, folder, run)
         if not run.finished:
             last = read_frames(folder)["frame"].max(initial=-1)
-            told.problem(f"{folder}: the run was cut short; frames after {last} have no results")
-        told.note(*rerun_left(folder))
-        told.problem(*(f"{folder}: {line}" for line in tables_changed(folder, run.input)))
+            diagnostics.problem(
+                f"{folder}: the run was cut short; frames after {last} have no results"
+            )
+        diagnostics.note(*rerun_left(folder))
+        diagnostics.problem(*(f"{folder}: {line}" for line in tables_changed(folder, run.input)))
         rest = iter(recording)
         first = next(rest)  # raises where there is no usable frame
         truth: dict[int, list[Mark]] = {}
         if truth_file is not None:
-            truth = _truth_marks(truth_file, folder, landmarks, recording.sonar, first.fan, told)
+            truth = _truth_marks(
+                truth_file, folder, landmarks, recording.sonar, first.fan, diagnostics
+            )
         rows = read_estimates(folder / "estimates.csv", method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         begins, stretch = Stretches().begins, 0
@@ -157,16 +161,16 @@ def overlay(
                     )
                 write(frame, history, truth.get(frame.index, ()))
                 written += 1
-        told.problem(*recording.diagnostics.problems)
+        diagnostics.problem(*recording.diagnostics.problems)
     if empty:
         without = ",".join(span_text(span) for span in spans if span in empty)
         line = f"{path}: no frame lies in --frames {without}{recording.why_none()}"
         if write is None:
             raise UsageError(line)
-        told.problem(line)
+        diagnostics.problem(line)
     if topic and run.input.topic not in (None, topic):
-        told.note(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
-    return OverlayReport(method, written, told)
+        diagnostics.note(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
+    return OverlayReport(method, written, diagnostics)
 
 
 def _opened(
@@ -223,8 +227,8 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
     source, results = find_log(path), results or Path("sonarrec_out")
     # A run of several logs of one name put the names of their folders in front.
     names = possible_names(source.name, source.place.resolve())
-    for place in (results, *(results / name for name in names)):
-        for folder in (place, part_of(place)):
+    for base in (results, *(results / name for name in names)):
+        for folder in (base, part_of(base)):
             if (folder / "frames.csv").is_file():
                 return source, folder
     raise MissingError(
@@ -234,9 +238,14 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
 
 
 def _truth_marks(
-    path: Path, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan, told: Diagnostics
+    path: Path,
+    folder: Path,
+    landmarks: str | None,
+    sonar: Sonar,
+    fan: Fan,
+    diagnostics: Diagnostics,
 ) -> dict[int, list[Mark]]:
-    """The landmarks in view by frame; none, which is told, if the truth cannot be that of the log.
+    """The landmarks in view by frame; none, and a problem, if the truth is not of the log.
 
     Raises SonarrecError if gt.csv has no positions.
     """
@@ -248,11 +257,11 @@ def _truth_marks(
     if positions is None:
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to draw")
     if truth.rows:
-        unlike = misfit(table, log, truth)
+        why = misfit(table, log, truth)
     else:
-        unlike = without_rows(path, len(table.at), [log.name], "it shows no landmark")
-    if unlike is not None:
-        told.problem(f"{unlike}; no truth is drawn")
+        why = without_rows(path, len(table.at), [log.name], "it shows no landmark")
+    if why is not None:
+        diagnostics.problem(f"{why}; no truth is drawn")
         return {}
     marks: dict[int, list[Mark]] = {}
     frames = log.frame[truth.frame_index].tolist()

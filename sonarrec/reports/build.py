@@ -12,7 +12,7 @@ from typing import Any
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, refuse_url
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.pairs import find_truths_beside
+from sonarrec.evaluation.pairs import find_truths
 from sonarrec.evaluation.rows import ScoringOptions, scoring_options
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
@@ -106,7 +106,7 @@ def _evaluate(
     """
     if truth_file is None:
         try:
-            pairs = find_truths_beside(folders, told)
+            pairs = find_truths(folders, told)
         except UsageError:  # no log has one
             return None
         except SonarrecError as error:  # such as one beside several logs that names none of them

@@ -23,7 +23,7 @@ from sonarrec.tables.outputs import check_apart, made_whole, writing
 
 PLATE_COLUMNS = ("frame", "landmark", *TRUTH_COLUMNS[4:])
 COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
-"""Files written beside the frames."""
+"""Files written with the frames."""
 
 
 def simulate(
@@ -51,7 +51,7 @@ def write_recording(
 ) -> None:
     """Write frames, sonar.toml, gt.csv and scene.toml; of plates corners.csv and no scene.toml.
 
-    out: an empty or new folder for NNNNNN.png; or a file NAME.mcap, beside which NAME.sonar.toml,
+    out: an empty or new folder for NNNNNN.png; or a file NAME.mcap, with which NAME.sonar.toml,
     NAME.gt.csv and NAME.scene.toml are written. progress: called after each frame with the number
     of frames done. The messages of an MCAP of polar images state the sonar's geometry, and
     sonar.toml only the rest. Raises SonarrecError if `out` cannot be written or is in use.
