@@ -274,7 +274,24 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 
 
 def preset(name: str) -> Config:
-    """The configuration of a preset. Raises UsageError for an unknown name."""
+    """The settings of a preset.
+
+    Parameters
+    ----------
+    name : {"default", "offline", "paper"}
+        The preset.
+
+    Returns
+    -------
+    Config
+        Settings by stage; `dataclasses.replace` changes them. Units are those of
+        `sonarrec config`.
+
+    Raises
+    ------
+    UsageError
+        There is no preset of that name.
+    """
     if name not in PRESETS:
         raise UsageError(f"unknown preset {brief(name)}; there are: {', '.join(PRESETS)}")
     return with_table(Config(preset=name), PRESETS[name], f"preset {name}")

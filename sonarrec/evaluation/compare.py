@@ -145,20 +145,37 @@ def compare(
     pairs: str | Path | None = None,
     **scoring: Any,
 ) -> Comparison:
-    """What got better or worse from old to new results, on their common frames.
-
-    `verdict` of the result says it in a sentence, `figures` has the rates with their tests. Nothing
-    is written.
+    """Compare old and new results by their scores on common frames; writes nothing.
 
     Logs are read one at a time, so memory does not grow with their number. A log that cannot be
     compared is left out if there are others.
 
-    old, new: their logs are paired by name; if each holds one log, these are paired. ground_truth:
-    one table for all logs, or pairs that name a truth per log; None: the truth beside each log.
-    pairs: a CSV that names the truth of each log. options: how it is scored; else `scoring`, as
-    `evaluate` takes it, `method` to `sonar`.
-    Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
-    read.
+    Parameters
+    ----------
+    old, new : str or Path
+        Folders of results. Their logs are paired by name; if each holds one log, these are paired.
+    ground_truth : str, Path or sequence of Pair, optional
+        One table for all logs, or pairs that name a truth for each. Default: NAME.gt.csv, or
+        gt.csv, in the folder of each log.
+    options : ScoringOptions, optional
+        How results are scored, in place of `scoring`.
+    pairs : str or Path, optional
+        A CSV that names the truth of each log.
+    **scoring
+        `method`, `min_visible`, `tolerance_s`, `within_m`, `landmarks` and `sonar` as in
+        `evaluate`.
+
+    Returns
+    -------
+    Comparison
+        `verdict` is a sentence; `figures` has a row per rate, with its test.
+
+    Raises
+    ------
+    SonarrecError
+        No log can be compared, or the one truth of all logs cannot be read.
+    UsageError
+        An option is invalid.
     """
     options = options or scoring_options(**scoring)
     options.check()

@@ -300,16 +300,46 @@ def evaluate(
 ) -> Evaluation:
     """Score results, of one log or of several, against ground truth.
 
-    `table` of the result has a row per method; figures, intervals and tests are those of the
-    command. ground_truth: one table; default: the NAME.gt.csv, or gt.csv, beside each log. pairs: a
-    CSV that names results and truth of each log, in place of both. out: a folder for the files;
-    default: none is written. Of several results of one recording the first counts.
+    `sonarrec help evaluate` defines claims and both protocols. Of several results of one
+    recording the first counts. Warns where part of the input is not used or in doubt.
 
-    `sonarrec help evaluate` defines claims and both protocols.
+    Parameters
+    ----------
+    results : str or Path, default "sonarrec_out"
+        The folder of one log's results, or a folder of such folders.
+    ground_truth : str or Path, optional
+        One table for all logs. Default: NAME.gt.csv, or gt.csv, in the folder of each log.
+    pairs : str or Path, optional
+        A CSV that names results and truth of each log, in place of `results` and `ground_truth`.
+    method : str or sequence of str, optional
+        The methods to score. Default: all, the framework first.
+    min_visible : float, default 0.9
+        Protocol strict counts a landmark if at least this share of its disc is in view, 0 to 1.
+    tolerance_s : float, optional
+        How far, in s, a row of truth matched by time may lie from its frame. Default: half the
+        time between frames.
+    within_m : float, optional
+        Protocol strict counts a claim as right within this distance in m. Default: half a disc
+        or plate.
+    landmarks : str, optional
+        A landmark set, in place of that of run.toml.
+    sonar : Sonar or mapping, optional
+        Geometry that takes precedence over run.toml, with the keys and units of sonar.toml.
+    out : str or Path, optional
+        A folder for the files of `sonarrec evaluate`. Default: none is written.
 
-    method: one or several to score; default: all, the framework first.
-    Warns where part of the input is not used or in doubt. Raises SonarrecError where files cannot
-    be used or have no frame in common.
+    Returns
+    -------
+    Evaluation
+        `table` has a row per method; rates are 0 to 1, errors m and deg. `figures`, `tests`,
+        `confusion`, `roc`, `passes` and `mistakes` are the tables of the files.
+
+    Raises
+    ------
+    SonarrecError
+        Files cannot be used, or have no frame in common.
+    UsageError
+        An option is invalid, or no truth is found.
     """
     scoring = scoring_options(method, min_visible, tolerance_s, landmarks, sonar, within_m)
     logs = results if pairs is None else read_pairs(Path(pairs))

@@ -265,10 +265,36 @@ def map_landmarks(
     sonar: Sonar | Mapping[str, Any] | None = None,
     min_frames: int = 3,
 ) -> LandmarkMap:
-    """Map the landmarks of one log or of several, each one once.
+    """Map the landmarks of a site from the results of one log or of several, each landmark once.
 
-    out: a folder for the files of `sonarrec map`; default: none is written. odometry: table of
-    the poses. drift: standard error of the poses after one minute, m and deg.
+    Parameters
+    ----------
+    results : str, Path or sequence of these, default "sonarrec_out"
+        Folders of the results of single logs, or folders of such folders.
+    out : str or Path, optional
+        A folder for the files of `sonarrec map`. Default: none is written.
+    odometry : str or Path, optional
+        A table of the poses of all logs, in place of those that they were run with.
+    drift : tuple of float, default (0.0, 0.0)
+        The standard error of the poses after one minute: position in m, yaw in deg.
+    method : str, optional
+        Whose claims are mapped. Default: `framework`, or the only method.
+    landmarks : str, optional
+        A landmark set, in place of that of run.toml.
+    sonar : Sonar or mapping, optional
+        Geometry that takes precedence over run.toml, with the keys and units of sonar.toml.
+    min_frames : int, default 3
+        Landmarks that are declared in fewer frames, over all passes, are left out.
+
+    Returns
+    -------
+    LandmarkMap
+        `landmarks` has a row per landmark, `passes` a row per pass; m and deg.
+
+    Raises
+    ------
+    SonarrecError
+        None of the logs can be used, they have no common axes, or `out` cannot be written.
     """
     site = make_map(
         [Path(results)] if isinstance(results, str | Path) else [*map(Path, results)],

@@ -90,16 +90,46 @@ def overlay(
     topic: str | None = None,
     observe: Callable[[int | None], None] | None = None,
 ) -> OverlayReport:
-    """Draw the results of one log onto its frames, in one pass.
+    """Draw the results of one log onto its frames, in one pass over the log.
 
-    log: or the results of one, whose run.toml says where the log is. out: what to write, by its
-    ending: NAME.mcap is annotations for Foxglove, NAME.mp4 a video, anything else a folder of PNGs.
-    results: the folder of this log's results, or one that holds it; None: sonarrec_out. method:
-    None: the framework. frames: (first, one past the last; None: to the end), or several such;
-    None: those of the run. landmarks, sonar, sonar_file, topic: replace what run.toml says.
-    observe: called after every frame with the number of frames, or None if unknown.
-    Raises SonarrecError if something cannot be used or the results are of another log, UsageError
-    for an invalid option.
+    Parameters
+    ----------
+    log : str or Path
+        The log; or the results of one, whose run.toml says where the log is.
+    out : str or Path
+        What to write: NAME.mcap for annotations that Foxglove shows, NAME.mp4 for a video, else a
+        folder for PNGs.
+    results : str or Path, optional
+        The folder of this log's results, or one that holds it. Default: sonarrec_out.
+    method : str, optional
+        Whose estimates are drawn. Default: the framework.
+    frames : tuple of int, or sequence of these, optional
+        (first, end) of the frames to draw, without `end`, which may be None: to the last. Default:
+        those of the run.
+    ground_truth : str or Path, optional
+        A gt.csv, whose landmarks are drawn too.
+    landmarks : str, optional
+        A landmark set, in place of that of run.toml.
+    sonar : Sonar or mapping, optional
+        Geometry that takes precedence over run.toml, with the keys and units of sonar.toml.
+    sonar_file : str or Path, optional
+        A sonar.toml, in place of that of run.toml.
+    topic : str, optional
+        The image channel of an MCAP or bag, in place of that of run.toml.
+    observe : callable, optional
+        Called after every frame with the number of frames, None if that is not known.
+
+    Returns
+    -------
+    OverlayReport
+        The method drawn, the number of frames written, notes and problems.
+
+    Raises
+    ------
+    SonarrecError
+        Something cannot be used, or the results are of another log.
+    UsageError
+        An option is invalid.
     """
     source, folder = find_both(Path(log), None if results is None else Path(results))
     path, out = source.path, Path(refuse_url(out))

@@ -59,14 +59,37 @@ def report(
     options: ScoringOptions | None = None,
     **scoring: Any,
 ) -> Report:
-    """Write results, of one log or of several, as one HTML page; returns what was written.
+    """Write the results of one log or of several as one HTML page.
 
-    out: default: report.html in `results`. ground_truth: one table; default: that beside each log,
-    if all have one. logs: the recordings that the results came from, or folders with such; default:
-    where they were. topic: the image channel of an MCAP recording, if run.toml does not name it.
-    scoring: as `evaluate` takes it, `method` to `sonar`, or options made of them; the sightings and
-    tracks of the first method are shown.
-    Raises SonarrecError where files cannot be used, read or written.
+    Parameters
+    ----------
+    results : str or Path, default "sonarrec_out"
+        The folder of one log's results, or a folder of such folders.
+    out : str or Path, optional
+        The page. Default: report.html in `results`.
+    ground_truth : str or Path, optional
+        One table for all logs. Default: each log's own gt.csv, if all have one.
+    logs : str, Path or sequence of these, optional
+        The recordings that the results came from, or folders of such. Default: where they were.
+    topic : str, optional
+        The image channel of an MCAP recording, if run.toml does not name it.
+    options : ScoringOptions, optional
+        How results are scored, in place of `scoring`.
+    **scoring
+        `method`, `min_visible`, `tolerance_s`, `within_m`, `landmarks` and `sonar` as in
+        `evaluate`. The sightings and tracks of the first method are shown.
+
+    Returns
+    -------
+    Report
+        The path of the page, what it holds, and what could not be used.
+
+    Raises
+    ------
+    SonarrecError
+        Files cannot be used, read or written.
+    UsageError
+        An option is invalid.
     """
     options = options or scoring_options(**scoring)
     path, folders = (

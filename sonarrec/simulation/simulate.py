@@ -33,11 +33,28 @@ def simulate(
     seed: int | None = None,
     frames: int | None = None,
 ) -> Path:
-    """Render a recording with known truth into `out`, and return it.
+    """Render a recording with ground truth: frames, sonar.toml, gt.csv and the scene itself.
 
-    scene: the name of a built-in one, a TOML file or a Scene. out: a new folder, or NAME.mcap.
-    seed, frames: replace those of the scene. Raises SonarrecError if the scene cannot be used, or
-    if `out` cannot be written or is in use.
+    Parameters
+    ----------
+    scene : str, Path, Scene or PlateScene, default "paper"
+        The name of a built-in scene, a TOML file, or a scene.
+    out : str or Path, default "simulated"
+        A new or empty folder for images, or NAME.mcap.
+    seed : int, optional
+        In place of that of the scene.
+    frames : int, optional
+        The number of frames, in place of that of the scene.
+
+    Returns
+    -------
+    Path
+        `out`.
+
+    Raises
+    ------
+    SonarrecError
+        The scene cannot be used, or `out` cannot be written or is in use.
     """
     chosen = load_scene(scene) if isinstance(scene, str | Path) else scene
     changed = {"seed": seed, "frames": frames}
