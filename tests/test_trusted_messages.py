@@ -366,7 +366,7 @@ def test_a_radius_that_is_clearly_wrong_is_told(here: Path, log: str) -> None:
         with open_log(SAMPLES / log) as opened:
             sizes = RingSizes(_set("own.toml"))
             for frame in opened:
-                sizes.look(frame)
+                sizes.inspect(frame)
         found = sizes.other()
         assert (found is None) == (radius == 0.15)
         if found is not None:
@@ -400,7 +400,7 @@ def test_right_radii_of_others_recordings_are_not_doubted() -> None:
         with open_log(folder) as opened:
             sizes = RingSizes(_set("basin"))
             for frame in opened:
-                sizes.look(frame)
+                sizes.inspect(frame)
         assert sizes.other() is None, folder
         tried += 1
     assert tried >= 10

@@ -28,7 +28,7 @@ class Plausibility:
         self._sum: FloatArray | None = None
         self._frames = 0
 
-    def look(self, frame: Frame) -> None:
+    def inspect(self, frame: Frame) -> None:
         """Add a frame. Polar ones, and all after the first FRAMES, are ignored."""
         if self._frames == FRAMES or frame.polar is not None:
             return

@@ -41,7 +41,7 @@ class RingSizes:
         self._kept: list[Frame] = []
         self._seen, self._every = 0, 1
 
-    def look(self, frame: Frame) -> None:
+    def inspect(self, frame: Frame) -> None:
         """Keep a frame out of so many that no more than KEPT are held."""
         if self._seen % self._every == 0 and not isinstance(self._landmarks, DrawnSet):
             self._kept.append(frame)

@@ -170,7 +170,7 @@ def _recognise(
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
             for check in checks:
-                check.look(frame)
+                check.inspect(frame)
             yield frame
 
     try:

@@ -27,13 +27,13 @@ def doubts(log: Path, **stated: float | str) -> list[str]:
     plausibility = Plausibility()
     with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
         for frame in islice(opened, FRAMES):
-            plausibility.look(frame)
+            plausibility.inspect(frame)
         return plausibility.contradictions(opened.sonar)
 
 
 def of_picture(image: np.ndarray, fan: Fan) -> list[str]:
     plausibility = Plausibility()
-    plausibility.look(Frame(0, 0, image, fan))
+    plausibility.inspect(Frame(0, 0, image, fan))
     return plausibility.contradictions(Sonar())
 
 
