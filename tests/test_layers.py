@@ -42,7 +42,7 @@ MOST_LINES = {
     "mapping": 1349,
     "overlays": 542,
     "readers": 5874,
-    "recogniser": 6957,
+    "recogniser": 6959,
     "reports": 2106,
     "results": 1849,
     "runs": 1766,

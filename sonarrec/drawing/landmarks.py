@@ -19,9 +19,7 @@ from sonarrec.drawing.pen import TRUTH, Pen
 from sonarrec.landmarks import WIDEST_SIGMA, DrawnSet, LandmarkSet
 
 GRID, PLATE_GRID = 30, 56  # samples across a disc or plate
-ROTATION_STEP_DEG = (
-    5  # of one disc against the other; of both against the line of sight three times that
-)
+ROTATION_STEP_DEG = 5  # of a disc against the other; three times that against the line of sight
 MOST_PAIRS = 12  # of the IDs that differ least as drawn: views of an ID take some 3 ms
 HALF_POWER = 2.355  # width of a Gaussian beam, in its sigmas
 # Shares of a symbol's area. As drawn: if two IDs differ in less, one bad sector makes one ID of the

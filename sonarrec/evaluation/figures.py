@@ -106,7 +106,7 @@ def quantile(sums: FloatArray, values: FloatArray, share: float) -> FloatArray:
     sums: (draws, values) how many errors do not exceed each.
     """
     total = sums[:, -1:]
-    first = np.argmax(sums >= share * total - 1e-3, axis=1)  # counts: total
+    first = np.argmax(sums >= share * total - 1e-3, axis=1)  # counts: integers
     return np.where(total[:, 0] > 0, values[first], np.nan)
 
 

@@ -14,7 +14,7 @@ from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import NO_ECHO_DB, Scene, scene_bearings
 from sonarrec.simulation.world import View
 
-GROUP = 8  # so many neighbouring beams share a gain; every eighth beam fires together
+GROUP = 8  # neighbouring beams that share a gain; beams at multiples of this distance fire together
 MOST_BANDS = 100  # bands of surface echo, at most; one more would be 300 dB below the first
 
 

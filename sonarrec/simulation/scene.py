@@ -88,7 +88,7 @@ class SonarSection:
     vertical_beam_deg: Positive = 14.0  # two-way, between half-power points
     beam_width_deg: Positive = 0.4  # two-way, between half-power points
     side_lobe_db: Level = -30.0  # of each beam, two-way, below its main lobe
-    stray_db: Level = -38.0  # leak between every eighth beam, which fire together
+    stray_db: Level = -38.0  # leak between beams at distances of 8, which fire together
     cross_talk_db: Level = -38.0  # leak of every beam into every other
     pulse_m: Positive = 0.008  # length of the pulse in range, between half-power points
 

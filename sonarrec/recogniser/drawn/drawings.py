@@ -17,9 +17,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray, FloatImage, IndexArray
 from sonarrec.landmarks import DrawnSet
 
-LEAST_CORRELATION = (
-    0.3  # correlation of neighbouring cells, below which they are drawn each by itself
-)
+LEAST_CORRELATION = 0.3  # of neighbouring cells; below it they are drawn each by itself
 RIVALS = 64  # random drawings of the set's kind of cells
 FINE, COARSE = 28, 10  # samples along a picture's side
 # Standard deviations of softened pictures, and how far a picture is shifted, in samples.

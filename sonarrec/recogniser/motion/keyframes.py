@@ -77,7 +77,7 @@ class Keyframes:
     def crept(self, now: Picture, yaw: float, sure: float) -> bool:
         """Whether a keyframe shows that a sonar taken to stand has moved; its pose is then updated.
 
-        yaw: yaw since the last picture, rad. sure: the chi-square, of 2 degrees of freedom, above
+        yaw: since the last picture, rad. sure: the chi-square, of 2 degrees of freedom, above
         which the sonar has moved.
         """
         if not self._kept:

@@ -33,8 +33,8 @@ LEAST_SHARE = 0.02  # least regression slope of one picture on the other
 # Standard deviation of the height's change from frame to frame, m. It moves echoes along the range
 # as surge does, more so the nearer they are.
 HEAVE_M = 0.01
-# deg between the cells of a row that are compared, where a beam covers several. Of the next row the
-# cells between these are compared, so that all columns count the same.
+# deg between the cells of a row that are compared, where a beam covers several. In each row they
+# are one column further than in the row before, so that all columns count the same.
 SPACING_DEG = 0.45
 GRAIN = 4.0  # cells in a grain of speckle, which count as one observation
 # (down, across) blocks of a picture. Their residuals count as independent: a block is larger than a
@@ -98,7 +98,7 @@ class Picture:
 
 
 class FloorRegistration:
-    """Registers polar pictures of (rows, columns) cells. grid: the grid of the cells."""
+    """Registers polar pictures of (rows, columns) cells. grid: where the cells lie."""
 
     def __init__(
         self, fan: Fan, range_m: FloatArray, bearing_deg: FloatArray, seen: FloatImage
@@ -194,7 +194,7 @@ class FloorRegistration:
         return _Cells(np.asarray(grey * shown, np.float32), slopes, shown)
 
     def quick(self, before: Picture, now: Picture, yaw: float) -> Registration | None:
-        """A single Gauss-Newton step from a yaw of `yaw` (rad), for motions of a part of a cell.
+        """A single Gauss-Newton step from a yaw (rad), for motions of a part of a cell.
 
         It uses every EVERY-th row, and takes the height as constant. None where the pictures do not
         correlate.
