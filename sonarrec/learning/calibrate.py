@@ -21,7 +21,7 @@ from sonarrec.errors import (
 )
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.learning.fit import fit, part_of
-from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
+from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, on_a_track
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
@@ -166,7 +166,7 @@ def _lesson(
     samples, strange = _labelled(tracks, truth, strangers)
     assert truth.position is not None
     shown = truth.visible > 0
-    met = shown & lain_on(tracks, truth.frame_index, truth.position)
+    met = shown & on_a_track(tracks, truth.frame_index, truth.position)
     labelled = [(rows.sum(), len(np.unique(truth.landmark_index[rows]))) for rows in (shown, met)]
     misfit = check.misfit(table, tracks, truth)
     if misfit is None and shown.any() and not (samples.label < len(landmarks.ids)).any():
