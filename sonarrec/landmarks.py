@@ -13,9 +13,9 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError, as_usage
 from sonarrec.tables.toml import (
+    Integer,
     Positive,
     Share,
-    Whole,
     brief,
     from_table,
     length,
@@ -149,7 +149,7 @@ class DrawnSet(LandmarkSet):
 class _Row:
     """One [[landmark]] of a file."""
 
-    id: Whole
+    id: Integer
     sectors: Annotated[tuple[Literal[0, 1], ...], length(1, 360)]
 
 
@@ -168,7 +168,7 @@ class _LandmarkSetFile:
 class _Drawing:
     """One [[landmark]] of a drawn set's file."""
 
-    id: Whole
+    id: Integer
     cells: tuple[str | tuple[Literal[0, 1], ...], ...] = ()
     image: str = ""
 
@@ -185,7 +185,7 @@ class _DrawnSetFile:
     cells: tuple[str, ...] = ()
     codes: str = ""
     family: str = ""
-    ids: tuple[Whole, ...] | None = None
+    ids: tuple[Integer, ...] | None = None
     mirrored: Hand = "either"
     pose: PlatePose = "free"
 

@@ -116,7 +116,7 @@ def test_a_fan_turned_by_mistake_is_told_to_be_turned_back(here: Path) -> None:
     with (log / "sonar.toml").open("a") as file:
         file.write('range_order = "near_first"\n')
     told = sonarrec("run", log, "-q").stderr
-    assert "none if it is turned upside down: --range-order far_first" in told
+    assert "none once it is upside down: try --range-order far_first" in told
     (preview,) = [words for words in commands(told) if "--preview" in words][:1]
     done = sonarrec(*preview)
     assert Path(preview[-1]).read_bytes()[:4] == b"\x89PNG"

@@ -104,8 +104,8 @@ class GroupedCommand(click.Command):
         except click.NoSuchOption as error:
             if not (advice := advice_on(error.option_name)):
                 raise
-            told = f"{error.message} {advice}"
-            raise click.NoSuchOption(error.option_name, told, ctx=ctx) from None
+            message = f"{error.message} {advice}"
+            raise click.NoSuchOption(error.option_name, message, ctx=ctx) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         rows: dict[str, list[tuple[str, str]]] = {g: [] for g in (FIRST, *GROUPS, "Other")}

@@ -133,7 +133,7 @@ class Check(NamedTuple):
 def _truth_of_log(where: str, path: str, options: LogOptions) -> Path:
     """The truth in the folder of a log. Raises UsageError if there is none. where: its [[log]]."""
     try:
-        truth = find_log(path, options.up_to).beside(TRUTH_FILE)
+        truth = find_log(path, options.up_to).companion(TRUTH_FILE)
     except SonarrecError as error:
         raise UsageError(f"{where}: {error}") from None
     if truth is None:

@@ -158,7 +158,7 @@ def _sightings(
     """The rows on a log, whether or not matching kept them, and the claims."""
     rows = table.rows_of(log.name)
     rows = rows[table.visible[rows] > 0]
-    when, frames, stretch = table.at[rows], log.frame, log.stretch
+    when, frames, stretch = table.keys[rows], log.frame, log.stretch
     of_index = frames
     if table.key != "frame" and log.timestamp_ns is not None:
         order = np.argsort(log.timestamp_ns, kind="stable")
@@ -295,7 +295,7 @@ def _run_of(log: LogResults, span: str) -> str:
     with suppress(SonarrecError):
         source = recorded_at(run.path.parent, run.input)
         by_table = bool(run.odometry) and "topic" not in run.odometry
-        poses = source.beside(POSES_FILE) if by_table else None
+        poses = source.companion(POSES_FILE) if by_table else None
         if poses is not None or not by_table:
             return rerun(source.path, run.path, "--frames", span, poses=poses)
     return f"`sonarrec run` with --frames {span} and another --out"

@@ -31,19 +31,19 @@ from sonarrec.results.read import (
     Recording,
     check_one_log,
     find_logs,
-    not_whole,
     read_log,
     recording,
     rows_of,
+    why_incomplete,
 )
 from sonarrec.runs.logs_table import NAME, read_logs
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import Breaks
 from sonarrec.truth.check import (
     misfit,
-    tell_fit,
-    tell_other_logs,
-    tell_rows,
+    report_fit,
+    report_other_logs,
+    report_rows,
     unread_columns,
     without_rows,
 )
@@ -113,7 +113,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
         if alone := len(side.frame) - len(common):
             frames = number_of(alone, "frame")
             unused.append(f"{log.name}: {frames} in {folder} only; not compared")
-        unused += not_whole(side, "scored")
+        unused += why_incomplete(side, "scored")
         diagnostics.note(*rerun_left(folder))
     if sides[1:]:
         sides = [_only(side, common) for side in sides]
@@ -126,13 +126,13 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
     truth = truths[-1]
     if unread := unread_columns(table):
         unused.append(unread)
-    tell_fit(diagnostics, table, last, truth, check_of(table.path, last, options))
+    report_fit(diagnostics, table, last, truth, check_of(table.path, last, options))
     diagnostics.note(*_about_clock(last), about=log.name)
     score = LogScore(
         log=log,
         recording=of,
         has_log_column=table.log is not None,
-        rows=(len(table.at), truth.rows, truth.unprocessed, truth.between),
+        rows=(len(table.keys), truth.rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
         ids=orders.setdefault(frozenset(last.landmarks.ids), last.landmarks.ids),
         fault=misfit(table, last, truth),
@@ -263,7 +263,7 @@ def score_logs(
             [score.log.results[-1] for score in scored], options.methods if not sides[1:] else ()
         )
     for score, name in zip(scored, sides[0].logs, strict=True):
-        tell_rows(diagnostics, name, score.rows[1], score.rows[3])
+        report_rows(diagnostics, name, score.rows[1], score.rows[3])
     return scored, sides, names
 
 
@@ -374,7 +374,7 @@ def evaluate_logs(
     diagnostics.problem(*_unprocessed(scored, as_one=table is not None))
     if table is not None:
         others = Diagnostics()
-        tell_other_logs(others, table, names, "they are not scored")
+        report_other_logs(others, table, names, "they are not scored")
         # If one log was asked for the rows of others are a note.
         add = (
             diagnostics.note

@@ -118,9 +118,9 @@ def _truth_of_log(folder: Path, source: Input) -> Path:
     of images or a bag, those in it, else NAME.gt.csv next to it. Raises SonarrecError if there is
     none."""
     found = recorded_at(folder, source)
-    truth = found.beside(TRUTH_FILE)
+    truth = found.companion(TRUTH_FILE)
     if truth is None:
-        name = f"{log_name(found.place)}.{TRUTH_FILE}"
+        name = f"{log_name(found.location)}.{TRUTH_FILE}"
         raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")
     return truth
 

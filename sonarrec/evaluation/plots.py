@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from sonarrec.evaluation.counts import Counts, corners
-from sonarrec.tables.outputs import plain, write_figure
+from sonarrec.tables.outputs import escape_mathtext, write_figure
 
 PUBLISHED = (("SMI", 0.0381, 0.8226), ("framework", 0.0276, 0.8648))
 """(method, FPR, TPR) of Tables 4 and 5, Total: the paper's only two points."""
@@ -71,11 +71,11 @@ def draw_roc(path: Path, counts: Counts) -> None:
             colour, style = COLOURS[n % len(COLOURS)], STYLES[n % len(STYLES)]
             axes.plot(line.fpr, line.tpr, style, color=colour, lw=1.8, zorder=3)
             dot = {"ms": 9, "mec": "black", "zorder": 4, "clip_on": False}
-            label = plain(point.label)
+            label = escape_mathtext(point.label)
             axes.plot(point.fpr, point.tpr, "o" + style, label=label, color=colour, **dot)
         for point, marker in zip(chart.published.itertuples(), MARKERS, strict=False):
             ring = {"color": "none", "mec": "black", "ms": 13, "zorder": 5}
-            axes.plot(point.fpr, point.tpr, marker, label=plain(point.label), **ring)
+            axes.plot(point.fpr, point.tpr, marker, label=escape_mathtext(point.label), **ring)
         axes.set(
             title=f"protocol {protocol}",
             xlabel=f"false positive rate (axis ends at {right:g})",

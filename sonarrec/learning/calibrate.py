@@ -92,7 +92,7 @@ def learn(
         table = tables[file]
         with open_log(path, **log_options.arguments()) as log:
             # Results are named by the log's name, with folders in front if another has the same.
-            name = table.name_of(possible_names(log.name, find_log(log.path).place.resolve()))
+            name = table.name_of(possible_names(log.name, find_log(log.path).location.resolve()))
             if name in (lesson.log for lesson in lessons):
                 raise UsageError(f"{path}: a second log {name!r}; the truth tells logs by name")
             lessons.append(_lesson(table, log, name, config, landmarks, observe, diagnostics))
@@ -100,17 +100,17 @@ def learn(
     names = [lesson.log for lesson in lessons]
     if not any(lesson.rows for lesson in used):
         misfits = [lesson.misfit for lesson in lessons if lesson.misfit is not None]
-        why = check.without_rows(file, len(table.at), names, "it shows no landmark")
+        why = check.without_rows(file, len(table.keys), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
     for file, table in tables.items():
         if truths.count(file) > 1:  # of one log a truth of several is used as it is
-            check.tell_other_logs(diagnostics, table, names, "they teach nothing")
+            check.report_other_logs(diagnostics, table, names, "they teach nothing")
     return _learned(used, landmarks, diagnostics)
 
 
 def _truth_of_log(path: str | Path) -> Path:
     """The truth of a log where none is named. Raises UsageError if its folder has none."""
-    truth = find_log(path).beside(TRUTH_FILE)
+    truth = find_log(path).companion(TRUTH_FILE)
     if truth is None:
         raise UsageError(
             f"{path}: no {TRUTH_FILE} in or beside it; label it ({HEADER}), or give --ground-truth"
@@ -183,8 +183,8 @@ def _lesson(
         if proposed := check.unchecked(table, name):
             diagnostics.note(f"{proposed}; they teach what the program takes for true already")
         again = command_line("truth", "check", table.path, Path(log.path))
-        check.tell_fit(diagnostics, table, tracks, truth, again)
-        check.tell_rows(diagnostics, name, truth.rows, truth.between)
+        check.report_fit(diagnostics, table, tracks, truth, again)
+        check.report_rows(diagnostics, name, truth.rows, truth.between)
         if truth.unprocessed:
             diagnostics.problem(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "

@@ -256,7 +256,7 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
             ) from None
     source, results = find_log(path), results or Path("sonarrec_out")
     # A run of several logs of one name put the names of their folders in front.
-    names = possible_names(source.name, source.place.resolve())
+    names = possible_names(source.name, source.location.resolve())
     for base in (results, *(results / name for name in names)):
         for folder in (base, part_of(base)):
             if (folder / "frames.csv").is_file():
@@ -289,7 +289,7 @@ def _truth_marks(
     if truth.rows:
         why = misfit(table, log, truth)
     else:
-        why = without_rows(path, len(table.at), [log.name], "it shows no landmark")
+        why = without_rows(path, len(table.keys), [log.name], "it shows no landmark")
     if why is not None:
         diagnostics.problem(f"{why}; no truth is drawn")
         return {}

@@ -75,7 +75,7 @@ def open_log(
             own = own_file(source.path, SONAR_FILE)
             chosen = [] if topic is None else ["--topic", topic]
             begin = command_line("info", Path(path), *chosen, "--write-sonar", own)
-            there = file is not None or source.beside(SONAR_FILE) is not None
+            there = file is not None or source.companion(SONAR_FILE) is not None
             how = "complete it" if there else f"{begin} begins a sonar.toml"
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}; {how}, or give `run` options "
@@ -87,7 +87,7 @@ def open_log(
             raise SonarrecError(
                 f"{where}: the log states the sonar's geometry except for its tilt; give "
                 "--tilt-deg (downward, to within some 10 deg) or --height-m, or write one of the "
-                "two into a sonar.toml beside it"
+                "two into a sonar.toml next to it"
             )
     except SonarrecError:
         raw.close()

@@ -188,7 +188,7 @@ def _container(source: Source) -> Container:
     ]
     chunks = dict(sorted(log.chunks.items()))
     start, end = log.span or (None, None)
-    return Container(log.profile, log.library, log.whole, chunks, start, end, channels)
+    return Container(log.profile, log.library, log.complete, chunks, start, end, channels)
 
 
 def _images(

@@ -225,7 +225,7 @@ function choose(id) {
   if (id !== chosen) range = "all";
   chosen = id;
   const rows = current()?.rows ?? [], first = rows.find((one) => images[one.frame]) ?? rows[0];
-  if (first && !at(current(), now)) now = (at(current(), current().look) ?? first).frame;
+  if (first && !at(current(), now)) now = (at(current(), current().first_wrong) ?? first).frame;
   render();
   const list = part("list"), item = list.querySelector(".chosen"), top = item?.offsetTop;
   if (top < list.scrollTop || top + item?.offsetHeight > list.scrollTop + list.clientHeight) list.scrollTop = top - 40;

@@ -86,7 +86,7 @@ class ExistingResults:
     unusable: int = 0  # frames
     candidates: int = 0
     problems: list[str] = field(default_factory=list)
-    reason: str = ""  # to run anew: how the run differs from them; empty if there are none
+    reason: str = ""  # to run again: how the run differs from them; empty if there are none
 
 
 _ROWS = {
@@ -256,7 +256,7 @@ class LogOptions:
     """How to read a log, as given by the user; None: not given."""
 
     sonar: Sonar = field(default_factory=Sonar)  # keys that take precedence over every file
-    sonar_file: Path | None = None  # in place of the sonar.toml beside the log
+    sonar_file: Path | None = None  # in place of the log's own sonar.toml
     topic: str | None = None  # the image channel of an MCAP
     time: Clock | None = None  # which of a message's times is that of its frame; default: log time
     odometry: Path | None = None  # a table of the sonar's poses, see readers/poses.py

@@ -1,4 +1,4 @@
-"""A job: one log to run. What is told while it runs, and what became of it."""
+"""A job: one log to run; the events that it sends while it runs, and what became of it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GRACE_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """The user's choices for a run, apart from how the log is read."""
+    """The user's choices for a run, except for how the log is read."""
 
     configs: Sequence[Config]  # several: side by side, each under its own method name
     landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin

@@ -31,7 +31,7 @@ TIMEOUT_S = 60
 """A server that says nothing for so long gives no answer."""
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
 COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv")
-"""What may lie beside a log: files of these names, and NAME.sonar.toml and so on."""
+"""Files that may belong to a log: of these names, and NAME.sonar.toml and so on."""
 
 
 def check_out(url: str) -> None:
@@ -107,33 +107,33 @@ def _fetched(url: str, folder: Path) -> Path:
     return log
 
 
-def download(url: str, place: Path) -> None:
+def download(url: str, target: Path) -> None:
     """Fetch a file or folder, if it is there."""
     with _in_one_line(url):
         fs, path = _opened(url)
         if fs.exists(path):
-            fs.get(path, str(place), recursive=True)
+            fs.get(path, str(target), recursive=True)
 
 
-def upload(place: Path, url: str) -> None:
-    """Replace a file or folder on a server; what is there stays until the new one is whole."""
+def upload(source: Path, url: str) -> None:
+    """Replace a file or folder on a server; what is there stays until the new one is complete."""
     with _in_one_line(url):
         fs, path = _opened(url)
         part = f"{path}.part"
         try:
-            fs.put(str(place), part, recursive=place.is_dir())
-            sent, came = sum(p.is_file() for p in (place, *place.rglob("*"))), fs.find(part)
+            fs.put(str(source), part, recursive=source.is_dir())
+            sent, came = sum(p.is_file() for p in (source, *source.rglob("*"))), fs.find(part)
             if len(came) != sent:
                 raise SonarrecError(
                     f"{redact_url(url)}: {len(came)} of {number_of(sent, 'file')} arrived"
                 )
             if fs.exists(path):
                 fs.rm(path, recursive=True)
-            if place.is_dir():
+            if source.is_dir():
                 fs.makedirs(path, exist_ok=True)
             for one in sorted(came, key=lambda name: name.endswith("run.toml")):  # that last
                 fs.mv(one, path + one[len(part) :])
-            with suppress(FileNotFoundError):  # where folders are things of their own
+            with suppress(FileNotFoundError):  # where folders exist by themselves
                 fs.rm(part, recursive=True)
         except BaseException:  # Ctrl-C as well
             with suppress(Exception):

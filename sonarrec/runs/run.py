@@ -143,8 +143,8 @@ def configs_of(presets: Presets) -> list[Config]:
         raise UsageError("preset: none is given; leave it out for default")
     if len(set(names)) < len(names):
         raise UsageError(
-            f"preset {', '.join(names)}: each once, for results go by its name; run settings of "
-            "one preset apart, each with an out of its own"
+            f"preset {', '.join(names)}: each once, for results go by its name; to compare "
+            "settings of one preset, run it once for each, each with an out of its own"
         )
     return configs
 
@@ -291,7 +291,7 @@ def jobs_of(
 ) -> list[Job]:
     """A job for each log. out: the folder of the results, or its URL.
 
-    Raises UsageError if two logs cannot be told apart.
+    Raises UsageError if two logs would have the same name.
     """
     names = result_names([redact_url(log.path) if is_url(log.path) else log.path for log in logs])
     return [

@@ -23,10 +23,10 @@ from sonarrec.tables.toml import (
     AtLeastOne,
     Count,
     Finite,
+    Integer,
     NotNegative,
     Positive,
     Share,
-    Whole,
     bounds,
     brief,
     from_table,
@@ -240,7 +240,7 @@ class PlacedLandmark:
     begins, counter-clockwise seen from above, from the right of a sonar at pan 0.
     """
 
-    id: Whole
+    id: Integer
     ground_m: Positive
     azimuth_deg: Finite
     orientation_deg: Finite = 0.0

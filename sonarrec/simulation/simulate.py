@@ -19,7 +19,7 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import AnyScene, PlateScene, load_scene, scene_sonar, scene_table
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
-from sonarrec.tables.outputs import check_apart, made_whole, writing
+from sonarrec.tables.outputs import check_distinct, filled_at_once, writing
 
 PLATE_COLUMNS = ("frame", "landmark", *TRUTH_COLUMNS[4:])
 COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
@@ -94,9 +94,9 @@ def write_recording(
         documents["landmarks"] = scene.landmark_set.as_table()
     documents["sonar"] = {"sonar": sonar.as_table()}
     if mcap:
-        check_apart(out)
+        check_distinct(out)
     frames = render(scene)
-    with writing(out), made_whole(folder) as new, ExitStack() as stack:
+    with writing(out), filled_at_once(folder) as new, ExitStack() as stack:
 
         def table(name: str, columns: Iterable[str]) -> Any:
             path = new / f"{prefix}{name}"

@@ -74,7 +74,7 @@ def test_wrong_geometry_is_told(log: str, stated: dict[str, float | str], told: 
 
 def test_an_upside_down_fan_is_told(tmp_path: Path) -> None:
     (line,) = doubts(upside_down(SAMPLE / "pan", tmp_path / "down"))
-    assert "none if it is turned upside down" in line
+    assert "none once it is upside down" in line
 
 
 def test_the_share_outside_is_the_share_of_pixels() -> None:

@@ -202,7 +202,7 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
             "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2300-05-01T12:00:00Z,2\n",
             "timestamp must be seconds or nanoseconds; these are neither",
         ),
-        ("timestamp,yaw\n0,1\n100,1\n200,1\n", "rows 100 apart are neither"),
+        ("timestamp,yaw\n0,1\n100,1\n200,1\n", "steps of 100 are neither"),
         (
             "timestamp,yaw\n1763700000000000,1\n1763700000050000,2\n",
             "(milliseconds or microseconds?)",

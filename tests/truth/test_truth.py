@@ -14,7 +14,7 @@ from click.testing import Result
 from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import load_landmarks
 from sonarrec.results.read import read_log
-from sonarrec.truth.check import tell_fit
+from sonarrec.truth.check import report_fit
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
 from tests.support.command import SAMPLE, sonarrec
@@ -274,5 +274,5 @@ def test_a_truth_of_few_frames_is_doubted(
     )
     table = read_truth(path)
     told = Diagnostics()
-    tell_fit(told, table, log, match_truth(table, log))
+    report_fit(told, table, log, match_truth(table, log))
     assert [said in note for note in told.notes] == [True] if said else not told.notes
