@@ -21,7 +21,7 @@ from sonarrec.cli.endings import (
     terminable,
 )
 from sonarrec.cli.groups import advice_on
-from sonarrec.errors import SonarrecError, hidden, is_url, name_as_text
+from sonarrec.errors import SonarrecError, is_url, name_as_text, redact_urls
 from sonarrec.records import VERSION
 
 COMMANDS = (
@@ -61,7 +61,7 @@ class _Program(click.Group):
             with terminable():
                 return super().invoke(ctx)
         except click.ClickException as error:
-            error.message = hidden(error.message, typed)  # type: ignore[misc]
+            error.message = redact_urls(error.message, typed)  # type: ignore[misc]
             raise
         except SonarrecError as error:
             print_notes([str(error)])

@@ -144,10 +144,10 @@ def _jobs(
     file = one.file
     chosen = options.SettingsChoice(
         settings.preset or file.preset,
-        settings.config_file or one.beside(file.config),
+        settings.config_file or one.path_to(file.config),
         (*file.set, *settings.assignments),
     )
-    configs, model = chosen.configs(), one.beside(file.model)
+    configs, model = chosen.configs(), one.path_to(file.model)
     run_options = RunOptions(configs, one.landmarks, model, chosen.config_file)
     run_options.check()
     # Run in any case: it is the program that may have changed, not the settings.

@@ -27,9 +27,9 @@ from sonarrec.errors import (
     SonarrecError,
     UsageError,
     command_line,
-    local,
     name_as_text,
     number_of,
+    refuse_url,
 )
 from sonarrec.records import date_text, is_date
 
@@ -94,7 +94,7 @@ def info(
     from sonarrec.tables.outputs import check_output
 
     logs = options.named_logs(log, from_file, recursive)
-    names = [local(one.path) for one in logs]
+    names = [refuse_url(one.path) for one in logs]
     for option, file in (("--preview", preview), ("--write-sonar", write_sonar)):
         if file is not None and len(logs) > 1:
             raise UsageError(f"{option} {file}: for one log, but {len(logs)} are given")

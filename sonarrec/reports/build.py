@@ -10,9 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError, local, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, refuse_url
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.pairs import find_truths_beside
+from sonarrec.evaluation.pairs import find_truths
 from sonarrec.evaluation.rows import ScoringOptions, scoring_options
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
@@ -59,21 +59,44 @@ def report(
     options: ScoringOptions | None = None,
     **scoring: Any,
 ) -> Report:
-    """Write results, of one log or of several, as one HTML page; returns what was written.
+    """Write the results of one log or of several as one HTML page.
 
-    out: default: report.html in `results`. ground_truth: one table; default: each log's own gt.csv,
-    if all have one. logs: the recordings that the results came from, or folders with such; default:
-    where they were. topic: the image channel of an MCAP recording, if run.toml does not name it.
-    scoring: as `evaluate` takes it, `method` to `sonar`, or options made of them; the sightings and
-    tracks of the first method are shown.
-    Raises SonarrecError where files cannot be used, read or written.
+    Parameters
+    ----------
+    results : str or Path, default "sonarrec_out"
+        The folder of one log's results, or a folder of such folders.
+    out : str or Path, optional
+        The page. Default: report.html in `results`.
+    ground_truth : str or Path, optional
+        One table for all logs. Default: each log's own gt.csv, if all have one.
+    logs : str, Path or sequence of these, optional
+        The recordings that the results came from, or folders of such. Default: where they were.
+    topic : str, optional
+        The image channel of an MCAP recording, if run.toml does not name it.
+    options : ScoringOptions, optional
+        How results are scored, in place of `scoring`.
+    **scoring
+        `method`, `min_visible`, `tolerance_s`, `within_m`, `landmarks` and `sonar` as in
+        `evaluate`. The sightings and tracks of the first method are shown.
+
+    Returns
+    -------
+    Report
+        The path of the page, what it holds, and what could not be used.
+
+    Raises
+    ------
+    SonarrecError
+        Files cannot be used, read or written.
+    UsageError
+        An option is invalid.
     """
     options = options or scoring_options(**scoring)
     path, folders = (
-        Path(local(out or below(Path(results), "report.html"))),
+        Path(refuse_url(out or below(Path(results), "report.html"))),
         find_logs(Path(results)),
     )
-    truth_file = None if ground_truth is None else Path(local(ground_truth))
+    truth_file = None if ground_truth is None else Path(refuse_url(ground_truth))
     given = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
     check_output(path, "report", [truth_file, *given])
     diagnostics, left_out = Diagnostics(), dict[Path, str]()
@@ -108,7 +131,7 @@ def _evaluate(
     """
     if truth_file is None:
         try:
-            pairs = find_truths_beside(folders, diagnostics)
+            pairs = find_truths(folders, diagnostics)
         except UsageError:  # no log has one
             return None
         except SonarrecError as error:  # such as one for several logs that names none of them

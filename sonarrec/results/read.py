@@ -509,9 +509,22 @@ class Tables:
 
 
 def read_results(folder: str | Path) -> Tables:
-    """The tables of one log's results. folder: written by `sonarrec run` for that log.
+    """Read the tables of one log's results.
 
-    Raises SonarrecError if frames.csv or estimates.csv cannot be read.
+    Parameters
+    ----------
+    folder : str or Path
+        The folder that `sonarrec run` wrote for the log.
+
+    Returns
+    -------
+    Tables
+        `frames`, `estimates` and `sightings` with the columns and units of the files.
+
+    Raises
+    ------
+    SonarrecError
+        frames.csv or estimates.csv cannot be read.
     """
     folder = Path(folder)
     sightings = folder / "sightings.csv"

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 import msgspec
 
-from sonarrec.errors import SonarrecError, hidden
+from sonarrec.errors import SonarrecError, redact_urls
 from sonarrec.tables import something_else
 
 MAX_LENGTH = 2**24
@@ -271,7 +271,7 @@ _short.maxlevel, _short.maxdict, _short.maxstring, _short.maxother = 2, 3, 60, 6
 
 def brief(value: object) -> str:
     """A value for a message: on one line, at most about 60 characters."""
-    return _short.repr(hidden(value) if isinstance(value, str) else value)
+    return _short.repr(redact_urls(value) if isinstance(value, str) else value)
 
 
 def _key(key: str) -> str:

@@ -71,7 +71,7 @@ def settle(stated: Stated, first: Sequence[StoredFrame]) -> Reading:
     if (layout := reading.layout) is None or not images:
         return reading
     if layout.polar is not None:
-        layout.polar.forget()  # a run makes no more fan images
+        layout.polar.free()  # a run makes no more fan images
     fan = replace(layout.fan, height_m=height_from_images(images, layout.fan))
     return replace(reading, layout=replace(layout, fan=fan))
 

@@ -38,7 +38,7 @@ FEATURES = (
     "texture_share",
     "ring_over_floor",  # over the floor outside
     "ring_over_gap",
-    "weakest_ring",  # weakest quarter of the ring over the mean of gap and floor beside it
+    "weakest_ring",  # weakest quarter of the ring over the mean of gap and floor next to it
     "weakest_ring_over_gap",
     "weakest_ring_by_frames",  # times log_frames, since the minimum over few frames is noisy
     "ring_texture_share",  # standard deviation along the ring

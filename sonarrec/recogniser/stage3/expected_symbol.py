@@ -89,8 +89,8 @@ class SymbolFit:
     @property
     def best(self) -> FloatArray:
         """(n, K) the correlation with each ID at its best rotation."""
-        at = self.rotation[:, None]
-        return np.asarray(np.take_along_axis(self.correlation, at, axis=1)[:, 0])
+        index = self.rotation[:, None]
+        return np.asarray(np.take_along_axis(self.correlation, index, axis=1)[:, 0])
 
 
 @dataclass(frozen=True, slots=True)
