@@ -111,13 +111,13 @@ class Breaks:
         """A line if the clock was set. other: what else could name the frames."""
         if self._jump:
             do = "give truth by frame" if other is None else f"try `run --time {other}`"
-            yield f"{self._jump}was the clock set?); truth and poses by time fit one side: {do}"
+            yield f"{self._jump}was the clock set?); truth and poses by time fit one part: {do}"
         span_ns = self._before[1] - self._first_ns + self._stretches.longest_ns
         alone = self._count[True] == 1 and not self._count[False]
         if alone and abs(span_ns - HOUR_NS) <= NEAR_NS:
             yield (
-                f"times fill 1 h but for a pause, as if the clock was set back by 1 h; then frames "
-                f"from {self._paused_at} on came first: name the images by a counter"
+                f"times fill 1 h except for a pause. If the clock was set back by 1 h, frames from "
+                f"{self._paused_at} on were recorded first: name the images by a counter"
             )
 
 

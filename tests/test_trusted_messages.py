@@ -383,7 +383,7 @@ def _set(path: str) -> LandmarkSet:
 def test_run_tells_it_with_the_radius_that_fits(here: Path) -> None:
     Path("own.toml").write_text(SET.format(radius=0.075))
     told = sonarrec("run", SAMPLES / "pan.mcap", "--landmarks", "own.toml", "-q").stderr
-    found = re.search(r"rings of some (\S+) m radius fit clearly better .* own, 0.075 m", told)
+    found = re.search(r"rings of about (\S+) m radius fit clearly better .* own, 0.075 m", told)
     assert found is not None
     assert float(found[1]) == pytest.approx(0.15, rel=0.15)
     run_named(told, Path("sonarrec_out/pan"))

@@ -62,8 +62,8 @@ MOST_VAGUE = 8
 
 
 def banned() -> list[str]:
-    """The words on the left of the table in `sonarrec help method`."""
-    page = (ROOT / "sonarrec" / "help" / "method.md").read_text(encoding="utf-8")
+    """The words on the left of the table in `sonarrec help contribute`."""
+    page = (ROOT / "sonarrec" / "help" / "contribute.md").read_text(encoding="utf-8")
     table = page.partition("    not ")[2].partition("\n\n")[0]
     return [line.split("  ")[2].strip() for line in table.splitlines()[1:]]
 

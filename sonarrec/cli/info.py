@@ -300,9 +300,9 @@ def _geometry_lines(images: Images, log: Path) -> Iterator[str]:
             yield f"give {flags}, or complete {images.geometry_from}"
         else:
             topic = [] if images.topic is None else ["--topic", images.topic]
-            yield f"give {flags}, or a sonar.toml next to the log, or in it if a folder:"
+            yield f"give {flags}, or write a sonar.toml; to begin one:"
             file = own_file(log, SONAR_FILE)
-            yield f"{command_line('info', log, *topic, '--write-sonar', file)} begins one"
+            yield command_line("info", log, *topic, "--write-sonar", file)
 
 
 # A sonar.toml to complete

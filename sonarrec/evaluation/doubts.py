@@ -52,13 +52,13 @@ def doubts(
     reason = _reason(both, log) if matched.placed else None
     seen = both.meeting(both.rows)
     if reason:
-        yield f"{path}: its rows fit the claims in {name} clearly better {reason}; which is right?"
+        yield f"{path}: its rows would fit the claims in {name} clearly better {reason}; check it"
     elif reason is not None or not seen.claims_met:
         claimed = seen.claims or len(both.claims.frame)  # all, if none is on a frame with a row
         yield (
             f"{path}: {seen.rows_met} of {number_of(seen.rows, 'row')} on {name} and "
             f"{seen.claims_met} of {number_of(claimed, 'claim')} of {matched.methods[0]} meet; "
-            "is this its truth, and are positions, times and units right?"
+            "check that this is its truth, and its positions, times and units"
         )
     elif len(matched.truths):
         yield from _without_rows(f"{path}: its rows for {name}", log, matched, claims)

@@ -276,8 +276,8 @@ def _other_sets(
         more = f" and {number_of(len(rest), 'more log')}" if rest else ""
         yield (
             f"{first.results[-1]}{more}: landmark IDs {_listed(own)}, where the "
-            f"{number_of(scored, 'log')} {action} have {_listed(ids)}; these do not add up, so not "
-            f"{action}"
+            f"{number_of(scored, 'log')} {action} have {_listed(ids)}; not {action}, since rates "
+            "of different sets do not add up"
         )
 
 

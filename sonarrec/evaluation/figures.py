@@ -408,8 +408,8 @@ def few_units(counts: Counts, figures: pd.DataFrame | None = None) -> Iterator[s
     more, like = math.ceil((MIN_UNITS - least) * logs / least), "these" if logs > 1 else "it"
     yield (
         f"{which}: {number_of(passes, 'pass', 'es')} of landmarks in {number_of(logs, 'log')} "
-        f"{has} {number_of(least, 'independent unit')}, as passes at the same time are one, and a "
-        f"log without any; {MIN_UNITS} are needed: about {number_of(more, 'more log')} like {like}"
+        f"{has} {number_of(least, 'independent unit')} (passes at the same time count as one); "
+        f"{MIN_UNITS} are needed: about {number_of(more, 'more log')} like {like}"
     )
 
 

@@ -46,7 +46,7 @@ def fit(
     if not 0 < on < total:
         what = "no landmark" if on == 0 else "nothing but landmarks"
         raise SonarrecError(
-            f"{total} tracks in frames hold {what}; a model is learned from landmarks and others"
+            f"tracks lie on {what} in all {total} cases; a model needs landmarks and other objects"
         )
     if prior is None:
         features = np.concatenate([r.features.reshape(-1, r.features.shape[2]) for r in labelled])

@@ -205,8 +205,8 @@ class Log:
     def _note_repeats(self, repeats: Counter[str]) -> None:
         if count := repeats["pictures"]:
             self.diagnostics.note(
-                f"{number_of(count, 'picture')} the same as the one before: each counts as one "
-                "more view, so scores are too high; leave them out"
+                f"{number_of(count, 'image')} equal to the one before: each counts as another "
+                "view, so scores are too high; remove them"
             )
         if count := repeats["at once"]:
             self.diagnostics.note(

@@ -487,7 +487,7 @@ def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str 
             for run, (_, topic) in ((before, a), (after, b))
         )
         raise SonarrecError(
-            f"{old} and {new}: results of different logs, {of}, or its files changed in between"
+            f"{old} and {new}: results of different logs ({of}), or of one log whose files changed"
         )
     return None
 

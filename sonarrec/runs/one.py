@@ -208,9 +208,9 @@ def _notes(
         note(f"{'; '.join(doubts)}; {_preview(job, run)} shows it")
     elif other := sizes.other():
         note(
-            f"rings of some {other:.2g} m radius fit clearly better than those of "
-            f"{run.landmarks.name}, {run.landmarks.radius_m:g} m: is radius_m right, and the "
-            f"window? {_preview(job, run)} shows both"
+            f"rings of about {other:.2g} m radius fit clearly better than those of "
+            f"{run.landmarks.name}, {run.landmarks.radius_m:g} m; check radius_m and the range "
+            f"window: {_preview(job, run)}"
         )
     if why := hardly_seen(run.fan, run.landmarks):
         note(why)

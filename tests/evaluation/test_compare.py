@@ -149,7 +149,7 @@ def test_results_of_different_logs_are_refused(
     (new / "run.toml").write_text(text.replace(f'"{was}"', f'"{value}"'))
     done = command("--ground-truth", truth, "--compare", old, new, code=1)
     (line,) = done.stderr.splitlines()
-    assert f"{old} and {new}: results of different logs, " in line
+    assert f"{old} and {new}: results of different logs (" in line
     assert done.stdout == ""
     assert not (new / "evaluation").exists()
 
@@ -220,7 +220,7 @@ def test_a_log_that_cannot_be_compared_is_left_out_of_several(tmp_path: Path) ->
     sides = ["--compare", old, new, "--ground-truth"]
     done = command(*sides, tmp_path / "gt.csv", code=3)
     first, second = done.stderr.splitlines()
-    assert f"{old / 'y'} and {new / 'y'}: results of different logs, " in first
+    assert f"{old / 'y'} and {new / 'y'}: results of different logs (" in first
     assert first.endswith("; y is not compared")
     assert second == (
         f"sonarrec: {old / 'z'} and {new / 'z'} have no frame in common; z is not compared"

@@ -111,7 +111,7 @@ HEAD = "frame,landmark,range_m,bearing_deg"
         (f"{HEAD}\n1,1,2,0\n", ("--landmarks", "actag24h10"), 2, "is learned for discs"),
         (f"{HEAD}\n1,1,2,0\n", ("TWO",), 2, "log column"),
         (f"log,{HEAD}\npan,1,1,2,0\n", ("SAME",), 2, "second log 'pan'"),
-        (f"{HEAD}\n1,none,2,0\n", (), 1, "hold no landmark"),
+        (f"{HEAD}\n1,none,2,0\n", (), 1, "no landmark in all"),
     ],
 )
 def test_what_cannot_teach_is_told_in_one_line(tmp_path, text, arguments, code, told):

@@ -165,7 +165,7 @@ def test_pictures_and_times_that_repeat_are_counted(tmp_path: Path) -> None:
     with open_log(log) as opened:
         list(opened)
     (note,) = opened.diagnostics.notes
-    assert "2 pictures" in note
+    assert "2 images equal" in note
     timed = [("/a", k // 2 * PERIOD_NS, cdr_image(image)) for k, image in enumerate(IMAGES)]
     with open_log(mcap_file(tmp_path / "log.mcap", timed)) as opened:
         list(opened)

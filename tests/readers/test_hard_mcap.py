@@ -76,7 +76,7 @@ def length_of_chunk(value: int) -> Change:
 
 LOST = "; its 3 frames are lost"
 UNCOUNTED = "in all, 3 of 12 frames are lost"
-GOES_ON = "where the index knows what follows"
+GOES_ON = "; reading continues at byte "
 CASES = {
     "checksum": ({}, a_byte, WITHOUT_SECOND, ["fails its checksum" + LOST]),
     "checksum, lz4": ({"compression": "lz4"}, a_byte, WITHOUT_SECOND, [LOST]),

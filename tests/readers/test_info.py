@@ -135,7 +135,7 @@ def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -
     assert "20 of 20 can be used, once the geometry is complete" in text
     # The height replaces the tilt, and no other key.
     assert "give --range-min-m, --tilt-deg (or --height-m), --field-of-view-deg, or" in text
-    assert f"--write-sonar {tmp_path / 'log.sonar.toml'}` begins one" in text
+    assert f"--write-sonar {tmp_path / 'log.sonar.toml'}`" in text
 
 
 def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
     assert "found from the pings: beam_order = range-major" in text
     assert images["origins"]["beam_order"] == "found"
     assert "lacks tilt_deg" in text
-    assert "stated against the messages" in info(path, "--layout", "fan").output
+    assert "what is stated differs from the messages" in info(path, "--layout", "fan").output
     assert "clock at 0.000 s, 4.8 s long" in text
 
 

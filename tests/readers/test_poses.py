@@ -179,7 +179,7 @@ def test_frames_without_a_pose_are_told_once(pings):
 )
 def test_a_table_that_the_images_contradict_is_noted(pings, factor):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("odd.csv"), per_second=factor))
-    assert "note: odd.csv: its turns contradict those of the images" in told.stderr
+    assert "note: odd.csv: its rotations contradict those of the images" in told.stderr
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,10 @@ def test_a_topic_whose_z_points_down_is_noted(pings):
     yaw = [-p.pan_deg for p in poses(replace(load_scene("sample_pan"), frames=16))]
     log = pose_log(Path("dive.mcap"), pings, "geometry_msgs/msg/PoseStamped", True, yaw)
     told = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom").stderr
-    assert "note: /odom: its turns contradict those of the images in 15 of 15 frames; z of " in told
+    assert (
+        "note: /odom: its rotations contradict those of the images in 15 of 15 frames; z of "
+        in told
+    )
     assert "(REP 103)" in told
     assert "degrees" not in told
 

@@ -17,13 +17,14 @@ from sonarrec.config import preset
 from sonarrec.evaluation.counts import ratio
 from sonarrec.evaluation.uncertainty import bootstrap_weights, interval
 from tests.studies.baseline import METHOD, Settings
-from tests.studies.learning.other_worlds import OTHER_WORLDS
+from tests.studies.learning.other_worlds import LEARNED_WORLDS, OTHER_WORLDS
 from tests.studies.learning.random_scenes import (
     ALL_KINDS,
     KINDS_OF_SCENE,
     STRETCH_KINDS,
     random_scene,
 )
+from tests.studies.results.readme import POOLED
 from tests.studies.results.record import judge, options, save, show
 from tests.support.counted import Count, counted
 from tests.support.simulated import (
@@ -40,6 +41,8 @@ TUNING = range(2000, 3000)
 REPORTED = range(3000, 3032)
 """Seeds of the figures that are reported: nothing is learned or chosen on their recordings."""
 FRAMES = 160
+IN_TABLES = (*STRETCH_KINDS, *OTHER_WORLDS, *KINDS_OF_SCENE)
+"""Kinds in the order of the tables. The page leaves out the last ones, which are pooled as well."""
 OURS = ("smi:default", "default", "offline")
 """Methods that are left with `--ours`."""
 RESAMPLED = 5000  # times, of a kind's recordings, for the intervals of its rates
@@ -118,41 +121,45 @@ def rates(count: Count) -> str:
     return f"{told(count.tpr, '.3f')} / {told(count.fpr, '.4f')}"
 
 
+def name_of(kind: str) -> str:
+    """A kind in a table; (*) where nothing was learned from its scenes."""
+    return f"`{kind}`{' (*)' if kind in OTHER_WORLDS and kind not in LEARNED_WORLDS else ''}"
+
+
 def show_rates(rows: Sequence[Row], keep: bool) -> None:
-    """Per kind of scene, pooled, and those beside the pool."""
+    """Of the kinds pooled, and per kind of scene."""
     of_kind = {kind: [r for r in rows if r.kind == kind] for kind in ALL_KINDS}
     pool = [r for r in rows if r.kind in KINDS_OF_SCENE]
-    parts = [(kind, of_kind[kind], "strict") for kind in KINDS_OF_SCENE]
-    parts += [("POOLED", pool, "strict"), ("POOLED, protocol paper", pool, "paper")]
-    parts += [(f"beside: {kind}", of_kind[kind], "strict") for kind in STRETCH_KINDS + OTHER_WORLDS]
+    parts = [(POOLED, pool, "strict"), (f"{POOLED}, protocol paper", pool, "paper")]
+    parts += [(name_of(kind), of_kind[kind], "strict") for kind in IN_TABLES]
     lines = []
     for label, some, protocol in parts:
         if some:
-            line = {"scene": label, "passes": str(sum(r.passes for r in some))}
+            line = {"kind of scene": label, "passes": str(sum(r.passes for r in some))}
             names = [name for name in METHODS if (protocol, name) in some[0].counts]
-            line |= {name: rates(pooled(some, name, protocol)) for name in names}
+            line |= {f"`{name}`": rates(pooled(some, name, protocol)) for name in names}
             lines.append(line)
     show("TPR / FPR at the operating point, protocol strict", lines, keep=keep)
 
 
 def show_intervals(rows: Sequence[Row], keep: bool) -> None:
     """Per kind of scene and pooled: how sure the rates of our presets are, and the false claims."""
-    parts = [(kind, [r for r in rows if r.kind == kind]) for kind in ALL_KINDS]
-    parts += [("POOLED", [r for r in rows if r.kind in KINDS_OF_SCENE])]
+    parts = [(POOLED, [r for r in rows if r.kind in KINDS_OF_SCENE])]
+    parts += [(name_of(kind), [r for r in rows if r.kind == kind]) for kind in IN_TABLES]
     lines = []
     for label, some in parts:
         if len(some) < 2:
             continue
-        line = {"scene": label}
+        line = {"kind of scene": label, "`smi`": rates(pooled(some, "smi:default"))}
         for name in ("default", "offline"):
             count = pooled(some, name)
             both = zip((count.tpr, count.fpr), intervals(some, name), (".3f", ".4f"), strict=True)
-            line[name] = " / ".join(
+            line[f"`{name}`"] = " / ".join(
                 f"{told(rate, form)} ({told(low, form)}-{told(high, form)})"
                 for rate, (low, high), form in both
             )
             false = sorted(r.counts["strict", name].fp for r in some)
-            line[f"{name}, false"] = f"{sum(false)}, {sum(false[-WORST:])}"
+            line[f"`{name}`, false"] = f"{sum(false)}, {sum(false[-WORST:])}"
         lines.append(line)
     if lines:
         show(

@@ -207,7 +207,7 @@ def test_several_logs_need_a_log_column(case: Path) -> None:
         ("{n},2,2.0,{bearing},1", 24, "0 of 24 rows on out and 0 of 24 claims of m meet"),
         ("{n},1,1.0,{bearing},1", 24, "0 of 24 rows"),
         ("{after},1,2.0,{bearing},1", 23, "better 1 frame earlier (0.25 s)"),
-        ("{n},1,2.0,{turned},1", 24, "with the sign of their bearings turned"),
+        ("{n},1,2.0,{turned},1", 24, "with the sign of their bearings reversed"),
         ("{n},1,2.0,{radians},1", 24, "with bearings in radians"),
         ("{n},1,2.0,{bearing},0", 24, "`visible` is 0 in all rows on out"),
         ("{n},1,2.0,{bearing},1", 12, "end at frame 11, and 12 of the 12 frames without one"),

@@ -92,8 +92,8 @@ class McapRecording(Recording):
         for resume in self._indexed() if not self.complete else ():
             if resume > stop and not self.complete:
                 self.fault(
-                    f"damaged at byte {stop}; read on from byte {resume}, where the index knows "
-                    "what follows"
+                    f"damaged at byte {stop}; reading continues at byte {resume}, where the index "
+                    "knows what follows"
                 )
                 stop = self._scan(resume)
         if not self.complete:
@@ -297,8 +297,8 @@ class McapRecording(Recording):
             self.fault("the file became shorter while it was read")
         if late:
             self.fault(
-                "a chunk states a later start than its messages have: "
-                f"{number_of(late, 'frame')} out of order"
+                f"{number_of(late, 'frame')} out of order: a chunk states a later start time than "
+                "that of its first message"
             )
         if passed < (count := sum(self.counts[c] for c in channels)):
             self.fault(f"in all, {count - passed + lost} of {count} frames are lost")

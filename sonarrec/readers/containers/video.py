@@ -67,8 +67,8 @@ class VideoFrames(RawLog):
         count = self.frame_count or 0
         if index < count and self._is_estimate():
             self.diagnostics.note(
-                f"{count} frames by its length and rate, {index} read: some were dropped as it was "
-                "recorded, or it is damaged, so that numbers of later frames may be wrong"
+                f"{index} frames read, but its length and rate give {count}: the recorder dropped "
+                "some, or it is damaged; numbers of later frames may be wrong"
             )
         elif index < count:
             self.diagnostics.fault(

@@ -284,8 +284,8 @@ def first_levels(stated: Stated, first: Sequence[StoredFrame]) -> Levels:
         if holds_amplitudes(of_type):
             levels = replace(levels, amplitudes=levels.amplitudes | {dtype})
             stated.note(
-                f"{bits}-bit pixels read as amplitudes, by their level and its spread; "
-                "--pixel-scale linear if they are logarithms"
+                f"{bits}-bit pixels read as amplitudes, since their speckle is that of "
+                "amplitudes; --pixel-scale linear if they are logarithms"
             )
         elif dim:
             stated.note(

@@ -66,7 +66,7 @@ def arranged(
     range on top). layout: None for the first frame. Raises UnusableError if the frame cannot be
     shown in the fan, SonarrecError if what is stated does not fit the log."""
     if layout is not None and (layout.ping is None) != (ping is None):
-        also, first = ("does not tell", "do") if ping is None else ("tells", "do not")
+        also, first = ("does not state", "do") if ping is None else ("states", "do not")
         raise UnusableError(f"it {also} its geometry, as the first messages of its topic {first}")
     if ping is None:
         return _image(layout, image, stated)
@@ -77,7 +77,7 @@ def _image(layout: Layout | None, image: ByteImage, stated: Stated) -> tuple[Lay
     """The fan or polar image of a frame that does not state its geometry."""
     sonar = stated.sonar
     if sonar.missing():
-        raise UnusableError("it does not tell its geometry, as other messages of its topic do")
+        raise UnusableError("it does not state its geometry; other messages of its topic do")
     is_fan = sonar.layout != "polar"
     if not is_fan and sonar.beam_order == "beam-major":
         image = image.T
@@ -101,8 +101,8 @@ def _of_images(shape: tuple[int, int], stated: Stated) -> Layout:
     # Some count from the middle of the first beam to that of the last, a beam less.
     if view and bearings and abs(view - theirs) > 1.01 * theirs / len(bearings):
         stated.note(
-            f"field_of_view_deg = {view:g} is not used: bearings_deg go before it, and cover "
-            f"{theirs:.4g} deg"
+            f"field_of_view_deg = {view:g} is not used: bearings_deg take precedence, and "
+            f"cover {theirs:.4g} deg"
         )
     if sonar.layout != "polar":
         return Layout(sonar, fan_for_image(geometry, *shape), shape)
@@ -134,8 +134,8 @@ def _ping(
             layout = replace(layout, order_from="assumed" if is_square else "found")
             if is_square:
                 stated.note(
-                    f"assumed to be {order}, which cannot be found of as many range bins as beams "
-                    f"({len(image)}); --beam-order states it"
+                    f"assumed to be {order}: its {len(image)} range bins are as many as its beams, "
+                    "so the images do not show it; --beam-order states it"
                 )
             elif order == "beam-major":
                 stated.note("read as beam-major, found from its first ping with echoes")
@@ -164,11 +164,11 @@ def _of_window(
         raise UnusableError(str(error).partition("\n")[0]) from None
     if layout is None:
         if against:
-            stated.note(f"stated against the {stated.origin}: {', '.join(against)}")
+            stated.note(f"what is stated differs from the {stated.origin}: {', '.join(against)}")
         if abs(ping.pitch_deg) > PITCHED_DEG:
             stated.note(
                 f"beam directions are pitched by {ping.pitch_deg:.0f} deg, as by a mounting; "
-                "bearings are taken in their plane, and tilt_deg stays yours to state"
+                "bearings are measured in their plane, and you must still state tilt_deg"
             )
         return Layout(sonar, polar.fan, shape, polar, ping)
     fan = layout.fan

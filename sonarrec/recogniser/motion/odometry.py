@@ -83,7 +83,7 @@ class Odometry:
             if poses.axes == "ahead, left":
                 yaw = "z of a pose points up, so its yaw is positive to the left (REP 103)"
             diagnostics.note(
-                f"its turns contradict those of the images in {self._differing} of "
-                f"{self._compared} frames; {yaw}, and times are by the frames' clock",
+                f"its rotations contradict those of the images in {self._differing} of "
+                f"{self._compared} frames; {yaw}, and times must be by the frames' clock",
                 about=poses.name,
             )

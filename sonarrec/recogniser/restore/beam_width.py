@@ -31,7 +31,7 @@ def with_beams(
     width = usual = usual_beam_width_deg(first.fan)
     if first.polar is not None:
         width = min(usual, round(MOST_BEAMS * first.polar.beam_deg, 2))
-    how = "as its beams are many"
+    how = "since neighbouring beams are so close"
     if stated_deg is not None:
         width, how = stated_deg, "as stated"
     needs = [not c.features.beam_width_deg and c.features.measurement != "single" for c in configs]
@@ -41,8 +41,8 @@ def with_beams(
     ]
     if width == usual or not any(needs):
         return found, []
-    note = f"beams are taken to be {width:g} deg wide, {how}"
-    return found, [f"{note} (beam_width_deg in sonar.toml states another)"]
+    note = f"beam width: {width:g} deg, {how}"
+    return found, [f"{note}; beam_width_deg in sonar.toml changes it"]
 
 
 def usual_beam_width_deg(fan: Fan) -> float:

@@ -1,16 +1,16 @@
-"""`make results`: makes the digests anew, and puts RESULTS.md together."""
+"""`make results`: makes the digests again, and fills RESULTS.md and the README's table."""
 
 from __future__ import annotations
 
 import csv
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from tests.studies.results.record import digests
+from tests.studies.results.readme import README, filled
+from tests.studies.results.record import digests, read, stale
 
 FOLDER = Path(__file__).parent
 NOW = FOLDER / "now.toml"
@@ -34,25 +34,20 @@ def page(now: Mapping[str, str]) -> str:
     return "\n".join([HEAD, *(_section(name, read(name), now) for name in ORDER)])
 
 
-def read(name: str) -> dict[str, Any]:
-    """What is on record of a study."""
-    return tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
-
-
 def _section(name: str, study: Mapping[str, Any], now: Mapping[str, str]) -> str:
-    stale = [of for of, digest in study["digest"].items() if now[of] != digest]
-    since = f"; since then other results: {', '.join(stale)}" if stale else ""
+    other = stale(study, now)
+    since = f"; since then other results: {', '.join(other)}" if other else ""
     source = f"`{study['command']}`, commit {study['commit']}{since}."
     lines = [f"## {study['title']}", "", source, *study["words"].strip().splitlines()]
-    mark = "† " if stale else ""
-    shown = study["table"][: study.get("on_page")]
-    if len(shown) < len(study["table"]):
-        lines.append(f"More tables: `tests/studies/results/{name}.toml`.")
+    mark = "† " if other else ""
+    shown, most = study["table"][: study.get("on_page")], study.get("rows_on_page")
+    if len(shown) < len(study["table"]) or most is not None:
+        lines.append(f"The rest: `tests/studies/results/{name}.toml`.")
     for table in shown:
         lines += ["", *([table["caption"], ""] if table["caption"] else [])]
         columns, *rows = csv.reader(table["csv"].strip().splitlines())
         lines += [_row(columns), "|---" * len(columns) + "|"]
-        lines += [_row([mark + row[0], *row[1:]]) for row in rows]
+        lines += [_row([mark + row[0], *row[1:]]) for row in rows[:most]]
     return "\n".join([*lines, ""])
 
 
@@ -61,10 +56,11 @@ def _row(cells: list[str]) -> str:
 
 
 def main() -> None:
-    """Make the digests anew and write the page."""
+    """Make the digests again and write both pages."""
     now = digests()
     NOW.write_text(tomli_w.dumps(now), encoding="utf-8")
     PAGE.write_text(page(now), encoding="utf-8")
+    README.write_text(filled(README.read_text(encoding="utf-8"), now), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import tomli_w
@@ -82,8 +83,7 @@ def save(name: str | None) -> None:
     """
     if name is None:
         return
-    path = FOLDER / f"{name}.toml"
-    study, now = tomllib.loads(path.read_text(encoding="utf-8")), digests()
+    study, now = read(name), digests()
     ask = ["git", "rev-parse", "--short=8", "HEAD"]
     study["commit"] = subprocess.check_output(ask, cwd=ROOT, text=True).strip()
     study["digest"] = {of: now[of] for of in study["digest"]}
@@ -91,7 +91,18 @@ def save(name: str | None) -> None:
         {"caption": caption, "csv": pd.DataFrame(lines).to_csv(index=False, lineterminator="\n")}
         for caption, lines in _shown
     ]
-    path.write_text(tomli_w.dumps(study, multiline_strings=True), encoding="utf-8")
+    text = tomli_w.dumps(study, multiline_strings=True)
+    (FOLDER / f"{name}.toml").write_text(text, encoding="utf-8")
+
+
+def read(name: str) -> dict[str, Any]:
+    """What is on record of a study."""
+    return tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def stale(study: Mapping[str, Any], now: Mapping[str, str]) -> list[str]:
+    """Names of the digests on which a study depends, and which are not as of `now`."""
+    return [of for of, digest in study["digest"].items() if now[of] != digest]
 
 
 def digests() -> dict[str, str]:

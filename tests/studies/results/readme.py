@@ -1,0 +1,159 @@
+"""The part of README.md that `make results` fills, from what the studies recorded."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+from sonarrec.evaluation.plots import PUBLISHED
+from tests.studies.results.record import ROOT, read, stale
+
+README = ROOT / "README.md"
+POOLED = "the twelve kinds together"
+BEGIN, END = "<!-- filled by make results -->\n", "<!-- end -->\n"
+KINDS = {
+    "plain": "nothing that disturbs",
+    "low_contrast": "faint landmarks",
+    "window_1_25": "a range window of 1.25 m",
+    "window_5": "a range window of 5 m",
+    "jitter": "an unsteady sonar",
+    "ring_widths": "rings of other widths",
+    "fading": "echoes that fade",
+    "occluded": "landmarks that are partly covered",
+    "near_miss": "fakes that resemble landmarks",
+    "fast_pan": "a fast pan",
+    "small_discs": "discs of .09 to .12 m radius",
+    "no_landmark": "no landmark",
+    "tiny_discs": "discs of .06 m radius",
+    "all_hard": "several difficulties together",
+    "other_sets": "other landmark sets",
+    "any_floor": "plates of any level, from 12 dB below the floor to 6 dB above it",
+    "relief": "gravel on a rough floor",
+    "light": "patches of light and shade",
+    "debris": "twigs and weed on a blotchy floor",
+    "symbols": "rings with symbols that no ID has",
+    "wide": "a view of 120 to 130 deg with beams of 1 deg",
+    "other_symbols": "rings with symbols of kinds that nothing was learned from",
+    "slope": "a floor that slopes by up to 8 deg",
+    "leaning": "discs tilted by up to 15 deg",
+    "silted": "discs of which a tenth to two fifths is under silt",
+    "ripples": "ripples in the sand",
+    "multipath": "a second copy of the scene by way of the surface",
+    "fish": "fish",
+    "vehicle": "a vehicle that travels and turns",
+    "glitter": "single bright stones on rings and symbols",
+}
+"""What is in the scenes of a kind."""
+
+
+CLIP = (
+    "| a real clip of an AcTag |  | named in 269 of 271 frames | in 271 | "
+    "No claim is wrong (counted by `tests/recogniser/test_drawn.py`). |"
+)
+METHODS = ("smi", "default", "offline")
+
+
+def filled(text: str, now: Mapping[str, str]) -> str:
+    """README.md with the lines from BEGIN to END made from the records. now: as of `page`."""
+    before, _, rest = text.partition(BEGIN)
+    lines = "".join(f"{line}\n" for line in _lines(now))
+    return "".join([before, BEGIN, lines, END, rest.partition(END)[2]])
+
+
+def _lines(now: Mapping[str, str]) -> Iterator[str]:
+    marks = {}
+    for name in ("scenes_fresh", "worlds", "paper", "bench"):
+        marks[name] = "† " if stale(read(name), now) else ""
+    head = ["recordings", *(f"`{name}`" for name in METHODS), "in a sentence"]
+    yield f"| {' | '.join(head)} |"
+    yield "|---" * len(head) + "|"
+    yield CLIP
+    for name, rows in (("scenes_fresh", _scenes()), ("worlds", _others()), ("paper", _paper())):
+        link = read(name)["title"].lower().replace(" ", "-")
+        link = f"[more](tests/studies/RESULTS.md#{re.sub('[^a-z-]', '', link)})"
+        yield from (f"| {marks[name]}{' | '.join(cells)} {link} |" for cells in rows)
+    note = (
+        " †: the program gave other results when this was measured." if any(marks.values()) else ""
+    )
+    yield from ("", f"{marks['bench']}{_cost()}{note}")
+
+
+def _scenes() -> list[list[str]]:
+    """All kinds pooled, the kind with the lowest TPR, and the one with the highest FPR."""
+    rows = {row["kind of scene"]: row for row in _rows("scenes_fresh")}
+    kinds = {found[1]: row for label, row in rows.items() if (found := re.search("`(.+)`", label))}
+    rates = {kind: _rates(row["`default`"]) for kind, row in kinds.items()}
+    lowest = min((k for k in rates if not math.isnan(rates[k][0])), key=lambda k: rates[k][0])
+    highest = max(rates, key=lambda k: rates[k][1])
+    shown = [
+        ("random scenes of twelve kinds", rows[POOLED], "No setting was chosen on these."),
+        (KINDS[lowest], kinds[lowest], "Of all kinds this one has the lowest TPR."),
+        (KINDS[highest], kinds[highest], "Of all kinds this one has the highest FPR."),
+    ]
+    return [[of, *(row[f"`{name}`"] for name in METHODS), said] for of, row, said in shown]
+
+
+def _others() -> list[list[str]]:
+    """The ranges over recordings that the simulator did not make; claims in real ones."""
+    ranges, claims = [], []
+    made = [row for row in _rows("worlds") if "default" in row]
+    real = [row for row in _rows("worlds") if "radius" in row]
+    for name in METHODS[1:]:
+        tprs, fprs = zip(*(_rates(row[name]) for row in made), strict=True)
+        ranges.append(f"{_range(tprs, 3)} / {_range(fprs, 4)}")
+        false = sum(int(row[f"{name}: frames with a claim"]) for row in real)
+        claims.append(f"{false} claims")
+    frames = sum({row["recording"]: int(row["frames"]) for row in real}.values())
+    return [
+        ["not made by our simulator", "", *ranges, f"The worst and the best of {len(made)}."],
+        [
+            "real rivers without a landmark",
+            "",
+            *claims,
+            f"All claims in these {frames} frames are false.",
+        ],
+    ]
+
+
+def _paper() -> list[list[str]]:
+    of = {row["method"]: row["paper"] for row in _rows("paper") if {"method", "paper"} <= set(row)}
+    published = " and ".join(f"{tpr:.4f} / {fpr:.4f}" for _, fpr, tpr in PUBLISHED)
+    framework = f"{of['framework']} (`--preset paper`)"
+    about = "the paper's comparison, protocol `paper`"
+    return [[about, of["SMI"], framework, "", f"Published are {published}."]]
+
+
+def _cost() -> str:
+    """A frame's time, of sonarrec and of both peers, as a range over the scenes that all ran on."""
+    rows = [*_rows("bench")]
+    peak = {row["what"]: float(row["measured"]) for row in rows if "peak" in row.get("what", "")}
+    timed = [row for row in rows if row.get("TPR / FPR")]
+    said = {}
+    for name in {row["per frame"] for row in timed}:
+        own = [row for row in timed if row["per frame"] == name]
+        tprs = _range([_rates(row["TPR / FPR"])[0] for row in own], 2)
+        said[name] = f"{_range([float(row['ms']) for row in own], 1)} ms (TPR {tprs})"
+    return (
+        f"In {len(own)} scenes a frame of 512 rows takes {said['sonarrec']} of CPU on a slow "
+        f"machine. Two plain loops of Hough circles take {said['hough_majority']} and "
+        f"{said['hough_half']}. Peak memory is {peak['peak memory, 3000 frames, MB']:.0f} MB, "
+        f"for views of 130 deg {peak['peak memory, 144 PNGs, 130 deg, MB']:.0f} MB (`make bench`)."
+    )
+
+
+def _rows(name: str) -> Iterator[dict[str, str]]:
+    for table in read(name)["table"]:
+        yield from csv.DictReader(table["csv"].strip().splitlines())
+
+
+def _rates(cell: str) -> list[float]:
+    """TPR and FPR of `0.98 (0.97-0.99) / 0.0002 (0.0000-0.0003)`; NaN for a dash."""
+    numbers = (part.split()[0] for part in cell.split(" / "))
+    return [math.nan if number == "-" else float(number) for number in numbers]
+
+
+def _range(values: Sequence[float], digits: int) -> str:
+    low, high = (f"{edge:.{digits}f}" for edge in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"

@@ -1,0 +1,14 @@
+"""The study of tolerances states what it says that it states."""
+
+import pytest
+
+from tests.studies import tolerances
+
+
+@pytest.mark.slow
+def test_a_radius_that_is_far_too_large_loses_what_the_right_one_finds() -> None:
+    right, wrong = (
+        tolerances.rates("polar", "radius", factor, frames=(0, 16)) for factor in (1.0, 1.3)
+    )
+    assert float(right.split(" / ")[0]) > 0.8
+    assert float(wrong.split(" / ")[0]) < 0.2
