@@ -258,7 +258,7 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
         found = "an empty cell or nan" if blank[row] else repr(str(column.iloc[row])[:40])
         if kind in ("place", "blank or place") and np.isfinite(values[row]):
             must += " from -1e9 to 1e9"
-        if str(column.name).endswith("_ns") and kind not in _TEXTS and np.isfinite(values[row]):
+        if str(column.name).endswith("_ns") and kind == "whole" and values[row] % 1 > 0:
             must += " of ns (1 s is 1000000000)"
         line = line_number(path, first + row)
         raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {found}")
